@@ -31,10 +31,12 @@ _ROUNDS = 12
 _MUCH_WORSE = 1.5  # times the misfit of turned or mirrored photographs, from which on these are what was taken
 _LEAST_MISFIT = 1e-5  # below which no difference counts
 _LEAST_TURNED = 1.15  # of width by height, against what the eye should see, from which on a quarter turn is believed
-_TURNS = {  # what was done to the photographs, and what undoes it on the cells [rows, columns] of the panel
+_TURNS: dict[
+    str, tuple[slice, slice]
+] = {  # what was done to the photographs, and what undoes it on the cells [rows, columns] of the panel
     "mirrored": np.s_[:, ::-1],
     "turned by 180 degrees": np.s_[::-1, ::-1],
-    "mirrored top to bottom": np.s_[::-1],
+    "mirrored top to bottom": np.s_[::-1, :],
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import tempfile
 import warnings
 from collections.abc import Iterator
@@ -11,14 +12,29 @@ from pathlib import Path
 
 import numpy as np
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, Picture
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.video.sequence import VIDEO_INPUTS, decoded_frames, open_sequence
 from lightfield_gs.view_sets.colours import ViewColours
+from lightfield_gs.view_sets.joins import goes_back, small
 
+# What Pillow raises of damaged files, beside its DecompressionBombError
+DAMAGED = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    EOFError,
+    struct.error,
+)
 _ANIMATIONS = (".gif", ".webp")
 _ANIMATED_BIT = 2  # of the flags of a WebP's VP8X chunk
+_MOST_TO_AND_FRO = 1000  # frames, up to which it is looked whether they come back
 _SLOWEST_MS = 100  # of a frame whose file says 0, as browsers have it
 
 
@@ -83,6 +99,11 @@ class FrameViews:
         self.height_px, self.width_px = shape[:2]
         self.first_frame, self.last_frame = numbers[0], last
         self._right_to_left = right_to_left
+        if self.count <= _MOST_TO_AND_FRO and goes_back([small(view) for view in self._views]):
+            assume(
+                f"the frames of {movie.path} go one way across the views, though they seem to go there and back; "
+                f"one way may be --frames {numbers[0]}:{numbers[self.count // 2]}:{span.step}"
+            )
 
     def view(self, number: int) -> np.ndarray:
         """[H, W, 3] uint8 of a view."""
@@ -109,7 +130,7 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
             count = getattr(image, "n_frames", 1)
             milliseconds = image.info.get("duration", 0) or _SLOWEST_MS
             return count, Fraction(1000, max(1, round(milliseconds))) if count > 1 else None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+    except (*DAMAGED, Image.DecompressionBombError):
         return 1, None  # what reads images sees to it
 
 
@@ -126,7 +147,7 @@ def _animation(path: Path) -> Iterator[np.ndarray]:
                 raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {MAX_PIXELS}")
             for frame in ImageSequence.Iterator(image):
                 yield np.asarray(frame.convert("RGBA"))
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+    except (*DAMAGED, Image.DecompressionBombError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} is no animation that can be read: {error}") from error

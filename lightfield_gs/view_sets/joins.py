@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -48,6 +48,20 @@ def rows_join_otherwise(tile: Callable[[int, int], np.ndarray], columns: int, ro
 
 def looks_like_rows(view: Callable[[int], np.ndarray], side: int) -> bool:
     """Whether pictures of a row jump after each `side` of them, as the rows of a grid of side x side cameras do."""
-    start, before, end, then, after = (small(view(k)) for k in (0, side - 2, side - 1, side, side + 1))
+    start, before, end, then, after = pictures = [small(view(k)) for k in (0, side - 2, side - 1, side, side + 1)]
+    if len({picture.shape for picture in pictures}) > 1:
+        return False
     usual = max(_apart(before, end), _apart(then, after), _LEAST_DIFFERENCE)
     return _apart(end, then) > _APART * usual and _apart(start, then) < _apart(end, then) / _APART
+
+
+def goes_back(views: Sequence[np.ndarray]) -> bool:
+    """Whether the second half of these views [h, w, 3] shows the first half again, from the end, as animations do that
+    go to and fro."""
+    count = len(views)
+    usual = max(float(np.mean([_apart(*pair) for pair in zip(views, views[1:])])), _LEAST_DIFFERENCE)
+    for last in (count - 1, count):  # with the first frame again at the end, or not
+        pairs = [(k, last - k) for k in range(last - count + 1, count // 2) if k < last - k]
+        if len(pairs) > 1 and all(_apart(views[one], views[other]) * _APART < usual for one, other in pairs):
+            return True
+    return False

@@ -15,6 +15,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panels.quilt import QuiltLayout, check_divides, stated_layout
 from lightfield_gs.view_sets.colours import in_colour
+from lightfield_gs.view_sets.frames import DAMAGED
 from lightfield_gs.view_sets.joins import rows_join_otherwise
 
 _EXIF_TAGS, _USER_COMMENT = 0x8769, 0x9286
@@ -128,7 +129,7 @@ def _comment(path: Path) -> dict[str, Any]:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # only the header is read
             with Image.open(path) as image:
                 comment = image.getexif().get_ifd(_EXIF_TAGS).get(_USER_COMMENT, b"")
-    except (OSError, SyntaxError, ValueError, TypeError, KeyError, Image.DecompressionBombError):
+    except (*DAMAGED, Image.DecompressionBombError):
         return {}  # other readers see to files that are no images
     if isinstance(comment, str):
         comment = comment.encode(errors="replace")

@@ -1,5 +1,6 @@
 """Sets of views in files: their order by names, grids, quilts as other programs write them, colours, and movies."""
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.view_sets.file_names import arranged
+from lightfield_gs.view_sets.frames import Span
 from lightfield_gs.view_sets.opened import open_views
 from lightfield_gs.view_sets.quilts import QuiltViews
 
@@ -239,3 +241,31 @@ def test_frames_are_quilts_or_views(folder, capsys, suffix):
     assert [int(read_image(f"out/frame-00000{k}.png", True)[30, 48, 0]) for k in range(4)] == [40, 80, 120, 160]
     assert "of which 4 were there" in run(capsys, f"weave {tiles} --frames 1: --panel p.yaml -o out")
     assert "expected .mp4, .mkv, .mov, or a folder" in complaint(capsys, f"weave {tiles} --panel p.yaml -o w.png")
+
+
+def test_frames_that_come_back_are_noticed(tmp_path):
+    for name, there, words in (("fro.gif", [0, 2, 4, 6, 8, 6, 4, 2], "--frames 0:4:1"), ("to.gif", range(8), "")):
+        first, *rest = (Image.fromarray(camera(k)) for k in there)
+        first.save(tmp_path / name, save_all=True, append_images=rest, duration=100)
+        said = shown(tmp_path / name, span=Span())[1]
+        assert words in said and ("there and back" in said) == bool(words)
+
+
+def test_damaged_animations_and_exif_are_refused_in_a_line(tmp_path):
+    said = b"ASCII\0\0\0" + json.dumps({"LKGRows": 3, "LKGColumns": 4}).encode()
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0x9286] = said
+    quilt = Image.fromarray(quilt_of([camera(k, size=8) for k in range(12)], 4))
+    quilt.save(tmp_path / "a.jpg", exif=exif)
+    quilt.save(tmp_path / "a.gif", save_all=True, append_images=[quilt.rotate(180)])
+    rng = np.random.default_rng(0)
+    for path in (tmp_path / "a.jpg", tmp_path / "a.gif"):
+        whole = path.read_bytes()
+        for _ in range(60):
+            damaged = bytearray(whole[: rng.integers(1, len(whole) + 1)])
+            for place in rng.integers(0, min(len(damaged), 200), 3):
+                damaged[place] = rng.integers(256)
+            path.write_bytes(damaged)
+            with heard(), contextlib.suppress(InputError):
+                found = open_views(path, span=Span() if path.suffix == ".gif" else None)
+                [found.views.view(k) for k in range(found.views.count)]
