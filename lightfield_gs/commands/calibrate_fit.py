@@ -8,15 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
+from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_nudge import said_of_change
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel, why_no_eye
 from lightfield_gs.commands.options.values import numbers
 from lightfield_gs.io.atomic import check_outputs
-from lightfield_gs.panels.calibration_fit import PlaceFit, fit_lens
+from lightfield_gs.panels.calibration_fit import CalibrationFit, PlaceFit, fit_lens
 from lightfield_gs.panels.calibration_photos import Place
 from lightfield_gs.panels.calibration_places import load_place, read_places
 from lightfield_gs.panels.profile import check_profile_path, write_profile
+
+# Of what is seen about the lens found: views, or in lens widths, above which the photographs are doubtful
+_MOST_SPREAD_VIEWS, _MOST_SPREAD = 0.2, 0.2 / 48
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,6 +85,20 @@ def run(args: argparse.Namespace) -> None:
     print(f"{path}: {args.panel} with the lens of the photographs, for eyes at {start.viewing_distance_mm:g} mm")
     for line in (*said_of_change(args.panel, start, fit.panel, args.device_serial), *map(_said_of_place, fit.places)):
         print(line)
+    for words in doubts_of(fit):
+        note(words)
+
+
+def doubts_of(fit: CalibrationFit) -> list[str]:
+    """Lines on the places whose photographs spread too far about the lens found."""
+    most = max(_MOST_SPREAD_VIEWS, _MOST_SPREAD * fit.panel.views)
+    return [
+        f"{place.name}: what is seen spreads by {place.spread_views:.2g} views about the lens found, and good "
+        f"photographs by less than {most:.2g}: the lens may be wrong; check that all have one exposure and white "
+        "balance, that nothing moved, and the corners"
+        for place in fit.places
+        if place.spread_views > most
+    ]
 
 
 def places_of(args: argparse.Namespace) -> list[Place]:

@@ -1,22 +1,18 @@
-"""`lightfield-gs weave`: the views of a quilt, a folder or a light field become the image of a panel."""
+"""`lightfield-gs weave`: the views of a quilt, a folder, a light field or a video become the image of a panel."""
 
 from __future__ import annotations
 
 import argparse
-import json
+import re
 from pathlib import Path
 
-from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.provenance import package_versions, software
 from lightfield_gs.commands.options.values import background, numbers, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.quilt import QuiltLayout, stated_layout
 
 _FITS = ("cover", "contain", "stretch")
 _INTERPOLATIONS = ("linear", "nearest")
@@ -33,13 +29,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "input",
         type=Path,
         metavar="VIEWS",
-        help="a quilt (its tiles by its name, _qs<columns>x<rows>a<aspect>, or --tiles), or a folder with a picture "
-        "for each view, the left-most camera's first, by number or name; an HCI light field (input_Cam000.png, "
-        "parameters.cfg) or one of Stanford's (out_RR_CC_*.png)",
+        help="a quilt (its tiles by its name, _qs<columns>x<rows>a<aspect>, its Exif, or --tiles), or a folder with a "
+        "picture for each view, the left-most camera's first, by the number that varies; pictures named by row and "
+        "column, an HCI light field (input_Cam000.png) or one of Stanford's (out_RR_CC_*.png); a video or an animated "
+        ".gif or .webp of quilts, or with --frames of views",
     )
-    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr, of the views' bits")
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="PATH",
+        help=".png, .tif or .exr, of the views' bits; of a video of quilts a folder for PNG files, or .mp4, .mkv or "
+        ".mov, which lose nothing",
+    )
     add_panel(add, "for `simulate` afterwards")
-    add("--tiles", type=whole_numbers(1, 65536, "x", 2), metavar="CxR", help="columns and rows of a quilt")
+    add(
+        "--tiles",
+        type=whole_numbers(1, 65536, "x", 2),
+        metavar="CxR",
+        help="columns and rows of a quilt, or of the cameras of a folder",
+    )
     add(
         "--aspect",
         type=within(0.01, 100),
@@ -47,7 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="width by height of a view as it is seen (default: what the quilt's name says, else that of its pixels)",
     )
     add("--row", type=whole(0, 9999), metavar="R", help="of a light field, 0 the top one (default: the middle one)")
-    add("--right-to-left", action="store_true", help="pictures of a folder begin with the right-most camera's")
+    add("--top-first", action="store_true", help="rows of a quilt go on downwards from the top (default: upwards)")
+    add("--right-to-left", action="store_true", help="views begin with the right-most camera's")
+    add(
+        "--frames",
+        type=_span,
+        metavar="FIRST:LAST:STEP",
+        help="of a video or an animation, the frames that are taken, from 0: each is a view, where it is no video of "
+        "quilts; 0:23 are 24, : all",
+    )
     add(
         "--view-map",
         type=Path,
@@ -80,6 +98,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--background", type=background, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each (default 0,0,0)")
     add("--device", choices=DEVICES, default="auto", help="where the views are woven (default auto)")
     add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+    add("--overwrite", action="store_true", help="remove frames of another job that are in the folder")
+
+
+def _span(text: str):
+    """ "FIRST:LAST:STEP", of which any may be left out -> which frames. Raises ArgumentTypeError."""
+    from lightfield_gs.view_sets.frames import Span
+
+    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
+    first, last, step = (int(part) if part else None for part in (match.groups() if match else ("", "", "0")))
+    if step == 0 or last is not None and last < (first or 0):
+        raise argparse.ArgumentTypeError(f"expected FIRST:LAST or FIRST:LAST:STEP, such as 0:23:1, got '{text}'")
+    return Span(first or 0, last, step or 1)
 
 
 def _add_framing(add) -> None:
@@ -110,67 +140,47 @@ def _add_framing(add) -> None:
 def run(args: argparse.Namespace) -> None:
     """Weaves args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
-    check_image_path(args.output)
+    from lightfield_gs.commands.options.weaving import metadata_of, say_colours, weave_movie, weaving_of, words_of
+    from lightfield_gs.encoding.view_files import read_view_map
+    from lightfield_gs.encoding.weave import weave
+    from lightfield_gs.view_sets.frames import is_movie
+    from lightfield_gs.view_sets.opened import QuiltMovie, open_views
+
+    if not is_movie(args.input):  # of which it hangs on the tiles what it becomes
+        check_image_path(args.output)
     check_outputs((args.output,), (args.input, args.panel, args.view_map))
     panel = load_panel(args)
-    from lightfield_gs.encoding.view_files import read_view_map
-    from lightfield_gs.encoding.view_sets import open_views
-    from lightfield_gs.encoding.weave import weave
-
     found = open_views(
-        args.input, _layout(args), row=args.row, right_to_left=args.right_to_left, background=args.background
+        args.input,
+        args.tiles,
+        row=args.row,
+        top_first=args.top_first,
+        right_to_left=args.right_to_left,
+        span=args.frames,
+        background=args.background,
+        keeps_linear=args.output.suffix.lower() == ".exr",
     )
+    if isinstance(found, QuiltMovie):
+        weave_movie(args, panel, found, watch)
+        return
+    check_image_path(args.output)
+    if args.overwrite:
+        raise InputError("--overwrite is about folders of frames; leave it out")
     views = found.views
     table = None if args.view_map is None else read_view_map(args.view_map, panel, views.count)
     watch.lap("load")
-    image = weave(
-        views,
-        panel,
-        interpolation=args.interpolation,
-        place=args.views,
-        view_filter=args.view_filter,
-        view_map=table,
-        aspect=args.aspect or found.aspect,
-        fit=args.fit,
-        crop=args.crop,
-        shift=args.shift,
-        background=args.background,
-        device=choose_device(args.device),
-    ).cpu()
+    image = weave(views, panel, **weaving_of(args, panel, views, found.aspect, table)).cpu()
     watch.lap("weave")
-    write_image(args.output, _stored(args.output, image.numpy()), _metadata(args, panel, views.count), args.compression)
+    write_image(
+        args.output, _stored(args.output, image.numpy()), metadata_of(args, panel, views.count), args.compression
+    )
     watch.lap("write")
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
-    print(f"{args.input}: {found.said}, {views.width_px} x {views.height_px} pixels each; {_words(args, views, panel)}")
-
-
-def _words(args: argparse.Namespace, views, panel: Panel) -> str:
-    """How views became those of the panel."""
-    exact = args.view_map is not None or views.count == panel.views and args.views == "integer"
-    if args.view_filter * (1 if args.view_map is not None else views.count / panel.views) > 1:
-        return f"{views.count} views for the panel's {panel.views}: means over {args.view_filter:g} views of the panel"
-    if exact:
-        return "every sub-pixel is that of one view"
-    return f"{views.count} views for the panel's {panel.views}: {args.interpolation} between them"
-
-
-def _layout(args: argparse.Namespace) -> QuiltLayout | None:
-    """What --tiles says of a quilt, in place of its name. Raises InputError."""
-    if args.tiles is None:
-        return None
-    if args.input.is_dir():
-        raise InputError(f"--tiles is about a quilt, and {args.input} is a folder; leave it out")
-    from lightfield_gs.io.images import read_info
-
-    info = read_info(args.input)
-    columns, rows = args.tiles
-    try:
-        stated = stated_layout(args.input)
-    except InputError:  # which --tiles is there to mend
-        stated = None
-    aspect = args.aspect or (stated.aspect if stated else (info.width_px / columns) / (info.height_px / rows))
-    return QuiltLayout(columns, rows, aspect)
+    print(
+        f"{args.input}: {found.said}, {views.width_px} x {views.height_px} pixels each; {words_of(args, views, panel)}"
+    )
+    say_colours(found.colours)
 
 
 def _stored(path: Path, image):
@@ -182,24 +192,3 @@ def _stored(path: Path, image):
     if suffix == ".exr":
         return as_floats(image)
     return to_integers(image, 16) if suffix == ".png" and image.dtype.name == "float32" else image
-
-
-def _metadata(args: argparse.Namespace, panel: Panel, count: int) -> dict[str, str]:
-    """What the image was made from and for; the values but "software" and "input" are JSON."""
-    weaving = {
-        "method": "weave",
-        "source_views": count,
-        "interpolation": args.interpolation,
-        "views": args.views,
-        **({"view_filter": args.view_filter} if args.view_filter else {}),
-        "fit": args.fit,
-        "crop": list(args.crop),
-        "shift": args.shift,
-    }
-    return {
-        "software": software(),
-        "input": args.input.name,
-        "panel": json.dumps(panel.to_dict()),
-        "encoding": json.dumps(weaving),
-        "versions": json.dumps(package_versions()),
-    }

@@ -28,6 +28,16 @@ _LEAST_APART = 0.05  # of the viewing zone, between the places that are farthest
 _LEAST_COHERENCE = 0.7  # of what is seen with the plane: 1 where it is one, 0 where it is anything
 _MOST_DISAGREEMENT = 0.05  # of a place with the plane of all, in lens widths
 _ROUNDS = 12
+_MUCH_WORSE = 1.5  # times the misfit of turned or mirrored photographs, from which on these are what was taken
+_LEAST_MISFIT = 1e-5  # below which no difference counts
+_LEAST_TURNED = 1.15  # of width by height, against what the eye should see, from which on a quarter turn is believed
+_TURNS: dict[
+    str, tuple[slice, slice]
+] = {  # what was done to the photographs, and what undoes it on the cells [rows, columns] of the panel
+    "mirrored": np.s_[:, ::-1],
+    "turned by 180 degrees": np.s_[::-1, ::-1],
+    "mirrored top to bottom": np.s_[::-1, :],
+}
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,8 @@ def fit_lens(places: Sequence[Place], start: Panel, one_place: bool = False) -> 
     size = np.array([start.width_px, start.height_px])
     columns, rows = (int(n) for n in np.ceil(size / max(lenses, size.max() / MOST_CELLS)))
     seen = [fringes(place, columns, rows) for place in places]
+    for place, one in zip(places, seen):
+        _check_upright(place, one.corners_px, start)
     fitted = _solved(places, seen, start)
     mirrored = _solved(places, [Fringes(one.wave.conj(), one.corners_px) for one in seen], start)
     if len(places) > 1 and _misfit(mirrored[1]) < _misfit(fitted[1]):
@@ -85,6 +97,7 @@ def fit_lens(places: Sequence[Place], start: Panel, one_place: bool = False) -> 
             "other side; give the shifts as 0, 1, 2, and x of the eye to the right, seen from the viewer"
         )
     lens, residuals = fitted
+    _check_turned(places, seen, start, _misfit(residuals))
     agreed = tuple(_agreement(place, wave, one, start) for place, wave, one in zip(places, residuals, seen))
     per_lens, turns = lens.per_lens, turns_in_middle(start)
     turns += (lens.turns - turns + 0.5) % 1 - 0.5  # lenses are all alike
@@ -103,6 +116,35 @@ def _check_places(places: Sequence[Place], start: Panel, one_place: bool) -> Non
             f"the photographs are from {where}, which cannot tell another lens from shifts in another order or a "
             f"mirrored photograph: add some from {_LEAST_APART * abs(zone):.0f} mm aside at least, or say that one "
             "place will do (--one-place)"
+        )
+
+
+def _check_upright(place: Place, corners_px: np.ndarray, start: Panel) -> None:
+    """Raises InputError where the panel stands upright in the photographs though it is wide, or the other way."""
+    across, down = np.hypot(*(np.roll(corners_px, -1, 0) - corners_px).T).reshape(2, 2).mean(0)
+    x, y, z = place.eye_mm
+    expected = start.width_px / start.height_px * math.hypot(y, z) / math.hypot(x, z)  # seen from aside, it is narrower
+    got = across / down
+    if abs(math.log(got / expected)) > max(abs(math.log(got * expected)), math.log(_LEAST_TURNED)):
+        raise InputError(
+            f"{place.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
+            f"{expected:.2f} times its height, got one of {got:.2f} times; the photographs are turned by 90 degrees: "
+            "turn them upright, or give the corners as the panel has them"
+        )
+
+
+def _check_turned(places: Sequence[Place], seen: Sequence[Fringes], start: Panel, misfit: float) -> None:
+    """Raises InputError where photographs that are turned by 180 degrees or mirrored fit the bars much better."""
+    found = {
+        words: _misfit(_solved(places, [Fringes(one.wave[undone], one.corners_px) for one in seen], start)[1])
+        for words, undone in _TURNS.items()
+    }
+    best = min(found, key=found.__getitem__)
+    least = max(found[best], _LEAST_MISFIT)
+    if misfit > _MUCH_WORSE * least:
+        raise InputError(
+            f"the photographs fit {misfit / least:.3g} times better if they are {best}: have them as the camera sees "
+            "the panel, upright and not mirrored, or give the corners as the panel has them"
         )
 
 

@@ -67,11 +67,17 @@ class QuiltLayout:
             raise InputError("quilt: its size in pixels is not known; give one")
         return self.width_px // self.columns, self.height_px // self.rows
 
-    def tile(self, view: int) -> tuple[slice, slice]:
-        """Rows and columns of the pixels of a view, which counts from the left-most camera."""
+    def left_over_px(self) -> tuple[int, int]:
+        """Pixels at the right and at the top that belong to no tile."""
+        width, height = self.tile_px()
+        return (self.width_px or 0) - width * self.columns, (self.height_px or 0) - height * self.rows
+
+    def tile(self, view: int, top_first: bool = False) -> tuple[slice, slice]:
+        """Rows and columns of the pixels of a view, which counts from the left-most camera. top_first: rows of views
+        go on downwards from the top edge."""
         (width, height), whole = self.tile_px(), self.height_px or 0
-        up, along = divmod(view, self.columns)
-        bottom = whole - up * height
+        onwards, along = divmod(view, self.columns)
+        bottom = (onwards + 1) * height if top_first else whole - onwards * height
         return slice(bottom - height, bottom), slice(along * width, (along + 1) * width)
 
     def panel(self, cone_deg: float, like: Panel | None = None) -> Panel:
@@ -118,6 +124,7 @@ QUILT_PRESETS = {
 
 
 _MOST_SIDE_PX = 8192  # of the quilt of a panel, where tiles of the panel's own size would make it larger
+_LEFT_OVER = 0.01  # of a quilt's width and height, less of which may belong to no tile
 _LEAST_SHARE = 0.5  # of the resolution that a square quilt would have, below which other numbers of views are taken
 
 
@@ -206,11 +213,10 @@ def _stem(path: Path) -> str:
 
 
 def check_divides(layout: QuiltLayout, where: str) -> None:
-    """Raises InputError where the tiles do not fill the quilt, unless Looking Glass itself makes such."""
+    """Raises InputError where the tiles leave more of the quilt over than whole pixels make them, as in presets."""
     width, height = layout.tile_px()
-    size = layout.width_px, layout.height_px
-    known = [(one.columns, one.rows, one.width_px, one.height_px) for one in QUILT_PRESETS.values()]
-    if (layout.columns, layout.rows, *size) in known or (width * layout.columns, height * layout.rows) == size:
+    size = layout.width_px or 0, layout.height_px or 0
+    if all(left < max(1, _LEFT_OVER * side) for left, side in zip(layout.left_over_px(), size)):
         return
     raise InputError(
         f"{where}: {size[0]} x {size[1]} pixels do not divide into {layout.columns} x {layout.rows} tiles of one size; "

@@ -45,8 +45,7 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
     The picture itself says what they are: by its ICC profile, which lcms applies in 8 bits, or else by its gamma (PNG);
     EXR and Radiance files are linear. What cannot be honoured is taken as sRGB, with a note.
     """
-    space, gamma = str(picture.colour.get("oiio:ColorSpace", "")), picture.colour.get("oiio:Gamma", _SRGB_GAMMA)
-    linear = picture.colour.get("format") in _LINEAR_FORMATS or space.startswith("lin_")
+    gamma, linear = picture.colour.get("oiio:Gamma", _SRGB_GAMMA), is_linear(picture)
     if "ICCProfile" in picture.colour:
         colours = _by_profile(rgb, bytes(picture.colour["ICCProfile"]), picture.colour.get("jpeg:ColorSpace") == "CMYK")
     elif linear or abs(gamma - _SRGB_GAMMA) > _SAME_GAMMA:
@@ -65,6 +64,12 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
     if colours.pixels.shape[2] == 1:
         colours.pixels = np.repeat(colours.pixels, 3, 2)
     return colours
+
+
+def is_linear(picture: Picture) -> bool:
+    """Whether the samples of a picture are in proportion to light, as its format or itself says."""
+    space = str(picture.colour.get("oiio:ColorSpace", ""))
+    return picture.colour.get("format") in _LINEAR_FORMATS or space.startswith("lin_")
 
 
 def _doubts(rgb: np.ndarray, picture: Picture) -> list[str]:

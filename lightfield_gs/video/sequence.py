@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import tempfile
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+
+import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
@@ -45,15 +47,22 @@ class Sequence:
         if self.files:
             yield from ((number, self.files[number]) for number in numbers)
             return
-        wanted, name = deque(numbers), folder / f"{self.path.stem}.png"
-        for index, pixels in enumerate(decoded(self.path, self.maps)):
-            if wanted and self.order[wanted[0]] == index:
-                write_image(name, pixels)
+        name = folder / f"{self.path.stem}.png"
+        for number, pixels in self.frames(numbers):
+            write_image(name, pixels)
+            yield number, name
+
+    def frames(self, numbers: Iterable[int]) -> Iterator[tuple[int, np.ndarray]]:
+        """The frames of a video of these numbers, which increase: see `decoded`. Raises InputError."""
+        wanted = deque(numbers)
+        last = wanted[-1] if wanted else 0
+        for index, pixels in enumerate(decoded(self.path, self.maps) if wanted else ()):
             while wanted and self.order[wanted[0]] == index:
-                yield wanted.popleft(), name
+                yield wanted.popleft(), pixels
             if not wanted:
                 return
-        raise InputError(f"{self.path} ends before its frame {numbers[-1]}; it is cut, or its header counts wrongly")
+        if wanted:
+            raise InputError(f"{self.path} ends before its frame {last}; it is cut, or its header counts wrongly")
 
     def digest(self) -> str:
         """SHA-256 over the contents of its files."""

@@ -9,11 +9,12 @@ from command_line import PANEL, complaint, run, scene
 
 from lightfield_gs import InputError, Panel, QuiltLayout, encode, interlace, quilt, weave
 from lightfield_gs.base.assumptions import Assumption
-from lightfield_gs.encoding.view_sets import QuiltViews, open_views
 from lightfield_gs.encoding.weave_passes import TorchPasses
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.quilt import QUILT_PRESETS, layout_of_panel, stated_layout, with_suffix
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.view_sets.opened import open_views
+from lightfield_gs.view_sets.quilts import QuiltViews
 
 SIZE = PANEL.height_px, PANEL.width_px
 
@@ -264,8 +265,8 @@ def test_bad_input_is_told_in_one_line(folder, capsys):
         ("weave plain.png --tiles 13x1 --panel p.yaml -o w.png", "too few for 13 x 1"),
         ("weave absent_qs2x2a1.png --panel p.yaml -o w.png", "cannot read absent_qs2x2a1.png"),
         ("weave empty --panel p.yaml -o w.png", "expected a picture for each view, found none"),
-        ("weave empty --tiles 2x2 --panel p.yaml -o w.png", "--tiles is about a quilt"),
-        ("weave plain.png --tiles 2x2 --row 1 --panel p.yaml -o w.png", "those of a folder"),
+        ("weave empty --tiles 2x2 --panel p.yaml -o w.png", "expected a picture for each view, found none"),
+        ("weave plain.png --tiles 2x2 --row 1 --panel p.yaml -o w.png", "--row is about the cameras of a folder"),
         ("weave plain.png --tiles 2x2 --crop 0.6,0,0.6,0 --panel p.yaml -o w.png", "leave nothing"),
         ("weave plain.png --tiles 2x2 --panel p.yaml -o w.jpg", "expected the extension"),
         ("quilt s.ply -o q --size 100x100 --tiles 3x3", "100 x 100 pixels do not divide"),

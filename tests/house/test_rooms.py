@@ -24,6 +24,7 @@ ROOMS = (
     "lightfield_gs.photo",
     "lightfield_gs.show",
     "lightfield_gs.video",
+    "lightfield_gs.view_sets",
     "lightfield_gs.fitting",
     "training",
     "lightfield_gs.bench",

@@ -8,6 +8,7 @@ import pytest
 from panel_cases import template_panel
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.calibrate_fit import doubts_of
 from lightfield_gs.panels.calibration_fit import fit_lens
 from lightfield_gs.panels.calibration_photos import Place, bilinear, find_corners, homography
 from lightfield_gs.panels.panel import Panel
@@ -108,3 +109,29 @@ def test_what_says_nothing_is_refused():
         fit_lens([replace(place, corners_px=CORNERS[::-1]) for place in good], START)
     with pytest.raises(InputError, match="pixel_pitch_mm"):
         fit_lens(good, replace(START, pixel_pitch_mm=None))
+
+
+def test_photographs_that_are_turned_or_mirrored_are_refused():
+    true, upright = perturbed(START), np.array([[90.0, 60.0], [690.0, 60.0], [690.0, 398.0], [90.0, 398.0]])
+    good = places(true, corners=upright)
+    found = [replace(place, corners_px=None) for place in good]
+    assert worst_views(fit_lens(found, START).panel, true) < 0.02
+    for words, taken in (
+        ("are mirrored", lambda photo: photo[:, ::-1]),
+        ("are turned by 180 degrees", lambda photo: photo[::-1, ::-1]),
+        ("are turned by 90 degrees", lambda photo: np.rot90(photo)),
+    ):
+        turned = [replace(place, photos=tuple(taken(photo).copy() for photo in place.photos)) for place in found]
+        with pytest.raises(InputError, match=words):
+            fit_lens(turned, START)
+
+
+def test_photographs_of_unlike_exposure_are_doubted():
+    good = places(perturbed(START))
+    dark = [
+        replace(place, photos=(place.photos[0], (place.photos[1] * 0.8).astype(np.uint8), place.photos[2]))
+        for place in good
+    ]
+    assert doubts_of(fit_lens(good, START)) == []
+    said = doubts_of(fit_lens(dark, START))
+    assert len(said) == 2 and "check that all have one exposure" in said[0]
