@@ -198,13 +198,12 @@ def _made(path: Path, folder_mode: int | None) -> int | None:
     """Makes a file or a folder that must not be there yet, open; None where an open one could not be renamed."""
     if folder_mode is None:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-    else:
-        path.mkdir(folder_mode)
-        file = os.open(path, os.O_RDONLY) if _HAS_LOCKS else None
-    if file is not None and not _HAS_LOCKS:
+        if _HAS_LOCKS:
+            return file
         os.close(file)
         return None
-    return file
+    path.mkdir(folder_mode)
+    return os.open(path, os.O_RDONLY) if _HAS_LOCKS else None
 
 
 def _has_name(file: int, path: Path) -> bool:
