@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import io
-import os
 import signal
 import sys
 import time
@@ -16,6 +15,9 @@ from collections.abc import Sequence
 from typing import NoReturn, cast
 
 from lightfield_gs.base.complaint import assumptions_said, complain
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
+from lightfield_gs.base.streams import PatientStream, open_closed_streams
 from lightfield_gs.commands.options.parser import Parser, joined
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
@@ -41,20 +43,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns the exit code: the command's, or 2 after a one-line complaint about the input."""
     signal.signal(signal.SIGTERM, _terminate)
     # As a program, what was imported before this line (torch, a second) is part of the wait.
-    began = time.perf_counter() - (time.process_time() if argv is None else 0)
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if argv is None:
-        # Names of files, and what they hold, may have bytes that are no text
-        cast(io.TextIOWrapper, sys.stdout).reconfigure(errors="backslashreplace")
+    if argv is not None:
+        return _run(list(argv), time.perf_counter())
+    began = time.perf_counter() - time.process_time()
+    open_closed_streams()
+    # Names of files, and what they hold, may have bytes that are no text
+    sys.stdout, output = PatientStream.of(cast(io.TextIOWrapper, sys.stdout), "backslashreplace")
+    sys.stderr, _ = PatientStream.of(cast(io.TextIOWrapper, sys.stderr), "backslashreplace")
     try:
+        code = _run(sys.argv[1:], began)
+    except SystemExit as end:  # --help among others
+        code = end.code if isinstance(end.code, int) else 0
+    sys.stdout.flush()
+    if output.failed is None or isinstance(output.failed, BrokenPipeError):  # by the latter nobody wants to read on
+        return code
+    lost = f"cannot write to standard output: {output.failed.strerror}; what was to be read there is lost"
+    return code or complain("lightfield-gs", InputError(lost), "")
+
+
+def _run(arguments: list[str], began: float) -> int:
+    """Runs one command and returns the exit code."""
+    try:
+        if arguments[:1] and arguments[0] in COMMANDS and not has_working_folder():
+            raise InputError(FOLDER_GONE)
         args = build_parser(*arguments[:1]).parse_args(joined(arguments), argparse.Namespace(began=began))
         with assumptions_said():
             code = importlib.import_module(args.module).run(args) or 0
-        sys.stdout.flush()
         return code
-    except BrokenPipeError:  # of stdout: nobody reads on
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except (Exception, KeyboardInterrupt) as error:
         remedy = _REMEDIES.get(next(iter(arguments), ""), "use a smaller scene or panel")
         return complain("lightfield-gs", error, remedy)

@@ -11,6 +11,7 @@ from typing import Any
 
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's words for the host's and the device's
@@ -36,6 +37,8 @@ def complain(program: str, error: BaseException, remedy: str) -> int:
         message, code = "interrupted", EXIT_INTERRUPTED
     elif isinstance(error, (InputError, OSError)):
         message = str(error)
+        if FOLDER_GONE not in message and not has_working_folder():
+            message += f"; {FOLDER_GONE}"
     elif is_out_of_memory(error):
         message = f"out of memory; {remedy}"
     else:

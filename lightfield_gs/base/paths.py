@@ -9,6 +9,7 @@ from pathlib import Path
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 
+FOLDER_GONE = "the working folder has been removed: change to one that is there (cd)"
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -39,6 +40,15 @@ def config_path(kind: str, name: str) -> Path:
     near = difflib.get_close_matches(name, names, 1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     raise InputError(f"unknown name '{name}' in configs/{kind}; {hint}known: {', '.join(names)}, or give a file")
+
+
+def has_working_folder() -> bool:
+    """Whether the working folder is still there: without it no relative path leads anywhere, and torch cannot begin."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def checked_path(path: str | os.PathLike) -> Path:

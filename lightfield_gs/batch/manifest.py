@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.atomic import lock, make_folder
 from lightfield_gs.io.json_file import parse_json
 
 MANIFEST = "batch.jsonl"
@@ -108,11 +108,8 @@ def _tells_of_item(record: Any) -> bool:
 def _lock(file: int, folder: Path) -> None:
     """Locks the manifest as long as it is open in this process, however that ends. Raises InputError where another
     process has it."""
-    try:
-        import fcntl
-    except ImportError:
-        raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here") from None
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise InputError(f"another batch is at work in {folder}: wait for it, or give another folder") from None
+    is_ours = lock(file)
+    if is_ours is None:
+        raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here")
+    if not is_ours:
+        raise InputError(f"another batch is at work in {folder}: wait for it, or give another folder")

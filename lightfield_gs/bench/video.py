@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -14,6 +13,7 @@ import torch
 
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.bench.tables import aligned
+from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.frame_folder import FrameFolder
 from lightfield_gs.video.make import NoFiles, Sink, make_video
@@ -44,7 +44,7 @@ def rows(
         for rig in rigs[:2]:  # memory comes, and on CUDA kernels load
             draw(gaussians, rig, 0)
         with ExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lightfield-gs-")))
+            folder = stack.enter_context(scratch_folder())
             made = make_video(
                 lambda numbers: ((number, gaussians, rigs[number]) for number in numbers),
                 draw,

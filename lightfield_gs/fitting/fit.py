@@ -33,7 +33,7 @@ from lightfield_gs.fitting.shown import CONTRIBUTION_CUT, FrameScores, Shown, pr
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
-from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.atomic import make_folder, remove_left_over
 from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.scenes.doubts import float_step, usual_size
 from lightfield_gs.io.scenes.render_mode import ANTIALIASED
@@ -166,7 +166,7 @@ def _prepared(
         habits.progress and group.is_first, habits.folder if habits.tensorboard and group.is_first else None
     )
     if habits.folder is not None:
-        make_folder(habits.folder)
+        remove_left_over(make_folder(habits.folder))
         identity.check_file(habits.folder / checkpoint.FILE, habits.fresh)
     width, height = map(int, capture.sizes_px.max(0))
     need = memory.needed(settings, len(capture.names), width, height)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
+import itertools
 import os
 import re
-import secrets
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -14,7 +15,10 @@ from pathlib import Path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
 
-_TEMPORARY = re.compile(r"\..*\.[0-9a-f]{12}(\.[^.]*)?")  # names that atomic_path makes
+# Names of what is being written: the stem, a number, the suffix; in versions before, twelve digits for the number
+_TEMPORARY = re.compile(r"\..*\.(partial-\d+|[0-9a-f]{12})(\.[^.]*)?", re.DOTALL)
+_LOOKED_AT = 4  # so many numbers are looked at for what killed processes left, more where all of them are taken
+_HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows
 
 
 def check_output_path(path: str | Path) -> Path:
@@ -99,32 +103,132 @@ def remove_file(path: Path) -> None:
         raise InputError(f"cannot remove {path}: {error.strerror or error}") from error
 
 
+def lock(file: int) -> bool | None:
+    """Locks an open file or folder for as long as it is open in this process, however that ends.
+
+    False where another has locked it; None where there are no locks: on Windows, and in some file systems.
+    """
+    if not _HAS_LOCKS:
+        return None
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
 def remove_left_over(folder: Path) -> None:
-    """Removes what atomic_path left in a folder, and in those below, of processes that were killed. Raises InputError.
-    Nothing else may be writing there."""
-    for place, _, names in os.walk(folder):
-        for name in names:
-            if _TEMPORARY.fullmatch(name):
-                remove_file(Path(place) / name)
+    """Removes what killed processes left half-written in a folder, and in those below; what is being written stays."""
+    for place, folders, names in os.walk(folder):
+        for name in filter(_TEMPORARY.fullmatch, [*folders, *names]):
+            remove_dead(Path(place) / name)
+
+
+def remove_dead(path: Path) -> None:
+    """Removes a temporary file or folder if the process that wrote it has ended, which frees its lock.
+
+    It stays where that cannot be told, or where it cannot be removed.
+    """
+    if not _HAS_LOCKS:
+        return
+    flags = os.O_NOFOLLOW | os.O_NONBLOCK
+    with contextlib.suppress(OSError), contextlib.ExitStack() as opened:
+        try:
+            file = os.open(path, os.O_RDWR | flags)  # NFS locks only what may be written
+        except IsADirectoryError:
+            file = os.open(path, os.O_RDONLY | flags)
+        opened.callback(os.close, file)
+        if lock(file) and os.path.samestat(os.fstat(file), os.lstat(path)):
+            _remove(path)
+
+
+def _remove(path: Path) -> None:
+    """Removes a file, or a folder with all that is in it, as far as that is allowed."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+@contextlib.contextmanager
+def _temporary(target: Path, suffix: str = "", folder_mode: int | None = None) -> Iterator[Path]:
+    """A new empty file beside `target`, or a folder with this mode, locked as long as it is written.
+
+    It is removed at the end if it still has its name. What killed processes left of the same target is removed first.
+    Raises OSError.
+    """
+    stem = target.name.removesuffix(suffix)[:64]
+    paths = (target.with_name(f".{stem}.partial-{number}{suffix}") for number in itertools.count())
+    free = []
+    for number, path in enumerate(paths):
+        if is_there := os.path.lexists(path):
+            remove_dead(path)
+        if not os.path.lexists(path):
+            free.append(path)
+        if number >= _LOOKED_AT - 1 and not is_there:
+            break
+    for path in itertools.chain(free, paths):
+        with contextlib.ExitStack() as opened:
+            try:
+                made = _made(path, folder_mode)
+            except (FileExistsError, FileNotFoundError):
+                if not path.parent.is_dir():
+                    raise
+                continue  # somebody was quicker
+            if made is not None:
+                opened.callback(os.close, made)
+                if lock(made) is False or not _has_name(made, path):
+                    continue  # somebody who removes what is left over was between making and locking
+            identity = os.lstat(path)
+            try:
+                yield path
+            finally:
+                with contextlib.suppress(OSError):
+                    if os.path.samestat(identity, os.lstat(path)):
+                        _remove(path)
+            return
+
+
+def _made(path: Path, folder_mode: int | None) -> int | None:
+    """Makes a file or a folder that must not be there yet, open; None where an open one could not be renamed."""
+    if folder_mode is None:
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        if _HAS_LOCKS:
+            return file
+        os.close(file)
+        return None
+    path.mkdir(folder_mode)
+    return os.open(path, os.O_RDONLY) if _HAS_LOCKS else None
+
+
+def _has_name(file: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file), os.lstat(path))
+    except FileNotFoundError:
+        return False
 
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary path in the folder of `path`, with its extension; renamed to `path` at the end, removed on failure.
 
-    Where `path` is a symbolic link, all this holds for the file that it leads to. Raises InputError where the folder
-    cannot be written to, the disk is full, or `path` is a device or a pipe.
+    Where `path` is a symbolic link, all this holds for the file that it leads to. What a process that was killed left
+    of the same file is removed first. Raises InputError where the folder cannot be written to, the disk is full, or
+    `path` is a device or a pipe.
     """
     path = check_output_path(path)
     target = _target(path)
-    temporary = target.with_name(f".{path.stem[:64]}.{secrets.token_hex(6)}{path.suffix}")
     try:
-        yield temporary
-        os.replace(temporary, target)
+        with _temporary(target.with_name(path.name), path.suffix) as temporary:
+            yield temporary
+            os.replace(temporary, target)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def check_new_folder(path: str | Path) -> Path:
@@ -139,17 +243,31 @@ def check_new_folder(path: str | Path) -> Path:
 def atomic_folder(path: str | Path) -> Iterator[Path]:
     """A temporary folder beside `path`; renamed to it at the end, removed with all that is in it on failure.
 
-    Raises InputError where there is a folder that is not empty, or it cannot be written.
+    What a process that was killed left of it is removed first. Raises InputError where there is a folder that is not
+    empty, or it cannot be written.
     """
     path = check_new_folder(path)
-    temporary = make_folder(path.parent) / f".{path.name}.{secrets.token_hex(6)}"
+    make_folder(path.parent)
     try:
-        make_folder(temporary)
-        yield temporary
-        if path.exists():
-            path.rmdir()  # it is empty; Windows renames no folder to one that is there
-        os.replace(temporary, path)
+        with _temporary(path, folder_mode=0o777) as temporary:
+            yield temporary
+            if path.exists():
+                path.rmdir()  # it is empty; Windows renames no folder to one that is there
+            os.replace(temporary, path)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def scratch_folder(beside: Path | None = None) -> Iterator[Path]:
+    """An empty folder for what is on its way, gone at the end: beside a path, or in the system's temporary folder.
+
+    What a process that was killed left of it is removed first. Raises InputError where it cannot be made.
+    """
+    target = Path(tempfile.gettempdir()) / "lightfield-gs" if beside is None else beside
+    with contextlib.ExitStack() as made:
+        try:
+            folder = made.enter_context(_temporary(target, folder_mode=0o700))
+        except OSError as error:
+            raise InputError(f"cannot write in {target.parent}: {error.strerror or error}") from error
+        yield folder

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _AVIF_BRANDS = (b"avif", b"avis")
 # ISO/IEC 23008-12, annex B, and MIAF; whatever begins with another brand is a film, or something else
 _BRANDS = (*_AVIF_BRANDS, b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2")
+_MOST_BYTES = 1 << 28
 _BRAND_BYTES = 128  # of a file that are looked at: they hold a dozen brands and more
 _PACKAGES = ("pi_heif", "pillow_heif")  # one reader; the former lacks the encoder, which is under the GPL
 _ORIENTATION_TAG = 0x0112
@@ -45,6 +46,8 @@ def opened_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator[
     from PIL import Image
 
     format_name = _reader(path)
+    if (size := path.stat().st_size) > _MOST_BYTES:  # it is read as a whole
+        raise InputError(f"{path}: expected an AVIF or HEIC of at most {_MOST_BYTES} bytes, got {size}; it is damaged")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # check_size knows better

@@ -18,7 +18,7 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.heif import decoded_heif, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_stand_in
 from lightfield_gs.io.png_chunks import png_damage
 from lightfield_gs.io.png_colour import png_colour
 from lightfield_gs.io.png_file import CompressedImage, write_png
@@ -242,7 +242,7 @@ def _checked_file(path: str | Path) -> Path:
     with reading(path):
         if path.stat().st_size == 0 or not path.is_file():
             raise InputError(f"{path} is no image: it is empty or not a file")
-        path.open("rb").close()
+        refuse_large_no_image(path)
     return path
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression
-from lightfield_gs.io.atomic import check_folder, make_folder, remove_file
+from lightfield_gs.io.atomic import check_folder, make_folder, remove_dead, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.json_file import read_object, write_json
 from lightfield_gs.io.png_cuda import fetched
@@ -70,7 +70,9 @@ class FrameFolder:
 
     def __enter__(self) -> FrameFolder:
         make_folder(self.path)
-        for path in self._left_over():
+        for path in [*self.path.glob(".frame-*.png"), *self.path.glob(f".{Path(MANIFEST).stem}.*.json")]:
+            remove_dead(path)
+        for path in self.path.glob("frame-*.png") if self._overwrite else ():
             remove_file(path)
         write_json(self._manifest, self.path / MANIFEST)
         self._room = threading.BoundedSemaphore(2 * self._writers)
@@ -122,11 +124,6 @@ class FrameFolder:
                 "folder, or --overwrite to remove them"
             )
         return [number for number in range(count) if frame_name(number) not in there]
-
-    def _left_over(self) -> list[Path]:
-        """Files of a run that was killed while it wrote them, and with `overwrite` the frames that are there."""
-        frames = self.path.glob("frame-*.png") if self._overwrite else ()
-        return [*self.path.glob(".frame-*.png"), *self.path.glob(f".{Path(MANIFEST).stem}.*.json"), *frames]
 
 
 def _difference(other: Any, made: dict[str, Any]) -> str:

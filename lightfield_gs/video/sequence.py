@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections import deque
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -90,13 +88,6 @@ def open_sequence(path: str | Path, maps: bool = False) -> Sequence:
     if not files:
         raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else PICTURES)}), got none")
     return Sequence(path, len(files), tuple(files))
-
-
-@contextmanager
-def scratch_folder() -> Iterator[Path]:
-    """A folder for the pictures of a video, gone at the end."""
-    with tempfile.TemporaryDirectory(prefix="lightfield-gs-") as folder:
-        yield Path(folder)
 
 
 def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:

@@ -5,7 +5,8 @@ import io
 import json
 import socket
 import threading
-from contextlib import contextmanager
+import urllib.request
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import layout_of_panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.show.page import routes
 from lightfield_gs.show.page.controls import Controls, orbited
 from lightfield_gs.show.page.exports import exports
 from lightfield_gs.show.page.routes import shown_routes, steering_routes
@@ -38,8 +40,8 @@ def stage(panel: Panel = PANEL) -> Stage:
 
 
 @contextmanager
-def serving(routes):
-    server = Server(routes)
+def serving(routes, host="127.0.0.1"):
+    server = Server(routes, host=host)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
     try:
@@ -50,9 +52,9 @@ def serving(routes):
         thread.join()
 
 
-def get(server: Server, path: str, method: str = "GET", **headers):
-    connection = http.client.HTTPConnection(*server.server_address, timeout=30)
-    connection.request(method, path, headers=headers)
+def get(server: Server, path: str, method: str = "GET", body: str | None = None, **headers):
+    connection = http.client.HTTPConnection(*server.server_address[:2], timeout=30)
+    connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
     answer = connection.getresponse()
     body = answer.read()
     connection.close()
@@ -135,6 +137,7 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         rig = Rig.from_yaml(tmp_path / "rig.yaml")
         view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1]))[0].numpy()
         assert np.abs(left_most / 255 - view).max() < 0.01
+        assert get(server, "/rest", "POST", controls, X_Token=state["token"])[0] == 204
         panel_png = np.asarray(Image.open(io.BytesIO(get(server, "/panel.png")[1])))
         np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what came to rest
         depth = json.loads(get(server, f"/depth.json?{controls}")[1])
@@ -186,11 +189,139 @@ def test_odd_connections_end_nothing(capfd):
         ):
             with socket.create_connection(server.server_address, timeout=5) as connection:
                 connection.sendall(words)
-        assert get(server, "/panel", "POST")[0] == 501
+        assert get(server, "/panel", "POST")[0] == 405
+        assert get(server, "/panel", "PUT")[0] == 501
         assert get(server, "/panel", "HEAD")[1] == b""
         assert get(server, "/panel", Host="elsewhere.example")[0] == 403  # a name that was made to lead here
         assert get(server, "/panel")[0] == 200
     assert "Traceback" not in capfd.readouterr().err
+
+
+FOREIGN = [
+    {"Sec_Fetch_Site": "cross-site"},
+    {"Sec_Fetch_Site": "same-site"},  # another port of this machine
+    {"Origin": "http://elsewhere.example"},
+    {"Origin": "null"},
+]
+
+
+@pytest.mark.parametrize("headers", FOREIGN, ids=lambda headers: "-".join(headers.values()))
+def test_pages_from_elsewhere_get_nothing_and_change_nothing(headers):
+    shown = stage()
+    with serving(steering_routes(shown, exports(shown))) as server:
+        token = json.loads(get(server, "/scene.json")[1])["token"]
+        for path in ("/", "/scene.json", "/panel.png", "/frame?show=eye&still=1&width=64&yaw_deg=120"):
+            assert get(server, path, **headers)[0] == 403
+        assert get(server, "/rest", "POST", "yaw_deg=120", X_Token=token, **headers)[0] == 403
+        assert shown.version == 0
+
+
+def test_only_a_post_with_the_token_changes_what_the_panel_shows():
+    shown = stage()
+    with serving(steering_routes(shown, exports(shown))) as server:
+        token = json.loads(get(server, "/scene.json", Sec_Fetch_Site="same-origin")[1])["token"]
+        turn, own = "yaw_deg=120", {"Sec_Fetch_Site": "same-origin", "Origin": server.url}
+        assert get(server, f"/frame?show=eye&still=1&width=64&{turn}", Sec_Fetch_Site="none")[0] == 200
+        assert get(server, f"/rest?{turn}", X_Token=token)[0] == 405
+        assert get(server, "/rest", "POST", turn)[0] == 403
+        assert get(server, "/rest", "POST", turn, X_Token=token[:-1])[0] == 403
+        assert get(server, "/rest", "POST", "a" * 5000, X_Token=token)[0] == 400
+        assert json.loads(get(server, "/panel.json?after=-1")[1])["version"] == 0
+        assert get(server, "/rest", "POST", turn, X_Token=token, **own)[0] == 204
+        assert json.loads(get(server, "/panel.json?after=-1")[1])["version"] == 1
+        # What a refused request holds is not taken for the next one
+        smuggled = f"POST /rest HTTP/1.1\r\nHost: localhost\r\nX-Token: {token}\r\nContent-Length: 9\r\n\r\nyaw_deg=1"
+        assert get(server, "/panel", "POST", smuggled)[2].headers["Connection"] == "close"
+        assert shown.version == 1
+
+
+def test_no_answer_may_be_framed_or_read_elsewhere():
+    with serving(shown_routes(PANEL, np.zeros((60, 96, 3), np.uint8))) as server:
+        for path, method in (("/panel", "GET"), ("/panel.png", "HEAD"), ("/no", "GET"), ("/panel", "BREW")):
+            headers = get(server, path, method)[2].headers
+            assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+            assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+
+
+@contextmanager
+def slow_readers(server: Server, path: str, count: int):
+    """Clients that ask and read what comes first, and no more: the first bytes of each."""
+    with ExitStack() as opened:
+        sockets = [
+            opened.enter_context(socket.create_connection(server.server_address, timeout=5)) for _ in range(count)
+        ]
+        for each in sockets:
+            each.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        yield [each.recv(12) for each in sockets]
+
+
+def test_slow_readers_of_the_panel_share_one_packed_picture(monkeypatch):
+    packed = []
+    monkeypatch.setattr(routes, "png", lambda pixels, level: packed.append(bytes(16 << 20)) or packed[-1])
+    with serving(shown_routes(PANEL, np.zeros((60, 96, 3), np.uint8))) as server:
+        with slow_readers(server, "/panel.png", 12) as begun:
+            assert begun == [b"HTTP/1.1 200"] * 12 and len(packed) == 1
+            assert server.request_queue_size == 128
+
+
+def test_slow_readers_of_files_are_few_at_a_time(monkeypatch):
+    monkeypatch.setattr("lightfield_gs.show.page.server._WAIT_S", 0.2)
+    shown, made = stage(), []
+
+    def export(controls, path):
+        made.append(path)
+        path.write_bytes(bytes(16 << 20))
+
+    with serving(steering_routes(shown, {"native.png": export})) as server:
+        with slow_readers(server, "/export/native.png", 12) as begun:
+            assert sorted(begun) == [b"HTTP/1.1 200"] * 4 + [b"HTTP/1.1 503"] * 8 and len(made) == 4
+            status, _, answer = get(server, "/export/native.png")
+            assert status == 503 and int(answer.headers["Retry-After"]) > 0
+            assert get(server, "/frame?show=eye&width=64")[0] == 200  # what moves has places of its own
+        for _ in range(50):
+            if get(server, "/export/native.png")[0] == 200:
+                break
+        else:
+            raise AssertionError("the places of readers that went away stay taken")
+
+
+def hosted(host: str):
+    return serving(shown_routes(PANEL, np.zeros((60, 96, 3), np.uint8)), host)
+
+
+@pytest.mark.parametrize("host", ["::1", "[::1]"])
+def test_a_page_on_an_address_of_ipv6(host):
+    if not socket.has_ipv6:
+        pytest.skip("no IPv6 here")
+    with hosted(host) as server:
+        assert server.url == f"http://[::1]:{server.server_address[1]}" and server.is_local
+        assert urllib.request.build_opener(urllib.request.ProxyHandler({})).open(f"{server.url}/panel").status == 200
+        assert get(server, "/panel", Host="elsewhere.example")[0] == 403
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
+def test_a_page_for_the_network_has_addresses_and_names_and_no_others(host, monkeypatch):
+    monkeypatch.setattr(socket, "gethostname", lambda: "Box.lab.example")
+    monkeypatch.setattr("lightfield_gs.show.page.server._addresses", lambda families: ["192.0.2.7", "2001:db8::7"])
+    with hosted(host) as server:
+        port = server.server_address[1]
+        assert server.url in (f"http://127.0.0.1:{port}", f"http://[::1]:{port}") and not server.is_local
+        assert server.other_urls == [f"http://192.0.2.7:{port}", f"http://[2001:db8::7]:{port}"]
+        for name in ("localhost", "192.0.2.7", "[2001:db8::7]", "box", "BOX.lab.example", "box.local"):
+            assert get(server, "/panel", Host=f"{name}:{port}")[0] == 200, name
+        for name in ("elsewhere.example", "192.0.2.7.elsewhere.example", "lab.example", ""):
+            assert get(server, "/panel", Host=name)[0] == 403, name
+
+
+def test_a_name_given_as_host_is_one_of_the_page():
+    with hosted("localhost") as server:
+        assert server.is_local and get(server, "/panel", Host="localhost")[0] == 200
+    with pytest.raises(InputError, match="another --host"):
+        Server({}, host="no.such.name.invalid")
+    with pytest.raises(InputError, match="no address of this machine.*another --host"):
+        Server({}, host="192.0.2.1")
+    with pytest.raises(InputError, match="--host: expected an address"):
+        Server({}, host="a..b")
 
 
 def test_a_port_that_is_taken_is_a_complaint():

@@ -5,8 +5,10 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 from contextlib import contextmanager
 from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -82,6 +84,43 @@ def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):
         np.testing.assert_array_equal(pixels(page, "native"), encode(stage.gaussians, PANEL, stage.base).numpy())
         assert pixels(page, "sheet").any()
         assert page.run("document.querySelector('#trouble').hidden")
+
+
+class Elsewhere(BaseHTTPRequestHandler):
+    """A page of another origin that shows the picture and the page of the address in its query, and posts to it."""
+
+    def do_GET(self):
+        there = self.path.partition("?")[2]
+        words = f"""<!doctype html><script>const seen = {{}};</script>
+          <img src="{there}/frame?show=eye&still=1&width=64&yaw_deg=120"
+            onload="seen.image = 'loaded'" onerror="seen.image = 'refused'">
+          <iframe src="{there}/" onload="seen.frame = this.contentDocument === null"></iframe>
+          <form action="{there}/rest" method="post" target="answer"><input name="yaw_deg" value="120"></form>
+          <iframe name="answer"></iframe><script>document.forms[0].submit();
+          fetch("{there}/scene.json").then(() => seen.token = "read", () => seen.token = "refused");</script>"""
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(words.encode())
+
+    def log_message(self, *_):
+        pass
+
+
+def test_pages_from_elsewhere_do_not_steer_the_panel(tmp_path, stage):
+    with serving(steering_routes(stage, exports(stage))) as server, browser(tmp_path) as page:
+        with ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as other:
+            threading.Thread(target=other.serve_forever, daemon=True).start()
+            page.open(f"http://localhost:{other.server_port}/?{server.url}")
+            page.wait("typeof seen === 'object' && seen.image && seen.token && seen.frame !== undefined")
+            seen = page.run("seen")
+            other.shutdown()
+        assert seen == {"image": "refused", "token": "refused", "frame": True} and stage.version == 0
+        page.open(server.url)  # and its own page does
+        page.wait(REST)
+        version = stage.version
+        page.run("(s => {s.value = 0.4; s.dispatchEvent(new Event('input'))})(document.querySelector('#depth_amount'))")
+        page.wait(REST)
+        assert stage.version == version + 1 and page.run("document.querySelector('#trouble').hidden")
 
 
 def test_panel_shows_its_pixels_as_they_are(tmp_path):

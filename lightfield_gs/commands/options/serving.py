@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,8 @@ def add_serving(add: Callable[..., argparse.Action]) -> None:
         "--host",
         default=_HOST,
         metavar="ADDRESS",
-        help="address that the page is served on (default 127.0.0.1: this machine alone; 0.0.0.0: the whole network, "
-        "to anybody in it)",
+        help="address that the page is served on (default 127.0.0.1, or ::1: this machine alone; 0.0.0.0, or ::: the "
+        "whole network, to anybody in it)",
     )
     add("--no-open", action="store_true", help="do not open the browser; the address is printed")
 
@@ -39,6 +40,10 @@ def serve(args: argparse.Namespace, routes: Mapping[str, Route], start: str) -> 
 
     server = Server(routes, args.port, args.host)
     if not server.is_local:
-        note(f"--host {args.host}: everybody who reaches this machine there can see the page")
-    print(f"open {server.url}{start} in a browser; Ctrl-C ends it", flush=True)
+        note(f"--host {args.host}: everybody who reaches this machine there can see and steer the page")
+    print(f"open {server.url}{start} in a browser; Ctrl-C ends it")
+    if server.is_everywhere:
+        urls = [url + start for url in server.other_urls]
+        print(f"from other machines: {', '.join(urls) or 'by an address of this one, which is not known'}")
+    sys.stdout.flush()
     server.run(None if args.no_open else start)

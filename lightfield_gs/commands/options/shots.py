@@ -27,6 +27,7 @@ from lightfield_gs.commands.options.placing import photo_rig
 from lightfield_gs.commands.options.provenance import scene_hash
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
+from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -35,7 +36,7 @@ from lightfield_gs.scene.files import SceneFile
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import CameraPath
 from lightfield_gs.video.make import Shots as FrameScenes
-from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, scratch_folder
+from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence
 from lightfield_gs.video.turntable import MOST_FRAMES, turntable
 
 _PHOTO_DEGREES = 20.0

@@ -6,7 +6,6 @@ dependency.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +14,7 @@ from typing import Any
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, first_names
 from lightfield_gs.io.images import read_info
 
@@ -39,10 +39,10 @@ def structure_from_motion(photographs: str | Path, output: str | Path, progress:
     if target.exists():
         raise InputError(f"{target}: there is a model already: read it without --sfm, or remove it")
     target.parent.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent.parent, prefix=".sfm-") as work:
-        best = _posed(pycolmap, files, names, Path(work), progress)
+    with scratch_folder(target.parent.parent / "sfm") as work:
+        best = _posed(pycolmap, files, names, work, progress)
         posed = {image.name for image in best.images.values()}
-        model = Path(work) / "best"
+        model = work / "best"
         model.mkdir()
         best.write(str(model))
         target.parent.mkdir(exist_ok=True)

@@ -8,6 +8,7 @@ opacity, and harmonics channel by channel for each degree (0..2; others write 3)
 
 from __future__ import annotations
 
+import mmap
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,10 +58,11 @@ class _Section:
 
 def read(path: Path, skip_invalid: bool) -> StoredScene:
     """See stored.py. Raises InputError."""
-    data = path.read_bytes()
-    if len(data) < _HEADER_BYTES:
+    if (size := path.stat().st_size) < _HEADER_BYTES:
         refuse_stand_in(path)
-        raise InputError(f"{path}: a .ksplat has a header of {_HEADER_BYTES} bytes, and it has {len(data)}; it is cut")
+        raise InputError(f"{path}: a .ksplat has a header of {_HEADER_BYTES} bytes, and it has {size}; it is cut")
+    with open(path, "rb") as file:
+        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # so that no more is read than is used
     major, minor, sections, _, _, _, level, *_, low, high = _HEADER.unpack_from(data)
     if major != 0 or level >= len(_KINDS):
         raise InputError(
@@ -76,7 +78,7 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
     return StoredScene(fields, notes=notes, kind=f".ksplat version {major}.{minor}, compression level {level}")
 
 
-def _sections(path: Path, data: bytes, sections: int, level: int) -> list[_Section]:
+def _sections(path: Path, data: mmap.mmap, sections: int, level: int) -> list[_Section]:
     """All that there is room for, as full as they can be, which is what the viewer reads: the counts of what was loaded
     may be zero in a file that is whole. Raises InputError where they are not within the file."""
     at = _HEADER_BYTES + sections * _SECTION_BYTES
@@ -107,7 +109,7 @@ def _sections(path: Path, data: bytes, sections: int, level: int) -> list[_Secti
 
 
 def _gaussians(
-    path: Path, data: bytes, section: _Section, level: int, limits: tuple[float, float]
+    path: Path, data: mmap.mmap, section: _Section, level: int, limits: tuple[float, float]
 ) -> dict[str, np.ndarray]:
     """The fields of a section's Gaussians, float64."""
     rows = np.frombuffer(data, section.record(level), section.count, section.at + section.buckets_bytes)
@@ -134,7 +136,7 @@ def _degrees(rest: np.ndarray, degree: int) -> list[np.ndarray]:
     return [rest[:, 3 * a : 3 * b].reshape(len(rest), 3, b - a).transpose(0, 2, 1) for a, b in _SPANS[:degree]]
 
 
-def _bucket_centres(path: Path, data: bytes, section: _Section) -> np.ndarray:
+def _bucket_centres(path: Path, data: mmap.mmap, section: _Section) -> np.ndarray:
     """For each Gaussian the centre of its bucket, [N, 3]: full buckets come first, then those filled as far as said."""
     fills = np.frombuffer(data, "<u4", section.partial, section.at).astype(np.int64)
     centres = np.frombuffer(data, "<f4", 3 * section.buckets, section.at + 4 * section.partial).reshape(-1, 3)

@@ -17,6 +17,7 @@ from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.scenes.stored_scene import StoredScene, expect_some, harmonics_of_colours, settled
 
 _RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
+_START_BYTES = 4096
 KIND = ".splat, 32 bytes a Gaussian"
 
 
@@ -29,6 +30,10 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
             f"{path} has {size} bytes, and a .splat has {_RECORD.itemsize} for each Gaussian; it is cut, or no .splat"
         )
     expect_some(path, size)
+    with open(path, "rb") as file:
+        start = file.read(_START_BYTES)
+    if len(start) == _START_BYTES and not any(start):
+        raise InputError(f"{path} is no .splat: it begins with {_START_BYTES} zeros; download or export it again")
     rows = np.fromfile(path, _RECORD)
     colours = rows["rgba"].astype(np.float64) / 255
     fields = {

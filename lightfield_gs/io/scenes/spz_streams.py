@@ -7,6 +7,7 @@ load-spz.cc). A file's size bounds what is unpacked, and a header is read before
 
 from __future__ import annotations
 
+import mmap
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ _ZSTD_VERSION = 4
 _MOST_FRACTION_BITS = 23  # of 24, the rest being a sign
 _HEADER, _ZSTD_HEADER = struct.Struct("<4sIIBBBB"), struct.Struct("<4sIIBBBBI12x")
 _SIZES = struct.Struct("<QQ")
+_START_BYTES, _MORE_BYTES = 1 << 16, 1 << 20
 _RECORD = struct.Struct("<II")  # type and length of an extension
 _SH_QUANTIZATION = 0xADBE0001  # Adobe's: harmonics within other limits than -1..1
 
@@ -44,13 +46,15 @@ class Streams:
 
 def read_streams(path: Path) -> Streams:
     """Raises InputError where the file is no .spz, cut, or promises what it does not hold."""
-    data = path.read_bytes()
-    if data[:4] == MAGIC:
-        return _zstd_streams(path, data)
-    if data[:2] != GZIP_MAGIC:
+    with open(path, "rb") as file:
+        packed = file.read(_START_BYTES)
+    if packed[:4] == MAGIC:
+        with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return _zstd_streams(path, data)
+    if packed[:2] != GZIP_MAGIC:
         refuse_stand_in(path)
         raise InputError(f"{path} is no .spz: it begins neither as gzip data nor with NGSP")
-    start = gunzip(path, data, _HEADER.size)
+    start = gunzip(path, packed, _HEADER.size)
     if len(start) < _HEADER.size or start[:4] != MAGIC:
         raise InputError(
             f"{path} is no .spz: its gzip data do not begin with a header NGSP; it is cut or something else"
@@ -60,8 +64,10 @@ def read_streams(path: Path) -> Streams:
         raise InputError(f"{path}: expected version 1, 2 or 3 in gzip data, got {version}; export it as SPZ version 3")
     streams = _checked(path, Streams(version, count, degree, bits, flags, []))
     sizes = _sizes(streams)
-    check_promise(path, sum(sizes), len(data))
-    body = gunzip(path, data, _HEADER.size + sum(sizes) + _RECORD.size)[_HEADER.size :]
+    check_promise(path, sum(sizes), path.stat().st_size)
+    with open(path, "rb") as file:  # no more than so many bytes can take when packed, and extensions
+        packed = file.read(_most_packed(sum(sizes)))
+    body = gunzip(path, packed, _HEADER.size + sum(sizes) + _RECORD.size)[_HEADER.size :]
     _refuse_other_harmonics(path, body[: _RECORD.size] if flags & _EXTENDED else b"")
     _refuse_other_harmonics(path, body[sum(sizes) :] if flags & _EXTENDED else b"")
     if len(body) < sum(sizes) or len(body) > sum(sizes) and not flags & _EXTENDED:
@@ -73,7 +79,7 @@ def read_streams(path: Path) -> Streams:
     return streams
 
 
-def _zstd_streams(path: Path, data: bytes) -> Streams:
+def _zstd_streams(path: Path, data: mmap.mmap) -> Streams:
     """Those of version 4."""
     version = int.from_bytes(data[4:8], "little")
     if len(data) >= _HEADER.size and 1 <= version < _ZSTD_VERSION:
@@ -102,12 +108,17 @@ def _zstd_streams(path: Path, data: bytes) -> Streams:
     check_promise(path, sum(sizes), len(data))
     for index, size in enumerate(wanted):
         packed, unpacked = _SIZES.unpack_from(data, at + _SIZES.size * index)
-        if unpacked != size or end + packed > len(data):
+        if unpacked != size or packed > _most_packed(size) or end + packed > len(data):
             raise _wrong_size(path, streams, size, unpacked)
         streams.attributes.append(unzstd(path, data[end : end + packed], size))
         end += packed
     streams.attributes += [b""] * (len(sizes) - len(wanted))
     return streams
+
+
+def _most_packed(size_bytes: int) -> int:
+    """The most bytes that so many can take when compressed, with a header and small extensions."""
+    return size_bytes + size_bytes // 64 + _MORE_BYTES
 
 
 def _checked(path: Path, streams: Streams) -> Streams:

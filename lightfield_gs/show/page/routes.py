@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
-import tempfile
+import secrets
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -16,10 +16,11 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QUALITY_NAMES
+from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import unknown_of
 from lightfield_gs.show.page.controls import Controls, defaults, number
-from lightfield_gs.show.page.server import Answer, Route, Superseded, as_json, page_file, text
+from lightfield_gs.show.page.server import Answer, Place, Query, Route, Superseded, as_json, page_file, text
 from lightfield_gs.show.page.stage import Picture, Stage
 
 _JPEG_QUALITY = 85
@@ -29,18 +30,30 @@ T = TypeVar("T")
 
 
 def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path], None]]) -> dict[str, Route]:
-    """All addresses of `lightfield-gs view`. exports: by the name of a file, what writes it."""
+    """All addresses of `lightfield-gs view`. exports: by the name of a file, what writes it.
+
+    What the panel shows is changed by /rest alone, for which only the program's own page has the token.
+    """
+    token = secrets.token_urlsafe()
     steering = _Steering(stage, exports)
     return {
         "/": page_file("view.html"),
         **{f"/{name}": page_file(name) for name in ("view.css", "view.js", "controls.js", "pictures.js")},
-        "/scene.json": lambda query: as_json(_scene(stage, list(exports))),
-        "/frame": steering.frame,
-        "/focus.json": steering.focus,
-        "/depth.json": steering.depth,
-        **{f"/export/{name}": partial(steering.export, name) for name in exports},
+        "/scene.json": Route(lambda query: as_json({**_scene(stage, list(exports)), "token": token})),
+        "/frame": Route(steering.frame, place=lambda query: Place(_is_still(query))),
+        "/rest": Route(steering.rest, token),
+        "/focus.json": Route(steering.focus),
+        "/depth.json": Route(steering.depth),
+        **{
+            f"/export/{name}": Route(partial(steering.export, name), place=lambda query: Place(True))
+            for name in exports
+        },
         **panel_routes(stage.panel, steering.native, lambda after: stage.wait_for(after, _WAIT_S)),
     }
+
+
+def _is_still(query: Query) -> bool:
+    return query.get("still") == "1"
 
 
 class _Steering:
@@ -49,53 +62,75 @@ class _Steering:
     def __init__(self, stage: Stage, exports: Mapping[str, Callable[[Controls, Path], None]]):
         self._stage, self._exports, self._lines = stage, exports, _Lines(stage.is_live)
 
-    def frame(self, query: Mapping[str, str]) -> Answer:
-        controls, still = Controls.of(query), query.get("still") == "1"
+    def frame(self, query: Query) -> Answer:
+        controls, still = Controls.of(query), _is_still(query)
         picture = self._lines.draw(still, partial(_picture, self._stage, query, controls, still))
-        if still:
-            self._stage.settle(controls)
         return encoded(picture, lossless=still)
 
-    def focus(self, query: Mapping[str, str]) -> Answer:
+    def rest(self, query: Query) -> Answer:
+        """Has the panel show what the page has come to rest at."""
+        self._stage.settle(Controls.of(query))
+        return text("", 204)
+
+    def focus(self, query: Query) -> Answer:
         """The depth of what is seen at a point."""
         point = number(query, "x", 0, 1), number(query, "y", 0, 1)
         work = partial(self._stage.depth_at, Controls.of(query), point)
         return as_json({"focus": self._lines.draw(False, work)})
 
-    def depth(self, query: Mapping[str, str]) -> Answer:
+    def depth(self, query: Query) -> Answer:
         lines, warnings = self._lines.draw(True, partial(self._stage.depth, Controls.of(query)))
         return as_json({"lines": lines, "warnings": warnings})
 
-    def export(self, name: str, query: Mapping[str, str]) -> Answer:
+    def export(self, name: str, query: Query) -> Answer:
         controls = Controls.of(query)
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
+        with scratch_folder() as folder:
+            path = folder / name
             self._lines.last(partial(self._exports[name], controls, path))
             kept = {"Content-Disposition": f'attachment; filename="{name}"'}
             return Answer(path.read_bytes(), "application/octet-stream", headers=kept)
 
-    def native(self) -> np.ndarray:
-        """What the panel is to show."""
+    def native(self) -> tuple[int, np.ndarray]:
+        """The version of what the panel is to show, and its picture."""
         return self._lines.last(self._stage.settled)
 
 
-def panel_routes(panel: Panel, native: Callable[[], np.ndarray], version: Callable[[int], int]) -> dict[str, Route]:
-    """The addresses of the panel's own page. native: the picture now, uint8 [H, W, 3]; version: of that picture, once
-    it is another than the number given, or after a while."""
+def panel_routes(
+    panel: Panel, native: Callable[[], tuple[int, np.ndarray]], version: Callable[[int], int]
+) -> dict[str, Route]:
+    """The addresses of the panel's own page. native: the picture now, uint8 [H, W, 3], and its version; version: of
+    that picture, once it is another than the number given, or after a while."""
 
-    def state(query: Mapping[str, str]) -> Answer:
+    def state(query: Query) -> Answer:
         after = int(number(query, "after", -1, 1 << 53))
         size = {"width_px": panel.width_px, "height_px": panel.height_px}
         return as_json({"name": panel.name, **size, "version": version(after)})
 
+    packed = _Packed(native)
     return {
         "/panel": page_file("panel.html"),
         "/panel.css": page_file("panel.css"),
         "/panel.js": page_file("panel.js"),
-        "/panel.json": state,
-        "/panel.png": lambda query: Answer(png(native(), 0), "image/png"),
-        "/favicon.ico": lambda query: text("", 204),
+        "/panel.json": Route(state),
+        "/panel.png": Route(lambda query: packed.answer(version(-1)), place=lambda query: Place(True, version(-1))),
+        "/favicon.ico": Route(lambda query: text("", 204)),
     }
+
+
+class _Packed:
+    """The panel's picture as a PNG, packed once for all who read it. native: see panel_routes."""
+
+    def __init__(self, native: Callable[[], tuple[int, np.ndarray]]):
+        self._native, self._turn = native, threading.Lock()
+        self._version, self._answer = -1, text("")
+
+    def answer(self, version: int) -> Answer:
+        """The picture of this version, or of a later one."""
+        with self._turn:
+            if self._version != version:
+                self._version, pixels = self._native()
+                self._answer = Answer(png(pixels, 0), "image/png")
+            return self._answer
 
 
 def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
@@ -107,7 +142,7 @@ def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
             never.wait(_WAIT_S)
         return 1
 
-    routes = panel_routes(panel, lambda: pixels, version)
+    routes = panel_routes(panel, lambda: (1, pixels), version)
     return {**routes, "/": routes["/panel"]}
 
 
@@ -135,7 +170,7 @@ def png(pixels: np.ndarray, level: int) -> bytes:
     return file.getvalue()
 
 
-def _picture(stage: Stage, query: Mapping[str, str], controls: Controls, still: bool) -> Picture:
+def _picture(stage: Stage, query: Query, controls: Controls, still: bool) -> Picture:
     kind = query.get("show", "eye")
     if kind == "eye":
         return stage.eye(controls, round(number(query, "width", *_SIZES_PX)), still)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import json
+import secrets
+import socket
 import sys
+import threading
 import traceback
 import webbrowser
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
@@ -21,10 +27,24 @@ _FILES = Path(__file__).parent / "files"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _LONGEST_QUERY, _MOST_VALUES = 4096, 64
 _IDLE_S = 60  # after so long without a request a connection is closed
+_BACKLOG = 128  # connections that wait to be taken
+_MOST_LARGE, _MOST_SMALL = 4, 32  # answers at a time: of pictures at rest and files, of coarse pictures
+_WAIT_S, _RETRY_S = 10.0, 2  # for a place among these, and until a client that got none asks again
+TOKEN_HEADER = "X-Token"
+# Addresses in other networks (RFC 5737, 1918, 3849 and 4193), by the way to which the system tells its own
+_ELSEWHERE = (
+    (socket.AF_INET, "192.0.2.1"),
+    (socket.AF_INET, "192.168.254.254"),
+    (socket.AF_INET, "172.31.254.254"),
+    (socket.AF_INET, "10.254.254.254"),
+    (socket.AF_INET6, "2001:db8::1"),
+    (socket.AF_INET6, "fd00::1"),
+)
 _HEADERS = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
 }
 
 
@@ -38,7 +58,60 @@ class Answer:
     headers: dict[str, str] = field(default_factory=dict)
 
 
-Route = Callable[[Mapping[str, str]], Answer]
+Query = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Route:
+    """An address.
+
+    make: the answer to a query. token: where it is given, the address is for POST alone, with the query as body and
+    this token in a header; else for GET and HEAD, and make changes nothing. place: which place in memory the answer
+    takes.
+    """
+
+    make: Callable[[Query], Answer]
+    token: str | None = None
+    place: Callable[[Query], Place] | None = None
+
+
+@dataclass(frozen=True)
+class Place:
+    """is_large: whether the answer is a picture at rest or a file. key: answers with one key are the same bytes, which
+    are counted once."""
+
+    is_large: bool
+    key: Hashable = field(default_factory=object)
+
+
+class Busy(Exception):
+    """Too many answers are on their way to take one more into memory."""
+
+
+class Room:
+    """Answers on their way, from before they are made until they are sent: few, for slow readers hold them in memory.
+
+    most: so many of different keys at a time.
+    """
+
+    def __init__(self, most: int):
+        self._most, self._readers, self._changed = most, Counter[Hashable](), threading.Condition()
+
+    @contextmanager
+    def taken(self, key: Hashable) -> Iterator[None]:
+        """Waits for a place. Raises Busy where none is free in time."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: key in self._readers or len(self._readers) < self._most, _WAIT_S):
+                raise Busy
+            self._readers[key] += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._readers[key] -= 1
+                if not self._readers[key]:
+                    del self._readers[key]
+                self._changed.notify_all()
 
 
 class Superseded(Exception):
@@ -57,32 +130,82 @@ def page_file(name: str) -> Route:
     """The route of a file of the page, by its name in the folder `files`."""
     path = _FILES / name
     answer = Answer(path.read_bytes(), f"{_TYPES[path.suffix]}; charset=utf-8")
-    return lambda query: answer
+    return Route(lambda query: answer)
 
 
 class Server(ThreadingHTTPServer):
-    """Answers the addresses in `routes`, and no others. host: an address of this machine; port 0: any that is free.
+    """Answers the addresses in `routes`, and no others. host: an address of this machine, or a name of it; port 0: any
+    that is free.
 
     Raises InputError where it cannot listen there.
     """
 
     daemon_threads = True
     allow_reuse_address = True
+    request_queue_size = _BACKLOG
 
     def __init__(self, routes: Mapping[str, Route], port: int = 0, host: str = DEFAULT_HOST):
         self.routes = routes
-        self.is_local = _is_loopback(host)
+        self.rooms = {True: Room(_MOST_LARGE), False: Room(_MOST_SMALL)}  # by whether an answer is large
+        host = host.strip("[]") or "0.0.0.0"
         try:
-            super().__init__((host, port), _Handler)
+            self.address_family, address = _resolved(host, port)
+            super().__init__(address, _Handler)
+        except UnicodeError:
+            raise InputError(f"--host: expected an address of this machine, got '{host}'") from None
         except OSError as error:
+            if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                raise InputError(
+                    f"cannot listen on {host}: it is no address of this machine ({error.strerror or error}); give "
+                    "another --host"
+                ) from None
             raise InputError(
                 f"cannot listen on {host}:{port}: {error.strerror or error}; give another --port, or 0 for any"
             ) from None
+        self._bound = ipaddress.ip_address(str(self.server_address[0]))
+        self.is_local = self._bound.is_loopback
+        self._names = {host.lower(), "localhost"} | (set() if self.is_local else _machine_names())
+
+    def server_bind(self) -> None:
+        if self.address_family == socket.AF_INET6:
+            with suppress(OSError):  # :: is for IPv4 as well, where the system can
+                self.socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)
+        super().server_bind()
 
     @property
     def url(self) -> str:
-        host, port = self.server_address[:2]
-        return f"http://{host!s}:{port}"
+        """The address of the page for a browser on this machine."""
+        if self.is_everywhere:
+            return self._url_of("127.0.0.1" if self._bound.version == 4 else "::1")
+        return self._url_of(str(self._bound))
+
+    @property
+    def is_everywhere(self) -> bool:
+        """Whether it listens on all addresses of this machine."""
+        return self._bound.is_unspecified
+
+    @property
+    def other_urls(self) -> list[str]:
+        """The page's addresses for other machines, where it listens on all of this one's; as far as they are known."""
+        families = [socket.AF_INET] if self._bound.version == 4 else [socket.AF_INET, socket.AF_INET6]
+        return [self._url_of(address) for address in _addresses(families)]
+
+    def _url_of(self, address: str) -> str:
+        return f"http://{f'[{address}]' if ':' in address else address}:{self.server_address[1]}"
+
+    def is_named(self, name: str | None) -> bool:
+        """Whether a request names this server: a page from elsewhere, whose name was made to lead here, does not.
+
+        Its names are the --host given, this machine's, and addresses: a browser gives these only where they were asked
+        for. A server on one address has that one, and those of this machine to itself.
+        """
+        if name is None:
+            return False
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return name in self._names
+        return address.is_loopback or address == self._bound or self.is_everywhere
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A connection that broke off is no fault of the program."""
@@ -102,11 +225,39 @@ class Server(ThreadingHTTPServer):
             self.server_close()
 
 
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+def _resolved(host: str, port: int) -> tuple[socket.AddressFamily, tuple[str, int]]:
+    """The family and the address of a host; of IPv4 where it has both. Raises OSError or UnicodeError."""
+    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    family, *_, address = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, (str(address[0]), port)
+
+
+def _machine_names() -> set[str]:
+    """The names by which others in the network may call this machine, in lower case."""
+    name = socket.gethostname().lower()
+    short = name.split(".")[0]
+    return {name, short, f"{short}.local"}
+
+
+def _addresses(families: Sequence[socket.AddressFamily]) -> list[str]:
+    """Addresses of this machine that others in its networks reach, of these families."""
+    found: dict[str, None] = {}  # each once, in order
+    for family, target in _ELSEWHERE:
+        if family in families:
+            with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+                probe.connect((target, 9))  # sends nothing: the system says from which address it would
+                found[str(probe.getsockname()[0])] = None
+    with suppress(OSError):
+        for family, *_, address in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM):
+            if family in families:
+                found[str(address[0])] = None
+    return [address for address in found if not _is_of_no_use(address)]
+
+
+def _is_of_no_use(address: str) -> bool:
+    """Whether others cannot open an address, or a browser cannot (of one link)."""
+    parsed = ipaddress.ip_address(address)
+    return parsed.is_loopback or parsed.is_unspecified or parsed.is_link_local
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -116,27 +267,58 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True
 
     def do_GET(self) -> None:
-        self._send(self._answer(), with_body=True)
+        self._respond()
 
     def do_HEAD(self) -> None:
-        self._send(self._answer(), with_body=False)
+        self._respond()
+
+    def do_POST(self) -> None:
+        self._respond()
 
     def log_message(self, format: str, *args: object) -> None:
         """Says nothing: there are many requests a second."""
 
-    def _answer(self) -> Answer:
+    def end_headers(self) -> None:
+        """Ends the headers of any answer, those of mistakes among them, with what all have."""
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
+
+    def _respond(self) -> None:
+        with ExitStack() as held:
+            self._send(self._answer(held))
+
+    def _answer(self, held: ExitStack) -> Answer:
         try:
+            # What is not read of a request would be taken for the next one
+            body, self._is_read = b"", not (self.headers.get("Content-Length") or self.headers.get("Transfer-Encoding"))
+            if refused := self._refused():
+                return refused
             address = urlsplit(self.path)
-            if self.server.is_local and not self._is_for_here():
-                return text("this server answers this machine alone", 403)
             route = self.server.routes.get(address.path)
             if route is None:
                 return text("there is no such page", 404)
-            if len(address.query) > _LONGEST_QUERY:
+            allowed = ("GET", "HEAD") if route.token is None else ("POST",)
+            if self.command not in allowed:
+                return Answer(b"", "text/plain", 405, {"Allow": ", ".join(allowed)})
+            if route.token is not None:
+                given = self.headers.get(TOKEN_HEADER, "")
+                if not secrets.compare_digest(given.encode(), route.token.encode()):
+                    return text("this page is not of this run of the program; load it again", 403)
+                body = self._body()
+            query = address.query if route.token is None else body.decode()
+            if len(query) > _LONGEST_QUERY:
                 return text("the query is too long", 414)
-            return route(dict(parse_qsl(address.query, max_num_fields=_MOST_VALUES)))
+            values = dict(parse_qsl(query, max_num_fields=_MOST_VALUES))
+            if route.place is not None:
+                place = route.place(values)
+                held.enter_context(self.server.rooms[place.is_large].taken(place.key))
+            return route.make(values)
         except Superseded:
             return text("a newer request has taken the place of this one", 409)
+        except Busy:
+            busy = text("others are still reading their pictures; try again", 503)
+            return replace(busy, headers={"Retry-After": str(_RETRY_S)})
         except (InputError, ValueError) as error:
             return text(str(error), 400)
         except Exception as error:
@@ -145,16 +327,35 @@ class _Handler(BaseHTTPRequestHandler):
             traceback.print_exc()
             return text("the program failed; the terminal says where", 500)
 
-    def _is_for_here(self) -> bool:
-        """Whether the request names this machine: a page from elsewhere, whose name leads here, does not."""
-        name = urlsplit(f"//{self.headers.get('Host', '')}").hostname
-        return name is not None and _is_loopback(name)
+    def _refused(self) -> Answer | None:
+        """The answer to a request that a page from elsewhere makes, or makes a browser make; None for all others."""
+        host = self.headers.get("Host", "")
+        if not self.server.is_named(urlsplit(f"//{host}").hostname):
+            return text(
+                f"this server is not named so; open {self.server.url}, or start it with --host and the name", 403
+            )
+        site, origin = self.headers.get("Sec-Fetch-Site"), self.headers.get("Origin")
+        if site not in (None, "same-origin", "none") or origin is not None and urlsplit(origin).netloc != host:
+            return text("pages from elsewhere are refused; enter the address in the browser by hand", 403)
+        return None
 
-    def _send(self, answer: Answer, with_body: bool) -> None:
+    def _body(self) -> bytes:
+        """The body of a request. Raises InputError where its length is not said, or is too large."""
+        length = self.headers.get("Content-Length", "")
+        if self.headers.get("Transfer-Encoding") or not length.isdecimal() or int(length) > _LONGEST_QUERY:
+            raise InputError(f"expected a body of 0..{_LONGEST_QUERY} bytes, and its Content-Length")
+        body = self.rfile.read(int(length))
+        self._is_read = True
+        return body
+
+    def _send(self, answer: Answer) -> None:
+        self.close_connection |= not self._is_read
         self.send_response(answer.status)
+        if self.close_connection:
+            self.send_header("Connection", "close")
         sizes = {"Content-Type": answer.type, "Content-Length": str(len(answer.body))}
-        for name, value in {**_HEADERS, **sizes, **answer.headers}.items():
+        for name, value in {**sizes, **answer.headers}.items():
             self.send_header(name, value)
         self.end_headers()
-        if with_body:
+        if self.command != "HEAD":
             self.wfile.write(answer.body)

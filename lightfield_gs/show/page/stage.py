@@ -129,9 +129,11 @@ class Stage:
                 self.version += 1
                 self._changed.notify_all()
 
-    def settled(self) -> np.ndarray:
-        """The native picture of where the page has come to rest."""
-        return self.native(self._settled)[0]
+    def settled(self) -> tuple[int, np.ndarray]:
+        """The version of where the page has come to rest, and its native picture."""
+        with self._changed:
+            version, controls = self.version, self._settled
+        return version, self.native(controls)[0]
 
     def wait_for(self, after: int, timeout_s: float) -> int:
         """The version of what the panel is to show, as soon as it is another than `after`, or when the time is over."""

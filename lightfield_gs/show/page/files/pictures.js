@@ -3,8 +3,8 @@
 import { element } from "./controls.js";
 
 /** Reads an answer of the server, or throws its words with the status. */
-export async function answerOf(address, signal) {
-  const answer = await fetch(address, { signal });
+export async function answerOf(address, signal, more = {}) {
+  const answer = await fetch(address, { signal, ...more });
   if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
   return answer;
 }

@@ -32,6 +32,10 @@ function kept() {
   return controls;
 }
 
+/** Has the panel show this state. */
+const settle = (signal) => answerOf("rest", signal,
+  { method: "POST", headers: { "X-Token": scene.token }, body: new URLSearchParams(kept()) });
+
 /** Room for native pixels in a pane: pixels of the screen. */
 function size(pane) {
   const { clientWidth, clientHeight } = pane.querySelector(".picture");
@@ -82,6 +86,7 @@ async function rest() {
       const picture = await draw(pane, true, stopRest.signal);
       if (now !== moves) return;
       lay(pane, picture, true);
+      if (pane === wanted[0]) await settle(stopRest.signal);
     }
     await showDepth(stopRest.signal);
     if (now !== moves) return;
@@ -89,7 +94,8 @@ async function rest() {
     rate.length = 0;
   } catch (error) {
     if (error.name === "AbortError" || now !== moves) return;
-    if (error.status === 409) restTimer = setTimeout(rest, REST_MS); // another page of this program was quicker
+    // Another page of this program was quicker, or many are being answered
+    if (error.status === 409 || error.status === 503) restTimer = setTimeout(rest, REST_MS);
     else trouble(error.message);
   }
 }

@@ -1,0 +1,68 @@
+"""Large files that are not what their names say are refused by their first bytes, in no time and in little memory."""
+
+import resource
+import sys
+import time
+
+import pytest
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.images import read_image, read_info
+from lightfield_gs.io.npy import open_array, stored_arrays
+from lightfield_gs.io.scenes.stored import read_stored
+
+READERS = {
+    read_image: (".png", ".jpg", ".exr", ".hdr", ".tif", ".webp", ".heic", ".avif", ".tga", ".npy"),
+    read_info: (".png", ".exr"),
+    read_stored: (".spz", ".ksplat", ".splat", ".sog", ".ply"),
+    stored_arrays: (".npz",),
+    open_array: (".npy",),
+}
+CASES = [(reader, suffix) for reader, suffixes in READERS.items() for suffix in suffixes]
+NAMES = [f"{reader.__name__}{suffix}" for reader, suffix in CASES]
+
+
+def peak_bytes() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+@pytest.mark.parametrize("reader, suffix", CASES, ids=NAMES)
+def test_four_gigabytes_of_zeros(tmp_path, reader, suffix):
+    path = tmp_path / f"zeros{suffix}"
+    path.touch()
+    with path.open("r+b") as file:
+        file.truncate(4 << 30)  # takes no room on the disk
+    before, began = peak_bytes(), time.process_time()
+    with pytest.raises(InputError, match=f"zeros{suffix}"):
+        reader(path)
+    assert time.process_time() - began < 1 and peak_bytes() - before < 100 << 20
+
+
+@pytest.mark.parametrize(
+    "suffix, start",
+    [
+        (".spz", b"\x1f\x8b\x08\x00"),
+        (".spz", b"NGSP\x04\x00\x00\x00\xff\xff\x00\x00\x00\x0c\x00\x05\x20"),
+        (".ksplat", b"\x00\x01\x00\x00\x01"),
+        (".sog", b"PK\x03\x04"),
+        (".ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"),
+    ],
+)
+def test_a_header_and_nothing_behind_it(tmp_path, suffix, start):
+    path = tmp_path / f"scene{suffix}"
+    path.write_bytes(start)
+    with path.open("r+b") as file:
+        file.truncate(4 << 30)
+    before, began = peak_bytes(), time.process_time()
+    with pytest.raises(InputError, match=f"scene{suffix}"):
+        read_stored(path)
+    assert time.process_time() - began < 1 and peak_bytes() - before < 100 << 20
+
+
+def test_large_pictures_are_read_as_before(tmp_path):
+    """Of every kind of image that may be so large, its start is known."""
+    path = tmp_path / "large.pfm"
+    path.write_bytes(b"PF\n4096 2048\n-1.0\n")
+    with path.open("r+b") as file:
+        file.truncate(len(b"PF\n4096 2048\n-1.0\n") + 4096 * 2048 * 12)
+    assert read_info(path).width_px == 4096

@@ -1,0 +1,66 @@
+"""What processes that were killed leave half-written, and what they are writing."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lightfield_gs.io.atomic import atomic_folder, atomic_path, remove_left_over, scratch_folder
+
+WRITING = """
+import sys, time
+from pathlib import Path
+from lightfield_gs.io import atomic
+with getattr(atomic, sys.argv[1])(Path(sys.argv[2])) as path:
+    (path / "part" if path.is_dir() else path).write_bytes(b"half")
+    print(path.name, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def writing():
+    """Starts processes that write and do not end: what they are told, and the name of what they write."""
+    started = []
+
+    def begin(how: str, path: Path) -> tuple[subprocess.Popen, str]:
+        process = subprocess.Popen([sys.executable, "-c", WRITING, how, str(path)], stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        return process, process.stdout.readline().strip()
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("how", ["atomic_path", "atomic_folder", "scratch_folder"])
+def test_what_a_kill_leaves_goes_with_the_next_of_the_same_name_and_what_lives_stays(tmp_path, writing, how):
+    target = tmp_path / "out.png"
+    (dead, left), (alive, kept) = (writing(how, target) for _ in range(2))
+    other, others = writing(how, tmp_path / "other.png")
+    for process in (dead, other):
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert names(tmp_path) == {left, kept, others}
+    with {"atomic_path": atomic_path, "atomic_folder": atomic_folder, "scratch_folder": scratch_folder}[how](target):
+        assert alive.poll() is None and len(names(tmp_path)) == 3 and {kept, others} < names(tmp_path)
+        assert len([path for path in tmp_path.rglob("*") if path.name == "part"]) == (0 if how == "atomic_path" else 2)
+    assert names(tmp_path) == {kept, others} | ({target.name} if how != "scratch_folder" else set())
+    remove_left_over(tmp_path)  # of all names
+    assert names(tmp_path) - {target.name} == {kept}
+
+
+def test_names_that_only_look_left_over_are_not_followed(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_bytes(b"kept")
+    (tmp_path / ".out.partial-0.png").symlink_to(secret)
+    with atomic_path(tmp_path / "out.png") as temporary:
+        temporary.write_bytes(b"new")
+    assert secret.read_bytes() == b"kept" and (tmp_path / "out.png").read_bytes() == b"new"
