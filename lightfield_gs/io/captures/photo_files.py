@@ -6,7 +6,7 @@ import contextlib
 import os
 import unicodedata
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -18,6 +18,7 @@ PHOTO_SUFFIXES = (*IMAGE_SUFFIXES, ".tif", ".tiff", ".bmp", ".avif", ".heic", ".
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
 # Photographs only where the model names them so, or where there are no others: beside these they are maps of depth
 _FURTHER_SUFFIXES = (".exr", ".hdr", ".jxl", ".jp2", ".tga", ".ppm", *RAW_SUFFIXES)
+_MAPS = ("mask", "depth", "normal", "segm", "semantic", "alpha")  # what folders of other pictures' names begin with
 _LEAST_PHOTOGRAPHS = 3  # that have to be left of more; a model of fewer needs all
 
 
@@ -54,12 +55,14 @@ class PhotoFiles:
         """Pictures of these names in other folders than the names say: all of a folder are in one other folder.
 
         That is the one with which the names' folder shares the most last parts; of several, that which has the most of
-        its names, and then the outermost. Where two are alike, or a picture has two names, none is found.
+        its names, and then the outermost. Where two are alike, or a picture has two names, none is found. Folders of
+        masks and the like are none, whose pictures have the same names.
         """
         here, groups = _by_folder(list(self.paths)), _by_folder(names)
         known = {
             place: ({_last(file) for file in files}, {_last(_stem(file)) for file in files})
             for place, files in here.items()
+            if not any(part.lower().startswith(_MAPS) for part in PurePosixPath(place).parts)
         }
         found: dict[str, Path] = {}
         for folder, inside in groups.items():
@@ -115,11 +118,11 @@ def photographs_in(folders: Sequence[Path], names: Sequence[str], known: Places 
     named_so = {PurePosixPath(name).suffix.lower() for name in names} - {""}
     places = dict(known or {})
     wanted = [name for name in names if name not in places]
-    best = _most([PhotoFiles(folder, named_so) for folder in there], wanted)
+    best = _most((PhotoFiles(folder, named_so) for folder in there), wanted)
     if not best[1]:
-        best = _most([PhotoFiles(folder, {*named_so, *_FURTHER_SUFFIXES}) for folder in there], wanted)
+        best = _most((PhotoFiles(folder, {*named_so, *_FURTHER_SUFFIXES}) for folder in there), wanted)
     if not best[1] and not places:
-        sets = [PhotoFiles(folder, {*named_so, *more}) for folder in there for more in ((), _FURTHER_SUFFIXES)]
+        sets = (PhotoFiles(folder, {*named_so, *more}) for folder in there for more in ((), _FURTHER_SUFFIXES))
         best = _most(sets, wanted, elsewhere=True)
     files, found = best
     relative = {path: name for name, path in files.paths.items()}
@@ -161,19 +164,20 @@ def first_names(names: Sequence[str]) -> str:
 
 
 def _most(
-    sets: Sequence[PhotoFiles], names: Sequence[str], elsewhere: bool = False
+    sets: Iterable[PhotoFiles], names: Sequence[str], elsewhere: bool = False
 ) -> tuple[PhotoFiles, dict[str, Path]]:
     """The first of these folders that has the most photographs of these names, and their paths."""
-    best = sets[0], dict[str, Path]()
+    best: tuple[PhotoFiles, dict[str, Path]] | None = None
     for files in sets:
         if elsewhere:
             found = files.find_elsewhere(names)
         else:
             found = {name: path for name in names if (path := files.find(name)) is not None}
-        if len(found) > len(best[1]):
+        if best is None or len(found) > len(best[1]):
             best = files, found
         if len(found) == len(names):
             break
+    assert best is not None  # there is a folder
     return best
 
 

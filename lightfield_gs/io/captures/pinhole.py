@@ -33,7 +33,7 @@ def unscaled(matrix: np.ndarray) -> tuple[np.ndarray, float]:
     return matrix / scale, scale
 
 
-def say_scales(path: Path, scales: Sequence[float]) -> None:
+def say_scales(path: str | Path, scales: Sequence[float]) -> None:
     """Says what rotations of a file of cameras were divided by; nothing where all are rotations."""
     if scaled := [scale for scale in scales if scale != 1]:
         assume(

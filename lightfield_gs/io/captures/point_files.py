@@ -19,7 +19,7 @@ from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _HARMONICS = ("f_dc_0", "f_dc_1", "f_dc_2")  # of a scene of Gaussians
 # In lower case: nerfstudio's, COLMAP's and 3D Gaussian splatting's, and those of apps
-_NAMES = ("sparse_pc.ply", "points3d.ply", "point_cloud.ply", "pointcloud.ply")
+_NAMES = ("sparse_pc.ply", "points3d.ply", "point_cloud.ply", "pointcloud.ply", "input.ply")
 _CAMERAS_OFF = 0.02  # by which cameras of one photograph may differ, of their spread, and of their axes
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -23,7 +22,7 @@ from lightfield_gs.io.json_file import read_object
 _LIMIT_BYTES = 256 << 20
 _WHOLE, _TRAIN = "transforms.json", "transforms_train.json"
 _TESTS = ("transforms_test.json", "transforms_val.json")  # the first that there is holds out
-_TEST_KEYS = ("test_filenames", "val_filenames")
+_TRAIN_KEY, _TEST_KEYS = "train_filenames", ("val_filenames", "test_filenames")
 
 
 @dataclass(frozen=True)
@@ -88,12 +87,14 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
     counts = Counter(frame.name for frame in frames)
     if twice := next((name for name, count in counts.items() if count > 1), None):
         raise InputError(f"{path}: frames: expected each photograph once, got {shown(twice)} twice")
-    unposed = [frame.name for frame in frames if _has_no_pose(frame.fields.get("transform_matrix"))]
-    if len(unposed) == len(frames):
+    posed = [frame for frame in frames if not _has_no_pose(frame.fields.get("transform_matrix"))]
+    if not posed:
         raise InputError(f"{path}: frames: expected some with a pose (transform_matrix), got {len(frames)} without")
-    if unposed:
-        assume(f"{path}: {len(unposed)} frames have no pose there and are left out: {first_names(unposed)}")
-    return shared, [frame for frame in frames if frame.name not in unposed]
+    if len(posed) < len(frames):
+        there = {frame.name for frame in posed}
+        lost = [frame.name for frame in frames if frame.name not in there]
+        assume(f"{path}: {len(lost)} of {len(frames)} frames have no pose and are left out: {first_names(lost)}")
+    return shared, posed
 
 
 def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
@@ -101,7 +102,7 @@ def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
     there = [name for name in _TESTS if (path.parent / name).is_file()]
     if not there:
         return _split(path, data, train)
-    held = [Frame(frame.where, frame.name, frame.fields, True) for frame in _frames(path.parent / there[0])[1]]
+    held = [replace(frame, is_held=True) for frame in _frames(path.parent / there[0])[1]]
     names = {frame.name for frame in held}
     fitted = [frame for frame in train if frame.name not in names]
     if not fitted:
@@ -109,43 +110,37 @@ def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
     if both := len(train) - len(fitted):
         assume(f"{both} photographs of {_TRAIN} are in {there[0]} too: they are held out, and not fitted to")
     if unused := there[1:]:
-        assume(f"{unused[0]} is not read: {there[0]} holds out photographs already")
+        assume(f"{path.parent}: {unused[0]} is not read: {there[0]} holds out photographs already")
     return Frames(data, [*fitted, *held], there[0])
 
 
 def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
-    """The frames as the file's own lists of names part them."""
-    key = next((key for key in _TEST_KEYS if data.get(key)), None)
-    train = None if not data.get("train_filenames") else set(_names(path, data, "train_filenames"))
-    if key is None and train is None:
-        return Frames(data, frames)
-    held = ({frame.name for frame in frames} - (train or set()) if key is None else set(_names(path, data, key))) & {
-        frame.name for frame in frames
-    }
-    if train is not None and not any(frame.name not in held and frame.name in train for frame in frames):
+    """The frames as the file's own lists of names part them. A list of those to fit to alone holds out the others."""
+    known = {frame.name for frame in frames}
+    train = known & _names(path, data, _TRAIN_KEY)
+    keys = [key for key in _TEST_KEYS if data.get(key)]
+    named = {name for key in keys for name in _names(path, data, key)}
+    held = named & known if keys else known - train if train else set()
+    if train and not train - held:
         held -= train  # a file may test with what it fits to
     if not held:
         return Frames(data, frames)
-    kept = [
-        Frame(frame.where, frame.name, frame.fields, frame.name in held)
-        for frame in frames
-        if train is None or frame.name in train | held
-    ]
-    if len(kept) < len(frames):
-        left = [frame.name for frame in frames if train is not None and frame.name not in train | held]
+    left = known - train - held if train else set()
+    if left:
         assume(
-            f"{path}: {len(left)} photographs are neither in train_filenames nor in {key} and are left out: "
-            f"{first_names(left)}"
+            f"{path}: {len(left)} photographs are in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and "
+            f"are left out: {first_names(sorted(left))}"
         )
-    return Frames(data, kept, f"{key or 'train_filenames'} of {path.name}")
+    kept = [replace(frame, is_held=frame.name in held) for frame in frames if frame.name not in left]
+    return Frames(data, kept, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
 
 
-def _names(path: Path, data: dict[str, Any], key: str) -> Iterator[str]:
-    """The names in a list of the file; raises InputError."""
-    names = data[key]
+def _names(path: Path, data: dict[str, Any], key: str) -> set[str]:
+    """The names in a list of the file, none where there is no such list; raises InputError."""
+    names = data.get(key) or []
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{path}: {key}: expected a list of names, got {shown(names)}")
-    return (_plain(name) for name in names)
+    return {_plain(name) for name in names}
 
 
 def _plain(name: str) -> str:
