@@ -288,6 +288,7 @@ def test_a_mask_is_not_taken_for_a_missing_photograph(tmp_path):
     (tmp_path / "images").rename(tmp_path / "photos")
     capture, assumed = said(tmp_path)
     assert capture.photographs[0].path == tmp_path / "photos/0.png" and "0.png is photos/0.png" in assumed
+    assert capture.mask(0) is None and "masks counts" in assumed  # whose names are those within photos
 
 
 def test_other_extensions_in_a_transforms_json(tmp_path):

@@ -121,21 +121,28 @@ def photographs_in(folders: Sequence[Path], names: Sequence[str], known: Places 
     best = _most((PhotoFiles(folder, named_so) for folder in there), wanted)
     if not best[1]:
         best = _most((PhotoFiles(folder, {*named_so, *_FURTHER_SUFFIXES}) for folder in there), wanted)
-    if not best[1] and not places:
+    if elsewhere := not best[1] and not places:
         sets = (PhotoFiles(folder, {*named_so, *more}) for folder in there for more in ((), _FURTHER_SUFFIXES))
         best = _most(sets, wanted, elsewhere=True)
     files, found = best
     relative = {path: name for name, path in files.paths.items()}
+    inner = (
+        os.path.commonpath([PurePosixPath(relative[path]).parent for path in found.values()])
+        if elsewhere and found
+        else ""
+    )
+    folder = files.folder / inner
     for name in wanted:
         if (path := found.get(name)) is not None:
-            is_there = _stem(relative[path]) == _stem(name)
-            places[name] = (name if is_there else relative[path], path)
+            places[name] = (path.relative_to(folder).as_posix() if elsewhere else name, path)
     _say_other_names({name: relative[path] for name, path in found.items()}, len(names))
     if missing := [name for name in names if name not in places]:
         if too_few(len(places), len(names)):
-            raise InputError(missing_photographs(files.folder, missing, len(names)))
-        assume(f"{files.folder}: {_share(missing, names)} missing and left out: {first_names(missing)}")
-    return FoundPhotographs(files.folder, places, files.without([path for _, path in places.values()]))
+            raise InputError(missing_photographs(folder, missing, len(names)))
+        assume(f"{folder}: {_share(missing, names)} missing and left out: {first_names(missing)}")
+    others = [files.folder / name for name in files.without([path for _, path in places.values()])]
+    within = [path.relative_to(folder).as_posix() for path in others if path.is_relative_to(folder)]
+    return FoundPhotographs(folder, places, within)
 
 
 def how_many_there(folders: Sequence[Path], names: Sequence[str]) -> int:

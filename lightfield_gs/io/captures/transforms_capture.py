@@ -71,7 +71,7 @@ def _photographs(path: Path, images: Path | None, names: list[str]) -> tuple[Pat
     """The folder of images, and by the names of the photographs their names in it and their files. Missing ones are
     not there, which is said."""
     common = _common([PurePosixPath(name).parent for name in names])
-    inner = {name: PurePosixPath(name).relative_to(common).as_posix() for name in names}
+    inner = {name: PurePosixPath(name).relative_to(common).as_posix() if common else name for name in names}
     if images is not None:
         found = photographs_in([images], list(inner.values()))
         return found.folder, {name: found.places[inner[name]] for name in names if inner[name] in found.places}
