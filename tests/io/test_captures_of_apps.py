@@ -76,7 +76,9 @@ def test_the_lists_of_a_file_hold_out(tmp_path):
     write_ring(tmp_path, train_filenames=names(0, 1, 2, 3, 4))
     assert held(read_capture(tmp_path)) == ["5.png"]
     write_ring(tmp_path, test_filenames=[*names(2), "images/none.png"])
-    with pytest.warns(Assumption, match="1 names in its lists of photographs are of no frame: images/none.png"):
+    with pytest.warns(
+        Assumption, match="1 names in its lists of photographs are of no frame with a pose: images/none.png"
+    ):
         assert held(read_capture(tmp_path)) == ["2.png"]
     write_ring(tmp_path, train_filenames=names(*range(6)), test_filenames=names(*range(6)))
     assert held(read_capture(tmp_path)) == ["4.png"] == held(read_capture(tmp_path), 8)  # the middle of every 8
