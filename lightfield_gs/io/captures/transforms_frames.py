@@ -122,7 +122,8 @@ def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
     named = {name for key in keys for name in _names(path, data, key)}
     if strange := sorted((named | _names(path, data, _TRAIN_KEY)) - known):
         assume(
-            f"{path}: {len(strange)} names in its lists of photographs are of no frame with a pose: {first_names(strange)}"
+            f"{path}: {len(strange)} names in its lists of photographs are of no frame with a pose: "
+            f"{first_names(strange)}"
         )
     held = named & known if keys else known - train if train else set()
     if train and not train - held:
