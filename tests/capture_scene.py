@@ -3,12 +3,19 @@ places in the scene are known, seen by the formula of each camera model, in Pyth
 
 from __future__ import annotations
 
+import json
 import struct
+import warnings
 from math import atan, sqrt, tan
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from transforms_scene import OPENGL
+
+from lightfield_gs.base.assumptions import Assumption
+from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.io.captures.colmap_records import pose_of
 
 WIDTH, HEIGHT = 96, 72
 DOTS = ((0.0, 0.0), (0.31, 0.12), (-0.35, 0.2), (-0.22, -0.29), (0.28, -0.25))  # x / z and y / z of what is seen
@@ -167,7 +174,38 @@ def write_capture(folder: Path, model: str = "PINHOLE", form: str = "bin", count
         Image.fromarray(picture).save(path)
     given = {
         "cameras": [(7, model, WIDTH, HEIGHT, parameters(model))],
-        "images": [(name, 7, *pose) for name, pose in zip(names, ring(count))],
+        "images": [(name, 7, *pose) for name, pose in zip(names, ring(max(count, len(names))))],
         "points": [((0.1, 0.2, 0.3), (255, 0, 7)), ((-0.1, 0.2, 0.1), (1, 2, 3)), ((0.3, 0.0, 0.0), (4, 5, 6))],
     }
     write_model(folder / "sparse/0", form, **{**given, **changes})
+
+
+CAMERA = {"w": WIDTH, "h": HEIGHT, "fl_x": 70.0, "fl_y": 78.0, "cx": CENTRE[0], "cy": CENTRE[1]}
+
+
+def said(*arguments, **options) -> tuple:
+    """A capture, and what was assumed of it, as one text."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        capture = read_capture(*arguments, **options)
+    assert [w.message for w in caught if not issubclass(w.category, Assumption)] == []
+    return capture, "\n".join(str(warning.message) for warning in caught)
+
+
+def to_world(count: int) -> np.ndarray:
+    """Camera to world [C,4,4] of the ring, OpenGL axes."""
+    return np.stack([np.linalg.inv(pose_of(*pose)) @ OPENGL for pose in ring(count)])
+
+
+def write_ring(folder, count: int = 6, name="transforms.json", first=0, change=None, **top) -> np.ndarray:
+    """A transforms.json of photographs images/0.png and so on; change(frames) may change its frames."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    matrices = to_world(first + count)[first:]
+    frames = []
+    for index, matrix in enumerate(matrices, first):
+        Image.fromarray(dots([(20, 20 + index)])).save(folder / f"images/{index}.png")
+        frames.append({"file_path": f"images/{index}.png", "transform_matrix": matrix.tolist()})
+    if change:
+        change(frames)
+    (folder / name).write_text(json.dumps({**CAMERA, **top, "frames": frames}))
+    return matrices

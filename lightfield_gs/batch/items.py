@@ -14,7 +14,7 @@ from lightfield_gs.base.errors import InputError, named, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.batch.item import COMMANDS, Command, Item
 from lightfield_gs.io.captures.colmap_capture import model_folder
-from lightfield_gs.io.captures.transforms_capture import transforms_file
+from lightfield_gs.io.captures.transforms_frames import transforms_file
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
 from lightfield_gs.io.text_file import read_text

@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "input",
         type=Path,
         metavar="CAPTURE",
-        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json, or such a .json of another name; "
-        "with --sfm, a folder of photographs alone",
+        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json, or such a .json of another name, "
+        "or what Polycam or Record3D exported; with --sfm, a folder of photographs alone",
     )
     add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene: .ply, .spz or .splat")
     add_capture(parser)

@@ -34,7 +34,7 @@ from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.atomic import make_folder, remove_left_over
-from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
 from lightfield_gs.io.scenes.doubts import float_step, usual_size
 from lightfield_gs.io.scenes.render_mode import ANTIALIASED
 from lightfield_gs.panels.panel import Panel
@@ -84,7 +84,7 @@ def fit(
     steps: int = 30_000,
     gaussians: int = 300_000,
     density: Density = "mcmc",
-    test_every: int | None = 8,
+    test_every: TestEvery = "own",
     test_names: Sequence[str] | None = None,
     cone: Panel | str | Path | float | None = None,
     centre: str | None = None,
@@ -106,9 +106,10 @@ def fit(
 
     capture: a folder (COLMAP's sparse/0 or a transforms.json, and the photographs), or what read_capture returned.
     steps, gaussians (a budget), density ("mcmc" or "adaptive") and settings: see FitSettings, whose fields they are.
-    test_every: k holds out the middle one of every k photographs and scores the scene by them; None: none. test_names:
-    those held out instead. device: "auto", "cpu" or "cuda". folder: where checkpoints, scores.json and pictures go; a
-    fit that was stopped goes on from there, to the same bits, unless `fresh`. The other arguments: see Habits.
+    test_every: k holds out the middle one of every k photographs and scores the scene by them; None: none; "own": those
+    that the capture itself keeps for tests, or of every 8. test_names: those held out instead. device: "auto", "cpu" or
+    "cuda". folder: where checkpoints, scores.json and pictures go; a fit that was stopped goes on from there, to the
+    same bits, unless `fresh`. The other arguments: see Habits.
 
     Where torchrun starts several processes that all call it alike, they share out the photographs of a step
     (settings.views), one GPU each; the first one writes and talks, and all return the result.

@@ -73,7 +73,7 @@ _SETTINGS: dict[Compression, dict[str, dict[str, int | str]]] = {
 @dataclass
 class ImageInfo:
     """Header of an image file: size in pixels as stored, sample type as OpenImageIO names it, metadata of this package,
-    and the Exif orientation 1..8."""
+    the Exif orientation 1..8, and whether the last of 2 or 4 channels is alpha: in EXR it may be depth."""
 
     width_px: int
     height_px: int
@@ -81,6 +81,7 @@ class ImageInfo:
     sample_type: str
     metadata: dict[str, str] = field(default_factory=dict)
     orientation: int = 1
+    has_alpha: bool = False
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,8 @@ def read_info(path: str | Path) -> ImageInfo:
     path = _checked_file(path)
     if is_heif(path):
         with opened_heif(path, partial(_check_size, path)) as image:
-            return ImageInfo(*image.size, len(image.getbands()), "uint8")
+            channels = len(image.getbands())
+            return ImageInfo(*image.size, channels, "uint8", has_alpha=channels in (2, 4))
     with _opened(path) as source:
         spec = source.spec()
         return ImageInfo(
@@ -174,6 +176,7 @@ def read_info(path: str | Path) -> ImageInfo:
             str(spec.format),
             _metadata(spec.get_string_attribute(_METADATA_KEY)),
             spec.get_int_attribute("Orientation", 1),
+            spec.nchannels in (2, 4) and (source.format_name() != "openexr" or spec.alpha_channel > 0),
         )
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.srgb import light_of_srgb
 from lightfield_gs.io.images import as_floats
-from lightfield_gs.panels.patterns import light_of_srgb
 
 MOST_CELLS = 256  # along the longer side of the panel: bars are far wider
 _MOST_POINTS = 6  # each way, that a cell is the mean of

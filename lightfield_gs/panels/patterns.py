@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.panels.cells import PERIOD, subpixel_phases
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.pattern_text import HEIGHT_DOTS, text_dots, width_dots
@@ -152,13 +153,3 @@ def bars(panel: Panel, shift: int | None = None) -> np.ndarray:
         return srgb_of_light(BAR_MEAN + BAR_AMPLITUDE * np.cos(turn * (x / panel.views - shifts / 3)))
 
     return draw(panel, shade)
-
-
-def srgb_of_light(light: np.ndarray) -> np.ndarray:
-    """sRGB code 0..1 of linear light 0..1 (IEC 61966-2-1)."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
-
-
-def light_of_srgb(code: np.ndarray) -> np.ndarray:
-    """Linear light 0..1 of an sRGB code 0..1 (IEC 61966-2-1)."""
-    return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)

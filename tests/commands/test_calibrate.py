@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from command_line import complaint, run
 
+from lightfield_gs.base.srgb import light_of_srgb, srgb_of_light
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.patterns import bars, light_of_srgb, single, srgb_of_light, sweep
+from lightfield_gs.panels.patterns import bars, single, sweep
 from lightfield_gs.panels.simulate import simulate
 
 TEMPLATE = dict(pitch=42.0, slope=-6, center=0.3, DPI=136, screenW=768, screenH=432, invView=1, viewCone=40)

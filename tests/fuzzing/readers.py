@@ -65,6 +65,17 @@ def _read_capture(path: Path) -> None:
     capture.mask(0)
 
 
+def _read_record3d(path: Path) -> None:
+    """With the two photographs of its poses."""
+    (path.parent / "rgb").mkdir(exist_ok=True)
+    for name in ("rgb/0.png", "rgb/1.png"):
+        if not (image := path.parent / name).exists():
+            shutil.copyfile(CORPUS / "image" / "rgba.png", image)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Assumption)
+        read_capture(path)
+
+
 def _read_own_camera(path: Path) -> Any:
     """What a scene's file says of its axes and cameras."""
     scene = read_scene(path)
@@ -194,6 +205,11 @@ READERS = {
     "colmap-cameras-text": Reader(".txt", lambda path: read_model_file(path, "cameras"), "colmap-cameras-text"),
     "colmap-images-text": Reader(".txt", lambda path: read_model_file(path, "images"), "colmap-images-text"),
     "colmap-points-text": Reader(".txt", lambda path: read_model_file(path, "points3D"), "colmap-points-text"),
+    "colmap-rigs": Reader(".bin", lambda path: read_model_file(path, "rigs"), "colmap-rigs"),
+    "colmap-frames": Reader(".bin", lambda path: read_model_file(path, "frames"), "colmap-frames"),
+    "colmap-rigs-text": Reader(".txt", lambda path: read_model_file(path, "rigs"), "colmap-rigs-text"),
+    "colmap-frames-text": Reader(".txt", lambda path: read_model_file(path, "frames"), "colmap-frames-text"),
+    "record3d": Reader(".json", _read_record3d, "record3d"),
     "psf": Reader(".csv", Psf.load, "psf"),
     "object": Reader(".json", lambda path: read_object(path, 1 << 16), "object"),
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),

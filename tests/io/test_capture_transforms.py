@@ -22,7 +22,7 @@ KEYS = {
 
 def _write(folder, model="PINHOLE", **camera):
     """A capture as transforms.json, with the poses of a COLMAP model, which are returned; that is where nerfstudio
-    leaves it, and is not read."""
+    leaves it, and has points alone to tell."""
     picture = dots([in_pixels(model, seen(model, *dot)) for dot in DOTS])
     write_capture(folder / "colmap", "PINHOLE")
     poses = read_capture(folder / "colmap").world_to_camera
@@ -43,7 +43,7 @@ def test_same_as_colmaps(tmp_path, model):
     coefficients = dict(zip(KEYS.get(model, []), MODELS[model][2]))
     poses = _write(tmp_path, model, **coefficients)
     capture = read_capture(tmp_path)
-    assert capture.names == ["0.png", "1.png", "2.png"] and len(capture.points) == 0
+    assert capture.names == ["0.png", "1.png", "2.png"] and len(capture.points) == 3
     np.testing.assert_allclose(capture.world_to_camera, poses, atol=1e-12)
     np.testing.assert_allclose(capture.intrinsics[0], [70, 78, *CENTRE])
     for dot in DOTS:
@@ -100,7 +100,11 @@ def test_points_masks_and_reduced_copies(tmp_path):
             lambda d: d["frames"][1].update(file_path="images/a/0.png"),
             "each photograph once, got 'images/a/0.png' twice",
         ),
-        (lambda d: d["frames"][2].pop("transform_matrix"), r"frames\[2\].transform_matrix: expected 4 rows"),
+        (lambda d: d["frames"][2].update(transform_matrix=[[1, 0]]), r"frames\[2\].transform_matrix: expected 4 rows"),
+        (
+            lambda d: [frame.pop("transform_matrix") for frame in d["frames"]],
+            r"expected some with a pose \(transform_matrix\), got 3 without",
+        ),
         (lambda d: d.update(camera_model="EQUIRECTANGULAR"), "camera_model: expected one of SIMPLE_PINHOLE"),
         (lambda d: d.update(k5=0.1), "k5: expected a lens of k1, k2, k3, k4, p1, p2 alone"),
         (lambda d: d.update(k1="x"), "k1 must be a number"),

@@ -11,9 +11,11 @@ from PIL import Image
 from srn_scene import FOCAL, HEIGHT, WIDTH, write_object
 from transforms_scene import CAMERA, edit, write_transforms
 
+from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.lens import COEFFICIENTS, distorted, share_beyond
 from lightfield_gs.io.captures.masks import masks_beside
+from lightfield_gs.io.captures.transforms import read_transforms
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object
 from training.data.validate import main, problems
@@ -102,6 +104,21 @@ def test_masks_of_an_srn_object(tmp_path):
     assert (read_view(views, 1)[..., 3] <= _mask(1)).all() and read_view(views, 1)[..., 3].any()
     with pytest.raises(InputError, match="000003.png: expected a mask of the image's size 64 x 48, got 8 x 8"):
         read_view(views, 3)
+
+
+def test_scaled_rotations_are_divided_by_their_scale(tmp_path):
+    write_transforms(tmp_path / "whole")
+    write_transforms(tmp_path / "scaled")
+
+    def scale(data):
+        for frame in data["frames"]:
+            frame["transform_matrix"] = (np.array(frame["transform_matrix"]) * (0.5, 0.5, 0.5, 1)).tolist()
+
+    edit(tmp_path / "scaled/transforms.json", scale)
+    with pytest.warns(Assumption, match="cameras are scaled, the first by 0.5: they are divided by it"):
+        found = read_transforms(tmp_path / "scaled/transforms.json")
+    whole = read_transforms(tmp_path / "whole/transforms.json")
+    np.testing.assert_allclose(found.camera_to_world, whole.camera_to_world, atol=1e-12)
 
 
 def test_names_of_other_systems(tmp_path):

@@ -8,11 +8,12 @@ import pytest
 from panel_cases import template_panel
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.srgb import light_of_srgb, srgb_of_light
 from lightfield_gs.commands.calibrate_fit import doubts_of
 from lightfield_gs.panels.calibration_fit import fit_lens
 from lightfield_gs.panels.calibration_photos import Place, bilinear, find_corners, homography
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.patterns import bars, light_of_srgb, srgb_of_light
+from lightfield_gs.panels.patterns import bars
 from lightfield_gs.panels.simulate import simulate
 
 START = template_panel(960, 540, 48, phase=-310.4, viewing_distance_mm=600, pixel_pitch_mm=0.2)

@@ -11,14 +11,17 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.commands.options.values import background, whole, within
 from lightfield_gs.fitting.settings import DENSITIES, MASKS
+from lightfield_gs.io.captures.capture import TestEvery
 
 Add = Callable[..., argparse.Action]
 _BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
 _MOST = 10_000_000
 
 
-def every_or_none(text: str) -> int | None:
-    """ "8" -> 8, "none" -> None."""
+def every_or_none(text: str) -> TestEvery:
+    """ "8" -> 8, "none" -> None, "own" -> "own"."""
+    if text == "own":
+        return "own"
     return None if text == "none" else whole(2, 1 << 30)(text)
 
 
@@ -62,10 +65,10 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
     test(
         "--test-every",
         type=every_or_none,
-        default=8,
+        default="own",
         metavar="N",
         help="holds out the middle one of every N photographs, in the order of their names, to score the "
-        "scene by; none: fits to all (default 8)",
+        "scene by; none: fits to all; own: those that the capture itself keeps for tests (default own, or else 8)",
     )
     test("--test-list", type=Path, metavar="FILE", help="holds out those that a text file names, one a line")
     add(

@@ -18,7 +18,7 @@ import numpy as np
 from lightfield_gs.base.checks import real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.lens import COEFFICIENTS
-from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, nearest_rotation
+from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, nearest_rotation, say_scales, unscaled
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_json
 
@@ -104,17 +104,19 @@ def read_transforms(path: str | Path) -> list[FileCamera]:
 
 
 def _inria(path: str | Path, data: list) -> list[FileCamera]:
-    cameras = []
+    cameras, scales = [], []
     for index, entry in enumerate(_objects(f"{path}: ", data, "position, rotation, fx, fy, width, height")):
         where = f"{path}: [{index}]"
         width, height = (_number(where, entry, key, 1, _MAX_SIZE_PX) for key in ("width", "height"))
         fx, fy = (_number(where, entry, key, 1e-6, 1e9) for key in ("fx", "fy"))
         centre = _centre(where, entry, width, height)
         position = _array(f"{where}.position", entry.get("position"), (3,))
-        rotation = _rotation(f"{where}.rotation", _array(f"{where}.rotation", entry.get("rotation"), (3, 3)))
+        rotation, scale = _rotation(f"{where}.rotation", _array(f"{where}.rotation", entry.get("rotation"), (3, 3)))
+        scales.append(scale)
         name = entry.get("img_name", entry.get("id", index))
         pose = _pose(rotation, position)
         cameras.append(FileCamera(shown(name).strip("'\""), pose, (fx, fy), centre, width, height))
+    say_scales(path, scales)
     return cameras
 
 
@@ -124,14 +126,17 @@ def _transforms(path: str | Path, data: dict[str, Any]) -> list[FileCamera]:
         raise InputError(f"{path}: frames: expected a list of views, got {shown(frames)}")
     frames = _objects(f"{path}: frames", frames, "transform_matrix")
     images = _Images(Path(path).parent)
-    return [_frame(f"{path}: frames[{index}]", {**data, **frame}, images) for index, frame in enumerate(frames)]
+    found = [_frame(f"{path}: frames[{index}]", {**data, **frame}, images) for index, frame in enumerate(frames)]
+    say_scales(path, [scale for _, scale in found])
+    return [camera for camera, _ in found]
 
 
-def _frame(where: str, fields: dict[str, Any], images: _Images) -> FileCamera:
+def _frame(where: str, fields: dict[str, Any], images: _Images) -> tuple[FileCamera, float]:
+    """One camera, and the scale that its rotation was divided by."""
     matrix = _array(f"{where}.transform_matrix", fields.get("transform_matrix"), None)
     if matrix.shape not in ((4, 4), (3, 4)):
         raise InputError(f"{where}.transform_matrix: expected 4 rows of 4 numbers, got {list(matrix.shape)}")
-    rotation = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
+    rotation, scale = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
     model = fields.get("camera_model", "PINHOLE")
     if model not in MODELS or fields.get("is_fisheye") is True:
         raise InputError(
@@ -143,9 +148,8 @@ def _frame(where: str, fields: dict[str, Any], images: _Images) -> FileCamera:
     centre = _centre(where, fields, width, height)
     distorted = any(fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in COEFFICIENTS)
     name = shown(fields.get("file_path", "")).strip("'\"")
-    return FileCamera(
-        name, _pose(rotation @ TO_OPENCV[:3, :3], matrix[:3, 3]), focal, centre, width, height, assumed, distorted
-    )
+    pose = _pose(rotation @ TO_OPENCV[:3, :3], matrix[:3, 3])
+    return FileCamera(name, pose, focal, centre, width, height, assumed, distorted), scale
 
 
 def _size(where: str, fields: dict[str, Any], images: _Images) -> tuple[float, float, str]:
@@ -239,15 +243,17 @@ def _array(what: str, value: Any, shape: tuple[int, ...] | None) -> np.ndarray:
     return array
 
 
-def _rotation(what: str, matrix: np.ndarray) -> np.ndarray:
-    """The rotation that is nearest to a matrix that nearly is one; raises InputError."""
+def _rotation(what: str, matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """The rotation that is nearest to a matrix that nearly is one, but for the scale, which comes with it; raises
+    InputError."""
+    matrix, scale = unscaled(matrix)
     error = np.abs(matrix @ matrix.T - np.eye(3)).max()
     if not error <= _ORTHONORMAL or np.linalg.det(matrix) < 0:
         raise InputError(
             f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; "
-            "scale, shear and mirroring are not allowed"
+            "shear and mirroring are not allowed"
         )
-    return nearest_rotation(matrix)
+    return nearest_rotation(matrix), scale
 
 
 def _pose(rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:

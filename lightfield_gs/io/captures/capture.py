@@ -4,21 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import real_number, whole_number
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.captures.app_captures import app_shots
 from lightfield_gs.io.captures.colmap_capture import colmap_shots, model_folder
+from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.captures.photograph import Photograph
 from lightfield_gs.io.captures.prepared import photographs_of, usable_points
 from lightfield_gs.io.captures.shot import Shots
 from lightfield_gs.io.captures.spread import extent_of
-from lightfield_gs.io.captures.transforms_capture import transforms_file, transforms_shots
+from lightfield_gs.io.captures.transforms_capture import transforms_shots
+from lightfield_gs.io.captures.transforms_frames import transforms_file
 
+EVERY = 8  # one of so many photographs is held out where nothing says which
+TestEvery = int | Literal["own"] | None  # see Capture.split
 _SMALLEST_PX = 16  # of a photograph's longer side that is asked for
+_ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\xfd7zXZ", b"BZh")
+_TAR = 257, b"ustar"
 
 
 @dataclass(frozen=True)
@@ -28,7 +36,8 @@ class Capture:
     folder: where it is. names: sorted, relative to the folder of images, with / between folders. world_to_camera:
     [C,4,4] float64, OpenCV axes. intrinsics: [C,4] float64, (fx, fy, cx, cy), and sizes_px: [C,2] int, width and
     height, of what image(i) gives: undistorted, scaled, in pixels from the outer corner of the first. points: [P,3]
-    float64, may be none; colours: [P,3] uint8. photographs: C, where image and mask come from.
+    float64, may be none; colours: [P,3] uint8. photographs: C, where image and mask come from. held_out: names of
+    those that the capture itself keeps for tests; held_by: what says so.
     """
 
     folder: Path
@@ -39,6 +48,8 @@ class Capture:
     points: np.ndarray
     colours: np.ndarray
     photographs: list[Photograph]
+    held_out: tuple[str, ...] = ()
+    held_by: str = ""
 
     def image(self, index: int) -> np.ndarray:
         """Photograph `index`, uint8 [H,W,3], sRGB, undistorted and scaled; decoded now. Raises InputError."""
@@ -68,19 +79,26 @@ class Capture:
         """The length that steps of positions are measured by, scene units, > 0; see spread.extent_of."""
         return extent_of(self.centres, self.points)
 
-    def split(self, test_every: int | None, names: list[str] | None = None) -> tuple[list[int], list[int]]:
+    def split(self, test_every: TestEvery = "own", names: list[str] | None = None) -> tuple[list[int], list[int]]:
         """Indices of the photographs to fit to and of those held out to test, in order.
 
         test_every: k holds out index % k == k // 2, the middle of every k, so that the ends of an arc are never
-        extrapolated; None: none. names: those to hold out instead, as in `names` or by their last part. Raises
-        InputError for names that there are not, and where nothing is left to fit to.
+        extrapolated; None: none; "own": those that the capture itself keeps for tests, which is said, or the middle of
+        every EVERY. names: those to hold out instead, as in `names` or by their last part. Raises InputError for names
+        that there are not, and where nothing is left to fit to.
         """
         if names is not None:
             test = sorted({self.index_of(name, "test photograph") for name in names})
+        elif test_every == "own" and self.held_out:
+            test = sorted(self.names.index(name) for name in self.held_out)
+            assume(
+                f"{len(test)} of {len(self.names)} photographs are held out, as {self.held_by} says: "
+                f"{first_names(self.held_out)}; --test-every N holds out others"
+            )
         elif test_every is None:
             test = []
         else:
-            every = whole_number("test_every", test_every, 2, 1 << 30)
+            every = EVERY if test_every == "own" else whole_number("test_every", test_every, 2, 1 << 30)
             test = [index for index in range(len(self.names)) if index % every == every // 2]
         train = sorted(set(range(len(self.names))) - set(test))
         if not train:
@@ -109,7 +127,9 @@ def read_capture(
     longest_px: int | None = None,
 ) -> Capture:
     """The capture in a folder: photographs that COLMAP posed (sparse/0, sparse, or the files of a model in the folder),
-    or those of a transforms.json, which may be given itself.
+    or those of a transforms.json, which may be given itself, or of transforms_train.json with its tests beside it; what
+    Polycam and Record3D keep, and a cameras.json beside photographs. Photographs that are missing or damaged are left
+    out, as long as enough are left.
 
     images: the folder of the photographs, absolute or below `folder`; None: images, or what else has them. The size of
     the files is what counts: intrinsics are scaled by its ratio to the model's cameras, for each axis. masks: the
@@ -141,6 +161,8 @@ def read_capture(
         points,
         colours,
         photographs,
+        found.held_out,
+        found.held_by,
     )
 
 
@@ -154,12 +176,30 @@ def _read_layout(folder: Path, images: Path | None) -> Shots:
         if file is not None:
             assume(f"the COLMAP model {model} is read, not {file}: give that file itself to read it")
         return colmap_shots(folder, images)
+    if (file is None or file == folder) and (found := app_shots(folder, images)) is not None:
+        return found
     if file is not None:
-        return transforms_shots(file, images)
+        return transforms_shots(file, images, file == folder)
+    if folder.is_file():
+        raise InputError(f"{folder}: {_what_to_give(folder)}")
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
-        "sparse or the folder itself, or a transforms.json (one of another name, as transforms_train.json, is given "
-        "itself); photographs alone need --sfm first, which poses them"
+        "sparse or the folder itself, or a transforms.json (one of another name is given itself); photographs alone "
+        "need --sfm first, which poses them"
+    )
+
+
+def _what_to_give(file: Path) -> str:
+    """What a file is that is no capture, and the way out."""
+    with reading(file), file.open("rb") as opened:
+        start = opened.read(512)
+    if start.startswith(_ARCHIVES) or start[_TAR[0] :].startswith(_TAR[1]):
+        return "is an archive: unpack it, and give the folder that comes out of it"
+    if file.stem in ("images", "cameras", "points3D", "frames", "rigs"):
+        return f"is one file of a COLMAP model: give the folder {file.parent}"
+    return (
+        "expected a capture, got a file of another kind: give the folder that has the photographs and COLMAP's "
+        "sparse/0 or a transforms.json, or such a .json itself"
     )
 
 

@@ -32,12 +32,31 @@ class ColmapCamera:
 
 @dataclass(frozen=True)
 class ColmapImage:
-    """A photograph: its name (with / between folders), its camera's number, and world_to_camera [4,4] float64 (OpenCV
-    axes); None where the file has no pose of it."""
+    """A photograph: its name (with / between folders), its camera's number, world_to_camera [4,4] float64 (OpenCV
+    axes); None where the file has no pose of it; and its own number. A name that is no UTF-8 has its bytes as Python's
+    surrogates, until names_decoded knows better."""
 
     name: str
     camera: int
     world_to_camera: np.ndarray | None
+    number: int = 0
+
+
+Sensor = tuple[int, int]  # kind and number; CAMERA is a kind, and its number that of a camera
+CAMERA = 0
+
+
+@dataclass(frozen=True)
+class ColmapFrame:
+    """What one rig saw at one time: world to rig [4,4] float64, None where it has no pose, and the photographs' numbers
+    by the cameras that took them."""
+
+    rig: int
+    world_to_rig: np.ndarray | None
+    images: dict[Sensor, int]
+
+
+Rigs = dict[int, dict[Sensor, np.ndarray | None]]  # by number: rig to sensor [4,4] float64, None where it is not known
 
 
 def camera_record(model: str, width: int, height: int, parameters: Sequence[float]) -> ColmapCamera:
@@ -60,16 +79,29 @@ def camera_record(model: str, width: int, height: int, parameters: Sequence[floa
     return ColmapCamera(model, width, height, np.concatenate([focal, centre]), coefficients)
 
 
-def image_record(name: str, camera: int, quaternion: Sequence[float], translation: Sequence[float]) -> ColmapImage:
+def image_record(
+    name: str, camera: int, quaternion: Sequence[float], translation: Sequence[float], number: int = 0
+) -> ColmapImage:
     """A photograph of these numbers: quaternion w, x, y, z of any length, and translation, world to camera."""
     if not name.strip() or "\0" in name or len(name) > _LONGEST_NAME:
         raise InputError(f"images: expected the name of a photograph, got {shown(name)}")
+    name = name if is_undecoded(name) else name.replace("\\", "/")  # in some code pages a backslash is half a letter
+    return ColmapImage(name, camera, pose_of(quaternion, translation), number)
+
+
+def is_undecoded(name: str) -> bool:
+    """Whether a name holds bytes that are no UTF-8, as surrogates."""
+    return any("\ud800" <= letter <= "\udfff" for letter in name)
+
+
+def pose_of(quaternion: Sequence[float], translation: Sequence[float]) -> np.ndarray | None:
+    """The pose [4,4] float64 of a quaternion w, x, y, z of any length and a translation; None where they are none."""
     numbers = np.array([*quaternion, *translation], np.float64)
-    pose = None
-    if (np.abs(numbers) < 1e12).all() and (length := np.linalg.norm(numbers[:4])) > 1e-9:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = rotation_of(numbers[:4] / length), numbers[4:]
-    return ColmapImage(name.replace("\\", "/"), camera, pose)
+    if not (np.abs(numbers) < 1e12).all() or (length := np.linalg.norm(numbers[:4])) <= 1e-9:
+        return None
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_of(numbers[:4] / length), numbers[4:]
+    return pose
 
 
 def rotation_of(quaternion: np.ndarray) -> np.ndarray:

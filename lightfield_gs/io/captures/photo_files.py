@@ -2,65 +2,159 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import os
+import unicodedata
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
 
 PHOTO_SUFFIXES = (*IMAGE_SUFFIXES, ".tif", ".tiff", ".bmp", ".avif", ".heic", ".heif")
+RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
+# Photographs only where the model names them so, or where there are no others: beside these they are maps of depth
+_FURTHER_SUFFIXES = (".exr", ".hdr", ".jxl", ".jp2", ".tga", ".ppm", *RAW_SUFFIXES)
+_MAPS = ("mask", "depth", "normal", "segm", "semantic", "alpha")  # what folders of other pictures' names begin with
+_LEAST_PHOTOGRAPHS = 3  # that have to be left of more; a model of fewer needs all
 
 
 class PhotoFiles:
-    """The pictures in and below a folder, by their paths in it: in any case, and with another extension, as sets that
-    were reduced have them."""
+    """The pictures in and below a folder, by their paths in it: in any case and Unicode form, and with another
+    extension, as sets that were reduced have them. Links are followed; what is hidden is no photograph.
 
-    def __init__(self, folder: Path):
+    Args:
+        folder: where they are.
+        others: further extensions that pictures have here, in lower case.
+    """
+
+    def __init__(self, folder: Path, others: Collection[str] = ()):
         self.folder = folder
+        suffixes = {*PHOTO_SUFFIXES, *others}
         with reading(folder):
-            found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
+            found = sorted(path for path in _files_below(folder) if path.suffix.lower() in suffixes)
         self.paths = {path.relative_to(folder).as_posix(): path for path in found}
-        self._lower: dict[str, list[Path]] = {}
+        self._folded: dict[str, list[Path]] = {}
         self._stems: dict[str, list[Path]] = {}
         for name, path in self.paths.items():
-            self._lower.setdefault(name.lower(), []).append(path)
+            self._folded.setdefault(_folded(name), []).append(path)
             self._stems.setdefault(_stem(name), []).append(path)
 
     def find(self, name: str) -> Path | None:
         """The picture of this name; None where there is none, or several that it may mean."""
-        for found in ([self.paths[name]] if name in self.paths else [], self._lower.get(name.lower(), [])):
+        for found in ([self.paths[name]] if name in self.paths else [], self._folded.get(_folded(name), [])):
             if len(found) == 1:
                 return found[0]
         stems = self._stems.get(_stem(name), [])
         return stems[0] if len(stems) == 1 else None
 
-    def without(self, names: Sequence[Path]) -> list[str]:
+    def find_elsewhere(self, names: Sequence[str]) -> dict[str, Path]:
+        """Pictures of these names in other folders than the names say: all of a folder are in one other folder.
+
+        That is the one with which the names' folder shares the most last parts; of several, that which has the most of
+        its names, and then the outermost. Where two are alike, or a picture has two names, none is found. Folders of
+        masks and the like are none, whose pictures have the same names.
+        """
+        here, groups = _by_folder(list(self.paths)), _by_folder(names)
+        known = {
+            place: ({_last(file) for file in files}, {_last(_stem(file)) for file in files})
+            for place, files in here.items()
+            if not any(part.lower().startswith(_MAPS) for part in PurePosixPath(place).parts)
+        }
+        found: dict[str, Path] = {}
+        for folder, inside in groups.items():
+            ranks: dict[str, tuple[int, int, int, int]] = {}
+            for place, (lasts, stems) in known.items():
+                exact = sum(_last(name) in lasts for name in inside)
+                if count := sum(_last(_stem(name)) in stems for name in inside):
+                    ranks[place] = (_shared_parts(folder, place), exact, count, -len(PurePosixPath(place).parts))
+            best = [place for place, rank in ranks.items() if rank == max(ranks.values())]
+            if len(best) == 1:
+                moved = {name: self.find(f"{best[0]}/{PurePosixPath(name).name}".removeprefix("./")) for name in inside}
+                found |= {name: path for name, path in moved.items() if path is not None}
+        counts = Counter(found.values())
+        return {name: path for name, path in found.items() if counts[path] == 1}
+
+    def without(self, names: Collection[Path]) -> list[str]:
         """Names of the pictures that are not among these."""
         used = set(names)
         return [name for name, path in self.paths.items() if path not in used]
 
 
-def photographs_in(folders: Sequence[Path], names: Sequence[str]) -> tuple[PhotoFiles, list[Path]]:
-    """The first of these folders that has all photographs of these names, or else that which has the most, and the
-    paths of the photographs. Raises InputError that says how many are missing and names the first three."""
-    best: tuple[int, PhotoFiles, list[Path | None]] | None = None
-    for folder in folders:
-        if folder.is_dir():
-            files = PhotoFiles(folder)
-            found = [files.find(name) for name in names]
-            count = sum(path is not None for path in found)
-            if count == len(names):
-                return files, [path for path in found if path is not None]
-            if best is None or count > best[0]:
-                best = count, files, found
-    if best is None:
+Places = dict[str, tuple[str, Path]]  # by a model's names of photographs: their names in their folder, and paths
+
+
+@dataclass(frozen=True)
+class FoundPhotographs:
+    """Photographs in and below a folder, of which it has others too. Those that are missing have no place."""
+
+    folder: Path
+    places: Places
+    others: list[str]
+
+
+def photographs_in(folders: Sequence[Path], names: Sequence[str], known: Places | None = None) -> FoundPhotographs:
+    """The photographs of these names in the first of these folders that has them all, or else the most of them.
+
+    Where a folder has none by their whole names, they are looked for by their last parts. What is found otherwise than
+    named, and what is left out as missing, is said.
+
+    Args:
+        folders: where they may be, the likeliest first.
+        names: as the model has them, with / between folders.
+        known: places of some of them, which are kept.
+
+    Raises InputError where too few are there, with how many and the first three.
+    """
+    there = [folder for folder in folders if folder.is_dir()]
+    if not there:
         raise InputError(
             f"missing folder of photographs: expected {' or '.join(str(folder) for folder in folders[:4])}; give its "
             "place as images"
         )
-    _, files, found = best
-    missing = [name for name, path in zip(names, found) if path is None]
-    raise InputError(missing_photographs(files.folder, missing, len(names)))
+    named_so = {PurePosixPath(name).suffix.lower() for name in names} - {""}
+    places = dict(known or {})
+    wanted = [name for name in names if name not in places]
+    best = _most((PhotoFiles(folder, named_so) for folder in there), wanted)
+    if not best[1]:
+        best = _most((PhotoFiles(folder, {*named_so, *_FURTHER_SUFFIXES}) for folder in there), wanted)
+    if elsewhere := not best[1] and not places:
+        sets = (PhotoFiles(folder, {*named_so, *more}) for folder in there for more in ((), _FURTHER_SUFFIXES))
+        best = _most(sets, wanted, elsewhere=True)
+    files, found = best
+    relative = {path: name for name, path in files.paths.items()}
+    inner = (
+        os.path.commonpath([PurePosixPath(relative[path]).parent for path in found.values()])
+        if elsewhere and found
+        else ""
+    )
+    folder = files.folder / inner
+    for name in wanted:
+        if (path := found.get(name)) is not None:
+            places[name] = (path.relative_to(folder).as_posix() if elsewhere else name, path)
+    _say_other_names({name: relative[path] for name, path in found.items()}, len(names))
+    if missing := [name for name in names if name not in places]:
+        if too_few(len(places), len(names)):
+            raise InputError(missing_photographs(folder, missing, len(names)))
+        assume(f"{folder}: {_share(missing, names)} missing and left out: {first_names(missing)}")
+    others = [files.folder / name for name in files.without([path for _, path in places.values()])]
+    within = [path.relative_to(folder).as_posix() for path in others if path.is_relative_to(folder)]
+    return FoundPhotographs(folder, places, within)
+
+
+def how_many_there(folders: Sequence[Path], names: Sequence[str]) -> int:
+    """Of how many of these names there are files in or below the folders, by the last parts."""
+    sets = [PhotoFiles(folder) for folder in folders if folder.is_dir()]
+    stems = {_last(_stem(name)) for files in sets for name in files.paths}
+    return sum(_last(_stem(name)) in stems for name in names)
+
+
+def too_few(left: int, count: int) -> bool:
+    """Whether `left` of `count` photographs are too few to go on with."""
+    return left < min(count, _LEAST_PHOTOGRAPHS)
 
 
 def missing_photographs(folder: Path, missing: Sequence[str], count: int) -> str:
@@ -76,5 +170,84 @@ def first_names(names: Sequence[str]) -> str:
     return ", ".join(name[-80:] for name in names[:3]) + (", ..." if len(names) > 3 else "")
 
 
+def _most(
+    sets: Iterable[PhotoFiles], names: Sequence[str], elsewhere: bool = False
+) -> tuple[PhotoFiles, dict[str, Path]]:
+    """The first of these folders that has the most photographs of these names, and their paths."""
+    best: tuple[PhotoFiles, dict[str, Path]] | None = None
+    for files in sets:
+        if elsewhere:
+            found = files.find_elsewhere(names)
+        else:
+            found = {name: path for name in names if (path := files.find(name)) is not None}
+        if best is None or len(found) > len(best[1]):
+            best = files, found
+        if len(found) == len(names):
+            break
+    assert best is not None  # there is a folder
+    return best
+
+
+def _say_other_names(found: dict[str, str], count: int) -> None:
+    """Says of which of `count` photographs the folder or the extension is another than the model's names have."""
+    others = [(name, file) for name, file in found.items() if _folded(file) != _folded(name)]
+    if others:
+        name, file = others[0]
+        assume(
+            f"{len(others)} of {count} photographs are found by the last parts of their names, without folders or "
+            f"extensions: {first_names([name])} is {file}"
+        )
+
+
+def _share(some: Sequence[str], of: Sequence[str]) -> str:
+    return f"{len(some)} of {len(of)} photographs {'are' if len(some) > 1 else 'is'}"
+
+
+def _files_below(folder: Path, above: tuple[str, ...] = ()) -> Iterator[Path]:
+    """Files in and below a folder, but hidden ones. above: the real paths of folders above it, where links end."""
+    real = os.path.realpath(folder)
+    if real in above:
+        return
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith("."):
+                continue
+            path = folder / entry.name
+            if entry.is_dir():
+                with contextlib.suppress(PermissionError):
+                    yield from _files_below(path, (*above, real))
+            elif entry.is_file():
+                yield path
+
+
+def _shared_parts(one: str, other: str) -> int:
+    """How many last parts two paths of folders have in common."""
+    pairs = zip(reversed(PurePosixPath(_folded(one)).parts), reversed(PurePosixPath(_folded(other)).parts))
+    count = 0
+    for first, second in pairs:
+        if first != second:
+            break
+        count += 1
+    return count
+
+
+def _by_folder(names: Sequence[str]) -> dict[str, list[str]]:
+    """Names by their folders."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(PurePosixPath(name).parent.as_posix(), []).append(name)
+    return groups
+
+
+def _last(name: str) -> str:
+    return PurePosixPath(_folded(name)).name
+
+
+def _folded(name: str) -> str:
+    """A name without its case and its form of Unicode: macOS takes letters with accents apart."""
+    return unicodedata.normalize("NFC", name).lower()
+
+
 def _stem(name: str) -> str:
-    return PurePosixPath(name).with_suffix("").as_posix().lower()
+    path = PurePosixPath(_folded(name))
+    return path.with_suffix("").as_posix() if path.name else path.as_posix()

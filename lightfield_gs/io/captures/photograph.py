@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.captures.camera_models import Lens
 from lightfield_gs.io.captures.masks import read_mask
+from lightfield_gs.io.captures.readable import is_linear
 from lightfield_gs.io.captures.resampling import Straightening, reduced, resampled, straightening
 from lightfield_gs.io.images import read_image
 
@@ -78,6 +80,8 @@ class Photograph:
         pixels = read_image(self.path, as_stored=True, turn=False)
         if pixels.shape[1::-1] != self.stored_px:
             raise InputError(f"{self.path}: was changed since it was found: expected {self.stored_px}")
+        if pixels.dtype == np.float32 and is_linear(self.path):
+            pixels = _encoded(pixels, self.alpha)
         if pixels.dtype == np.uint16:
             pixels = ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
         if pixels.dtype != np.uint8:
@@ -85,3 +89,11 @@ class Photograph:
         if pixels.shape[2] < 3:  # grey, with or without alpha
             pixels = np.concatenate([np.repeat(pixels[..., :1], 3, 2), pixels[..., 1:]], 2)
         return pixels
+
+
+def _encoded(pixels: np.ndarray, alpha: bool) -> np.ndarray:
+    """Linear light [H,W,C] as uint8: sRGB, and alpha, where it has that, as it is; further channels are left out."""
+    colours = 1 if pixels.shape[2] < 3 else 3
+    pixels = np.nan_to_num(pixels[..., : colours + alpha], posinf=1.0).clip(0, 1)
+    pixels[..., :colours] = srgb_of_light(pixels[..., :colours])
+    return np.rint(255 * pixels).astype(np.uint8)

@@ -26,7 +26,7 @@ def photographs_of(
 ) -> list[Photograph]:
     """The photographs of these shots, made smaller by `share`, and to `longest_px` where they are longer."""
     infos = [read_info(shot.path) for shot in shots]
-    alphas = [info.channels in (2, 4) for info in infos]
+    alphas = [info.has_alpha for info in infos]
     mask_paths = masks_for(found, shots, folder, masks, alphas)
     photographs, checked = [], set()
     for shot, info, mask, alpha in zip(shots, infos, mask_paths, alphas):

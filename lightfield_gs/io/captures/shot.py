@@ -32,10 +32,13 @@ class Shot:
 @dataclass(frozen=True)
 class Shots:
     """A capture as its layout has it. source: the file or folder that says so, for messages. images: the folder that
-    names are relative to. points: [P,3] float64; colours: [P,3] uint8."""
+    names are relative to. points: [P,3] float64; colours: [P,3] uint8. held_out: names of the photographs that it keeps
+    for tests itself; held_by: what says so."""
 
     source: Path
     images: Path
     shots: list[Shot]
     points: np.ndarray
     colours: np.ndarray
+    held_out: tuple[str, ...] = ()
+    held_by: str = ""

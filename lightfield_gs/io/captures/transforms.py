@@ -30,7 +30,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.files import named_image
 from lightfield_gs.io.captures.lens import COEFFICIENTS, check_distortion
 from lightfield_gs.io.captures.masks import masks_beside
-from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths
+from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, say_scales, unscaled
 from lightfield_gs.io.captures.views import ObjectViews, check_intrinsics, check_looking_at_object, check_pose
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_object as read_json
@@ -58,7 +58,9 @@ def read_transforms(path: Path) -> ObjectViews:
     images = [
         named_image(f"{field}.file_path", path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)
     ]
-    poses = np.stack([_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)])
+    found, scales = zip(*(_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)))
+    say_scales(path, scales)
+    poses = np.stack(found)
     check_looking_at_object(f"{path}: transform_matrix", poses, _AXES)
     sizes, intrinsics, lenses = zip(*(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames)))
     for field, size in zip(fields, sizes):
@@ -97,16 +99,18 @@ def _masks(
     return tuple(named_image(f"{field}.mask_path", folder, frame["mask_path"]) for field, frame in zip(fields, frames))
 
 
-def _pose(field: str, frame: dict[str, Any]) -> np.ndarray:
-    """The camera-to-world matrix of a frame, float64 [4,4], OpenCV axes."""
+def _pose(field: str, frame: dict[str, Any]) -> tuple[np.ndarray, float]:
+    """The camera-to-world matrix of a frame, float64 [4,4], OpenCV axes, and the scale that it was divided by."""
     try:
         pose = np.array(frame.get("transform_matrix"))
     except ValueError:
         raise InputError(f"{field}: bad pose: expected 4 rows of 4 numbers, got rows of different lengths") from None
     if pose.shape != (4, 4) or pose.dtype.kind not in "iuf":
         raise InputError(f"{field}: bad pose: expected 4 rows of 4 numbers, got {pose.dtype} {list(pose.shape)}")
-    check_pose(field, pose.astype(np.float64))
-    return pose @ TO_OPENCV
+    pose = pose.astype(np.float64)
+    pose[:3, :3], scale = unscaled(pose[:3, :3])
+    check_pose(field, pose)
+    return pose @ TO_OPENCV, scale
 
 
 def _camera(

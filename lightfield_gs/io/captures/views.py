@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.pinhole import is_orthonormal
 
 IMAGE_SUFFIXES = (".png", ".webp", ".jpg", ".jpeg")
 
@@ -44,7 +45,7 @@ def check_pose(where: str, pose: np.ndarray) -> None:
             f"{where}: bad pose: expected finite numbers and a last row of 0 0 0 1, got {pose[3].tolist()}"
         )
     rotation = pose[:3, :3]
-    if np.abs(rotation).max() > 2 or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+    if not is_orthonormal(rotation):
         raise InputError(f"{where}: bad pose: the upper left 3x3 block is no rotation (its rows are not orthonormal)")
     if np.linalg.det(rotation) < 0:
         raise InputError(

@@ -1,0 +1,176 @@
+"""Captures as apps and trainers keep them: Polycam's raw data, Record3D's, and the cameras.json of a fit.
+
+Source: github.com/PolyCam/polyform (README, "Camera Poses") for keyframes/corrected_cameras and corrected_images: t_00
+to t_23 are camera to world, 3 rows of 4, OpenGL axes; without them cameras and images, as the phone tracked them.
+github.com/marek-simonik/record3d and nerfstudio's process_data/record3d_utils.py for metadata.json: w, h, K (9 numbers,
+column by column), poses (quaternion x, y, z, w and place, camera to world, OpenGL axes), perFrameIntrinsicCoeffs (fx,
+fy, cx, cy); the photographs are rgb/0.jpg and so on. camera_files.py for cameras.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import is_row, real_number, shown
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.captures.camera_files import read_inria
+from lightfield_gs.io.captures.colmap_records import pose_of
+from lightfield_gs.io.captures.photo_files import first_names, photographs_in
+from lightfield_gs.io.captures.pinhole import TO_OPENCV, nearest_rotation
+from lightfield_gs.io.captures.point_files import points_beside
+from lightfield_gs.io.captures.readable import readable
+from lightfield_gs.io.captures.shot import Shot, Shots
+from lightfield_gs.io.captures.views import check_intrinsics, check_pose
+from lightfield_gs.io.json_file import read_json, read_object
+
+_LIMIT_BYTES = 256 << 20
+_POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
+_KEYS = ("fx", "fy", "cx", "cy")
+_IMAGES = ("images", "input", "")
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """One photograph as an app tells of it. name: of its picture; world_to_camera: [4,4] float64, OpenCV axes;
+    intrinsics: (fx, fy, cx, cy) in pixels; size_px: width and height."""
+
+    name: str
+    world_to_camera: np.ndarray
+    intrinsics: np.ndarray
+    size_px: tuple[int, int]
+
+
+def app_shots(folder: Path, images: Path | None) -> Shots | None:
+    """The photographs of a capture in one of these layouts; None where it is in none of them.
+
+    Args:
+        folder: of the capture, or a cameras.json or metadata.json itself.
+        images: the folder of the photographs; None: where the layout has them.
+
+    Raises InputError that names file and field.
+    """
+    root = folder if folder.is_dir() else folder.parent
+    for keyframes in (root / "keyframes", root):
+        for cameras, pictures in _POLYCAM if folder.is_dir() else ():
+            if (files := _json_files(keyframes / cameras)) and (keyframes / pictures).is_dir():
+                found = [_polycam(path) for path in files]
+                return _shots(keyframes / cameras, found, [images or keyframes / pictures], [root])
+    if (path := _given_or_in(folder, "metadata.json")) and "poses" in (data := _object(path)):
+        places = [images] if images else [root / "rgb", root / "rgbd", root]
+        return _shots(path, _record3d(path, data), places, [root])
+    if path := _given_or_in(folder, "cameras.json"):
+        return _shots(path, _inria(path), [images] if images else [root / name for name in _IMAGES], [root])
+    return None
+
+
+def _given_or_in(folder: Path, name: str) -> Path | None:
+    """The file of this name in a folder, or a .json that was given itself: a list is of cameras, an object is not."""
+    if not folder.is_file():
+        return path if (path := folder / name).is_file() else None
+    if folder.suffix.lower() != ".json":
+        return None
+    return folder if isinstance(read_json(folder, _LIMIT_BYTES), list) == (name == "cameras.json") else None
+
+
+def _object(path: Path) -> dict[str, Any]:
+    data = read_json(path, _LIMIT_BYTES)
+    return data if isinstance(data, dict) else {}
+
+
+def _json_files(folder: Path) -> list[Path]:
+    """The .json files of a folder, but hidden ones; none where there is no such folder."""
+    if not folder.is_dir():
+        return []
+    with reading(folder):
+        return sorted(p for p in folder.iterdir() if p.suffix.lower() == ".json" and not p.name.startswith("."))
+
+
+def _shots(source: Path, cameras: Sequence[_Camera], places: Sequence[Path], root: Sequence[Path]) -> Shots:
+    """The photographs of these cameras that are in one of these places. root: where points may be."""
+    found = photographs_in(places, [camera.name for camera in cameras])
+    there = readable(found.places, found.folder)
+    shots = [
+        Shot(*there[camera.name], camera.world_to_camera, camera.intrinsics, camera.size_px)
+        for camera in cameras
+        if camera.name in there
+    ]
+    return Shots(source, found.folder, shots, *points_beside(None, root))
+
+
+def _polycam(path: Path) -> _Camera:
+    """The camera of one keyframe. Raises InputError."""
+    data = read_object(path, _LIMIT_BYTES)
+    number = {key: _number(path, data, key, -1e12, 1e12) for key in _KEYS}
+    width, height = (_number(path, data, key, 1, 1 << 20) for key in ("width", "height"))
+    pose = np.eye(4)
+    pose[:3] = [[_number(path, data, f"t_{row}{column}", -1e12, 1e12) for column in range(4)] for row in range(3)]
+    check_pose(str(path), pose)
+    intrinsics = np.array([number[key] for key in _KEYS])
+    check_intrinsics(str(path), intrinsics, width, height)
+    return _Camera(f"{path.stem}.jpg", _inverse(pose @ TO_OPENCV), intrinsics, (int(width), int(height)))
+
+
+def _record3d(path: Path, data: dict[str, Any]) -> list[_Camera]:
+    """The cameras of a metadata.json; those without a pose are left out, which is said. Raises InputError."""
+    poses, middle, each = data["poses"], data.get("K"), data.get("perFrameIntrinsicCoeffs")
+    if not isinstance(poses, list) or not poses or not isinstance(middle, list) or len(middle) != 9:
+        raise InputError(f"{path}: expected poses (7 numbers each) and K (9 numbers), got {shown(middle)}")
+    size = int(_number(path, data, "w", 1, 1 << 20)), int(_number(path, data, "h", 1, 1 << 20))
+    shared = [real_number(f"{path}: K", middle[place], -1e12, 1e12) for place in (0, 4, 6, 7)]
+    cameras, lost = [], []
+    for index, numbers in enumerate(poses):
+        where = f"{path}: poses[{index}]"
+        if not is_row(numbers, 7):
+            raise InputError(f"{where}: expected a quaternion x, y, z, w and a place, got {shown(numbers)}")
+        if any(number is None or number != number for number in numbers):
+            lost.append(str(index))
+            continue
+        x, y, z, w, *place = (real_number(where, number, -1e12, 1e12) for number in numbers)
+        pose = pose_of((w, x, y, z), place)
+        if pose is None:
+            lost.append(str(index))
+            continue
+        own = each[index] if isinstance(each, list) and len(each) == len(poses) else shared
+        if not is_row(own, 4):
+            raise InputError(f"{path}: perFrameIntrinsicCoeffs[{index}]: expected fx, fy, cx, cy, got {shown(own)}")
+        intrinsics = np.array([real_number(f"{path}: intrinsics", number, -1e12, 1e12) for number in own])
+        check_intrinsics(where, intrinsics, *size)
+        cameras.append(_Camera(f"{index}.jpg", _inverse(pose @ TO_OPENCV), intrinsics, size))
+    if not cameras:
+        raise InputError(f"{path}: expected photographs with poses, got {len(poses)} without")
+    if lost:
+        assume(f"{path}: {len(lost)} frames have no pose there and are left out: {first_names(lost)}")
+    return cameras
+
+
+def _inria(path: Path) -> list[_Camera]:
+    """The cameras of a cameras.json. Raises InputError."""
+    return [
+        _Camera(
+            camera.name,
+            camera.world_to_camera,
+            np.array([*camera.focal_px, *camera.principal_point_px]),
+            (int(camera.width_px), int(camera.height_px)),
+        )
+        for camera in read_inria(path)
+    ]
+
+
+def _inverse(camera_to_world: np.ndarray) -> np.ndarray:
+    """World to camera [4,4] of a rigid motion."""
+    rotation = nearest_rotation(camera_to_world[:3, :3]).T
+    inverse = np.eye(4)
+    inverse[:3, :3], inverse[:3, 3] = rotation, -rotation @ camera_to_world[:3, 3]
+    return inverse
+
+
+def _number(path: Path, data: dict[str, Any], key: str, low: float, high: float) -> float:
+    if data.get(key) is None:
+        raise InputError(f"{path}: {key}: missing: expected a number")
+    return real_number(f"{path}: {key}", data[key], low, high)
