@@ -142,14 +142,17 @@ class Views:
 
     def some(self, places: Sequence[int]) -> Views:
         """Those at these places."""
-        tensors = {name: getattr(self, name) for name in ("photos", "world_to_camera", "intrinsics", "limits")}
-        masks = {name: getattr(self, name) for name in ("weights", "opacity")}
+        chosen = list(places)
         return replace(
             self,
-            names=[self.names[place] for place in places],
-            sizes=[self.sizes[place] for place in places],
-            **{name: stored[list(places)] for name, stored in tensors.items()},
-            **{name: None if stored is None else stored[list(places)] for name, stored in masks.items()},
+            names=[self.names[place] for place in chosen],
+            photos=self.photos[chosen],
+            weights=None if self.weights is None else self.weights[chosen],
+            world_to_camera=self.world_to_camera[chosen],
+            intrinsics=self.intrinsics[chosen],
+            limits=self.limits[chosen],
+            sizes=[self.sizes[place] for place in chosen],
+            opacity=None if self.opacity is None else self.opacity[chosen],
         )
 
     @property
