@@ -316,6 +316,7 @@ class Photo:
     """A photograph in memory."""
 
     pixels: np.ndarray
+    orientation: int = 1
 
     def image(self) -> np.ndarray:
         return self.pixels
