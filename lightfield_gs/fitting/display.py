@@ -18,6 +18,12 @@ from lightfield_gs.panels.own_camera import framing_comment
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.rig import Rig
 
+# Where down is in a stored photograph, (x, y): of one to be turned by 0, 1, 2 and 3 quarter turns clockwise, and by its
+# Exif orientation (JEITA CP-3451, tag 274). What is mirrored stays so.
+_DOWN = ((0, 1), (1, 0), (0, -1), (-1, 0))
+_STORED_DOWN = {2: _DOWN[0], 3: _DOWN[2], 4: _DOWN[2], 5: _DOWN[1], 6: _DOWN[1], 7: _DOWN[3], 8: _DOWN[3]}
+_SURE = 0.5  # the least length of a direction across the centre camera's axis that says anything
+
 
 @dataclass(frozen=True)
 class Display:
@@ -38,8 +44,9 @@ class Display:
         default panel; round the photograph of this name, or the most central one. Raises InputError."""
         panel, words = panel_of(cone)
         placed = place_cone(capture, panel.cone_deg, centre)
-        rig = rig_of(capture, placed, panel)
-        return cls(panel, placed, rig, (*placed.said, words))
+        quarters, turned = quarter_turns(capture, placed.centre)
+        rig = rig_of(capture, placed, panel, quarters)
+        return cls(panel, placed, rig, (*placed.said, *turned, words))
 
     def shares(self, indices: Sequence[int]) -> list[float]:
         """For photographs at these indices of the capture: in how many of the epochs each is, the largest 1."""
@@ -86,8 +93,39 @@ def panel_of(cone: Panel | str | Path | float) -> tuple[Panel, str]:
     return panel, f"cone: the panel is {_words(panel)}"
 
 
-def rig_of(capture: Capture, cone: Cone, panel: Panel) -> Rig:
-    """The rig whose centre camera is that of the centre photograph, all of which is in the panel's middle.
+def quarter_turns(capture: Capture, centre: int) -> tuple[int, tuple[str, ...]]:
+    """By how many quarter turns clockwise, 0..3, the stored photograph at the index `centre` is to be turned to stand
+    upright, by the Exif orientation of all; and what to say of it.
+
+    Every photograph says where down is in the scene, and so in the centre photograph. What most of them say holds, and
+    of equally many the centre photograph.
+    """
+    tags = [photograph.orientation for photograph in capture.photographs]
+    if not any(tag in _STORED_DOWN for tag in tags):
+        return 0, ()
+    stored = np.array([(*_STORED_DOWN.get(tag, _DOWN[0]), 0) for tag in tags])
+    rotations = capture.world_to_camera[:, :3, :3]
+    down = (rotations[centre] @ rotations.swapaxes(1, 2) @ stored[..., None])[:, :2, 0]
+    votes = (down @ np.array(_DOWN).T).argmax(1)
+    counts = np.bincount(votes[np.linalg.norm(down, axis=1) > _SURE], minlength=len(_DOWN))
+    own = int(votes[centre])
+    quarters = own if counts[own] == counts.max() else int(counts.argmax())
+    how = (
+        "is not turned",
+        "is turned by 90 degrees clockwise",
+        "is turned by 180 degrees",
+        "is turned by 90 degrees counter-clockwise",
+    )[quarters]
+    name = capture.names[centre]
+    return quarters, (
+        f"cone: the rig {how} from {name} as stored (Exif orientation {tags[centre]}), so that "
+        f"{counts[quarters]} of {len(tags)} photographs stand upright",
+    )
+
+
+def rig_of(capture: Capture, cone: Cone, panel: Panel, quarters: int = 0) -> Rig:
+    """The rig whose centre camera is that of the centre photograph, all of which is in the panel's middle, turned by so
+    many quarter turns clockwise.
 
     Its zero plane goes through the pivot, which lies on the camera's axis: it is seen at the photograph's principal
     point in every view, and the views at the ends of the fan see it from half the cone to either side.
@@ -95,9 +133,9 @@ def rig_of(capture: Capture, cone: Cone, panel: Panel) -> Rig:
     fx, fy, cx, cy = map(float, capture.intrinsics[cone.centre])
     width, height = map(int, capture.sizes_px[cone.centre])
     pose = capture.world_to_camera[cone.centre]
-    camera = FileCamera(capture.names[cone.centre], pose, (fx, fy), (cx, cy), width, height)
+    camera = FileCamera(capture.names[cone.centre], pose, (fx, fy), (cx, cy), width, height).turned(quarters)
     focal, principal = camera.fitted(panel.width_px, panel.height_px)
-    pose = pose.copy()
+    pose = camera.world_to_camera.copy()
     pose[:3, :3] = nearest_rotation(pose[:3, :3])
     return Rig(pose, focal, principal, cone.zero_depth, panel.cone_deg)
 

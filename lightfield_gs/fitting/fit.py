@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
@@ -27,7 +28,7 @@ from lightfield_gs.fitting.fields import Fields
 from lightfield_gs.fitting.initial import initial_gaussians
 from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.run import Habits, Run
-from lightfield_gs.fitting.settings import Density, FitSettings
+from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.several import Group, joined
 from lightfield_gs.fitting.shown import CONTRIBUTION_CUT, FrameScores, Shown, pruned
 from lightfield_gs.fitting.trainer import Trainer
@@ -35,6 +36,7 @@ from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.atomic import make_folder, remove_left_over
 from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
+from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.doubts import float_step, usual_size
 from lightfield_gs.io.scenes.render_mode import ANTIALIASED
 from lightfield_gs.panels.panel import Panel
@@ -161,7 +163,6 @@ def _prepared(
     cone, centre and score_cone."""
     display, judged, said = placed(capture, *asked)
     shares = None if display is None else display.shares(train)
-    angles = None if judged is None or not test else judged.angles(test)
     identity = Identity.of(settings, capture, train, {"cone": shares})
     progress = Progress(
         habits.progress and group.is_first, habits.folder if habits.tensorboard and group.is_first else None
@@ -177,10 +178,12 @@ def _prepared(
     progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
     world = World.of(capture.centres, capture.extent)
     load = partial(Views.load, capture, world=world, device=device, masks=settings.masks, on_host=on_host)
-    trainer = _begun(capture, load(train, ticks=train), world, settings, group, shares)
-    held = load(test, ticks=test) if test else None
+    views, held = load(train, ticks=train), load(test, ticks=test) if test else None
+    held, scored = _with_pixels(views, held, settings.masks)
+    angles = None if judged is None or held is None else judged.angles([test[place] for place in scored])
+    trainer = _begun(capture, views, world, settings, group, shares)
     progress.say(
-        f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
+        f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {device}: "
         f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
     )
     if (words := words_on_dropout(settings, len(train))) is not None:
@@ -188,6 +191,28 @@ def _prepared(
     for line in said:
         progress.say(line)
     return Run(trainer, held, identity, habits, progress, angles), world, display
+
+
+def _with_pixels(views: Views, held: Views | None, masks: Masks) -> tuple[Views | None, list[int]]:
+    """The views held out of which masks leave something to score, None where they leave nothing of any; and their
+    places. Says of which photographs masks leave nothing. Raises InputError where they leave nothing to fit to."""
+    places = [] if held is None else list(range(held.count))
+    fitted, unscored = views.masked_out(), [] if held is None else held.masked_out()
+    empty = [views.names[place] for place in fitted] + [held.names[place] for place in unscored if held is not None]
+    if not empty:
+        return held, places
+    which = f"masks leave nothing of {len(empty)} of {views.count + len(places)} photographs"
+    if len(fitted) == views.count:
+        raise InputError(
+            f"{which}, and nothing to fit to: expected masks that are white, or photographs that are opaque, where the "
+            "scene is: turn black and white round, or take the masks away"
+        )
+    if masks == "alpha":
+        assume(f"{which}, in which the scene is to be transparent all over: {first_names(empty)}")
+        return held, places
+    assume(f"{which}, which count nowhere and are not scored: {first_names(empty)}")
+    places = [place for place in places if place not in unscored]
+    return held.some(places) if held is not None and places else None, places
 
 
 def settings_of(**given: Any) -> FitSettings:

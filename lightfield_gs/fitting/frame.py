@@ -74,13 +74,5 @@ def framed(views: Views, frame: Frame, inside: Sequence[bool]) -> tuple[Views, f
     if not places:
         return None
     pixels = sum(views.sizes[place][0] * views.sizes[place][1] for place in places)
-    tensors = ("photos", "world_to_camera", "intrinsics", "limits")
-    kept = replace(
-        views,
-        names=[views.names[place] for place in places],
-        sizes=[views.sizes[place] for place in places],
-        weights=weights[places],
-        opacity=None if views.opacity is None else views.opacity[places],
-        **{name: getattr(views, name)[places] for name in tensors},
-    )
+    kept = replace(views.some(places), weights=weights[places])
     return kept, float((weights[places] > 0).sum()) / pixels

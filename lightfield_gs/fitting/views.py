@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -134,6 +134,26 @@ class Views:
         if self.weights is None:
             return torch.ones(self.height_px, self.width_px, device=self.device)
         return self.weights[place].to(self.device) / 255
+
+    def masked_out(self) -> list[int]:
+        """Places of the photographs of which masks leave less than a pixel: to count, or to be opaque."""
+        fields = [stored for stored in (self.weights, self.opacity) if stored is not None]
+        return [p for p in range(self.count) if any(int(stored[p].sum(dtype=torch.int64)) < 255 for stored in fields)]
+
+    def some(self, places: Sequence[int]) -> Views:
+        """Those at these places."""
+        chosen = list(places)
+        return replace(
+            self,
+            names=[self.names[place] for place in chosen],
+            photos=self.photos[chosen],
+            weights=None if self.weights is None else self.weights[chosen],
+            world_to_camera=self.world_to_camera[chosen],
+            intrinsics=self.intrinsics[chosen],
+            limits=self.limits[chosen],
+            sizes=[self.sizes[place] for place in chosen],
+            opacity=None if self.opacity is None else self.opacity[chosen],
+        )
 
     @property
     def device(self) -> torch.device:

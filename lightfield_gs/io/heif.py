@@ -72,7 +72,6 @@ def decoded_heif(path: Path, image: Image.Image) -> tuple[np.ndarray, int, dict[
     try:
         mode = image.mode if image.mode in ("L", "LA", "RGB", "RGBA") else "RGB"
         pixels = np.array(image.convert(mode))
-        orientation = image.getexif().get(_ORIENTATION_TAG, 1)
     except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError) as error:
         raise InputError(f"{path} is damaged or cut: {_one_line(error)}") from error
     colour: dict[str, Any] = {"format": cast(str, image.format).lower()}  # none only of images that no file holds
@@ -80,7 +79,16 @@ def decoded_heif(path: Path, image: Image.Image) -> tuple[np.ndarray, int, dict[
         colour["ICCProfile"] = profile
     elif kind := image.info.get("nclx_profile"):
         colour["CICP"] = kind["color_primaries"], kind["transfer_characteristics"]
-    return pixels.reshape(*pixels.shape[:2], -1), orientation if isinstance(orientation, int) else 1, colour
+    return pixels.reshape(*pixels.shape[:2], -1), heif_orientation(path, image), colour
+
+
+def heif_orientation(path: Path, image: Image.Image) -> int:
+    """The Exif orientation 1..8 of an open image: of its pixels as decoded_heif has them. Raises InputError."""
+    try:
+        orientation = image.getexif().get(_ORIENTATION_TAG, 1)
+    except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError) as error:
+        raise InputError(f"{path} is damaged or cut: {_one_line(error)}") from error
+    return orientation if isinstance(orientation, int) else 1
 
 
 def _reader(path: Path) -> str:

@@ -16,7 +16,7 @@ from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.options import Compression
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.heif import decoded_heif, is_heif, opened_heif
+from lightfield_gs.io.heif import decoded_heif, heif_orientation, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_stand_in
 from lightfield_gs.io.png_chunks import png_damage
@@ -165,8 +165,8 @@ def read_info(path: str | Path) -> ImageInfo:
     path = _checked_file(path)
     if is_heif(path):
         with opened_heif(path, partial(_check_size, path)) as image:
-            channels = len(image.getbands())
-            return ImageInfo(*image.size, channels, "uint8", has_alpha=channels in (2, 4))
+            bands, turned = len(image.getbands()), heif_orientation(path, image)
+            return ImageInfo(*image.size, bands, "uint8", orientation=turned, has_alpha=bands in (2, 4))
     with _opened(path) as source:
         spec = source.spec()
         return ImageInfo(

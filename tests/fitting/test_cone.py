@@ -25,6 +25,7 @@ from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.shown import NEAR_SHARE, photographed, shown_by
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.io.captures.photograph import Photograph
 from lightfield_gs.scene.files import read_scene
 
 MIDDLE = np.array([3.0, -2.0, 7.0])  # what the cameras of a ring look at
@@ -104,6 +105,53 @@ def test_the_rig_sees_the_pivot_from_half_the_cone_to_either_side():
     for end in (right, left):
         angle = math.degrees(math.acos(end @ middle / np.linalg.norm(end) / np.linalg.norm(middle)))
         assert angle == pytest.approx(34 / 2)
+
+
+def stored_sideways(capture: Capture, tags: list[int]) -> Capture:
+    """The same photographs, each stored so that its Exif orientation turns it upright: 3, 6 or 8; 1 is as it is."""
+    poses, intrinsics, sizes = capture.world_to_camera.copy(), capture.intrinsics.copy(), capture.sizes_px.copy()
+    photographs = []
+    for index, tag in enumerate(tags):
+        for _ in range({1: 0, 8: 1, 3: 2, 6: 3}[tag]):  # stored a quarter turn clockwise each time
+            right, down = poses[index, 0].copy(), poses[index, 1].copy()
+            poses[index, :2] = -down, right
+            (fx, fy, cx, cy), (width, height) = intrinsics[index], sizes[index]
+            intrinsics[index], sizes[index] = (fy, fx, height - cy, cx), (height, width)
+        size, numbers = tuple(sizes[index].tolist()), tuple(intrinsics[index].tolist())
+        photographs.append(Photograph(Path(capture.names[index]), size, size, numbers, orientation=tag))
+    return replace(capture, world_to_camera=poses, intrinsics=intrinsics, sizes_px=sizes, photographs=photographs)
+
+
+@pytest.mark.parametrize(
+    "tags, words",
+    [
+        ([6] * 5, "turned by 90 degrees clockwise from 02.png as stored (Exif orientation 6), so that 5 of 5"),
+        ([8] * 5, "turned by 90 degrees counter-clockwise"),
+        ([3] * 5, "turned by 180 degrees"),
+        ([6, 1, 1, 8, 1], "not turned from 02.png as stored (Exif orientation 1), so that 5 of 5 photographs stand"),
+    ],
+)
+def test_a_rig_stands_upright_though_photographs_are_stored_on_their_side(tags, words):
+    """Phones store what their sensor sees, and how it was held in the Exif orientation."""
+    capture, shown = ring([-20, -9, 0, 9, 20]), panel(width_px=300, height_px=100, cone_deg=34.0)
+    upright = Display.of(capture, shown, "02.png").rig
+    display = Display.of(stored_sideways(capture, tags), shown, "02.png")
+    np.testing.assert_allclose(display.rig.world_to_camera, upright.world_to_camera, atol=1e-12)
+    np.testing.assert_allclose(display.rig.focal_px, upright.focal_px)
+    np.testing.assert_allclose(display.rig.principal_point_px, upright.principal_point_px)
+    assert [line for line in display.said if words in line]
+
+
+def test_most_photographs_say_where_up_is():
+    """The centre photograph lost its Exif orientation, as editors leave it."""
+    capture, shown = ring([-20, -9, 0, 9, 20]), panel(width_px=300, height_px=100, cone_deg=34.0)
+    upright = Display.of(capture, shown, "02.png")
+    stored = stored_sideways(capture, [6] * 5)
+    stored.photographs[2] = replace(stored.photographs[2], orientation=1)
+    display = Display.of(stored, shown, "02.png")
+    np.testing.assert_allclose(display.rig.world_to_camera, upright.rig.world_to_camera, atol=1e-12)
+    assert [line for line in display.said if "so that 4 of 5 photographs stand upright" in line]
+    assert not [line for line in upright.said if "Exif" in line]
 
 
 def test_a_cone_is_a_panel_or_an_angle():
@@ -268,6 +316,7 @@ class Photo:
     """A photograph in memory."""
 
     pixels: np.ndarray
+    orientation: int = 1
 
     def image(self) -> np.ndarray:
         return self.pixels

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
 import torch
 from fit_capture import write_capture
 from fit_scene import first_fields, known_scene, views_of
+from PIL import Image
 
 import lightfield_gs as lf
+from lightfield_gs.base.assumptions import Assumption
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
@@ -62,3 +69,33 @@ def test_masks_are_read_as_what_they_are_to_be(tmp_path):
     target, weights = alpha.targets(torch.tensor([1]), torch.tensor([[0.25, 0.5, 0.75]]))
     assert weights is None and target[0, 5, 3].tolist() == [0.25, 0.5, 0.75]
     torch.testing.assert_close(target[0, :, 20:], alpha.photos[1, :, 20:] / 255)
+
+
+def blackened(folder: Path, photographs: Sequence[str]) -> Path:
+    """A capture of eight in which the masks of these photographs are black, and those of the others are white."""
+    write_capture(folder, masked=True)
+    for path in (folder / "masks").iterdir():
+        Image.new("L", (48, 32), 0 if path.name in photographs else 255).save(path)
+    return folder
+
+
+def test_masks_that_leave_nothing_are_refused(tmp_path):
+    everything = [f"{index:02d}.png" for index in range(8)]
+    folder = blackened(tmp_path / "all", everything)
+    for masks in ("ignore", "alpha"):
+        with pytest.raises(InputError, match="masks leave nothing of 8 of 8 photographs, and nothing to fit to"):
+            lf.fit(folder, steps=2, gaussians=200, masks=masks, progress=False)
+    folder = blackened(tmp_path / "fitted", everything[:4] + everything[5:])
+    with pytest.raises(InputError, match="masks leave nothing of 7 of 8 photographs, and nothing"):
+        lf.fit(folder, steps=2, gaussians=200, progress=False)
+
+
+def test_no_photograph_is_scored_by_no_pixels(tmp_path):
+    folder = blackened(tmp_path / "held", ["04.png"])
+    with pytest.warns(Assumption, match="nothing of 1 of 8 photographs, which count nowhere and are not scored: 04"):
+        assert lf.fit(folder, steps=2, gaussians=200, score_cone=30, progress=False).scores is None
+    folder = blackened(tmp_path / "some", ["02.png", "05.png"])
+    with pytest.warns(Assumption, match="nothing of 2 of 8 photographs, which count nowhere"):
+        result = lf.fit(folder, steps=2, gaussians=200, test_every=4, score_cone=30, progress=False)
+    assert result.scores.names == ["06.png"]
+    assert result.scores.mean_psnr_db < 50 and torch.isfinite(result.gaussians.means).all()

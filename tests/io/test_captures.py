@@ -160,7 +160,7 @@ def test_scale_takes_means_of_areas():
     np.testing.assert_array_equal(reduced(image[..., 0], 10, 7), image[..., 0])
 
 
-@pytest.mark.parametrize("name", ["{}.png", "{}.png.png", "{}.JPG"])
+@pytest.mark.parametrize("name", ["{}.png", "{}.png.png", "{}.JPG", "{}.png.mask.png", "{}_mask.png"])
 def test_masks(tmp_path, name):
     """As COLMAP and nerfstudio name them; one that is missing counts as a whole; reduced with the photographs."""
     write_capture(tmp_path, names=["a/0.png", "a/1.png", "2.png"])
@@ -180,6 +180,47 @@ def test_masks(tmp_path, name):
     with pytest.raises(InputError, match="none: missing masks: expected 2.png.png or 2.png"):
         (tmp_path / "none").mkdir()
         read_capture(tmp_path, masks=tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    "name", ["mask/{}.png", "images/mask/{}_mask.png", "images/{}.png.mask.png", "images/{}_mask.png"]
+)
+def test_masks_are_no_photographs_wherever_they_lie(tmp_path, name):
+    """In the folders that programs write them to, and beside the photographs."""
+    write_capture(tmp_path)
+    for stem in ("000", "001", "002"):
+        path = tmp_path / name.format(stem)
+        path.parent.mkdir(exist_ok=True)
+        Image.fromarray(np.eye(HEIGHT, WIDTH, dtype=np.uint8) * 255).save(path)
+    capture, assumed = said(tmp_path)
+    assert len(capture.names) == 3 and (capture.mask(1) == np.eye(HEIGHT, WIDTH) * 255).all()
+    assert "counts" in assumed and "left out" not in assumed and "belong" not in assumed
+
+
+def test_masks_of_no_photograph_are_said(tmp_path):
+    write_capture(tmp_path, names=["a.png", "b.png", "c.png"])
+    Image.fromarray(dots([(9, 9)])).save(tmp_path / "images/unposed.png")
+    (tmp_path / "masks").mkdir()
+    for number in range(4):
+        Image.fromarray(dots([(20, 20)])).save(tmp_path / f"masks/{number}.png")
+    capture, assumed = said(tmp_path)
+    assert f"{tmp_path}/masks holds 4 pictures, none of which belongs to a photograph: 0.png, 1.png" in assumed
+    assert "a.png.png, a.png, or one with .mask.png" in assumed and capture.mask(0) is None
+    for number, name in enumerate(("a", "b", "unposed")):
+        (tmp_path / f"masks/{number}.png").rename(tmp_path / f"masks/{name}_mask.png")
+    assumed = said(tmp_path)[1]
+    assert "masks holds 4 pictures, 1 of which belongs to no photograph: 3.png" in assumed
+
+
+def test_hidden_files_are_no_photographs(tmp_path):
+    """As macOS leaves them beside each file on a disk of another system."""
+    write_capture(tmp_path)
+    (tmp_path / "masks").mkdir()
+    for name in ("images/._000.png", "images/.trash/3.png", "masks/._000.png", "masks/.000.png.mask.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"\0\5\x16\7")
+    capture, assumed = said(tmp_path)
+    assert len(capture.names) == 3 and not assumed
 
 
 def test_alpha_is_a_mask_too(tmp_path):

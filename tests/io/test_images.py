@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import Image, features
 from rasterizer_cases import random_scene
 
 from lightfield_gs import Panel, Rig, encode
@@ -120,6 +120,9 @@ def test_exif_orientation(tmp_path):
         pixels = read_image(tmp_path / "a.jpg")
         assert pixels.shape[:2] == ((32, 64) if orientation < 5 else (64, 32))
         assert pixels[corner].min() > 0.9 and pixels.mean() < 0.1
+        if features.check("avif"):
+            Image.fromarray(array).save(tmp_path / "a.avif", exif=exif)
+            assert read_info(tmp_path / "a.avif").orientation == orientation
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ fl_x, fl_y or camera_angle_x, camera_angle_y (radians), cx, cy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,22 @@ class FileCamera:
             (fx * scale, fy * scale),
             (width_px / 2 + (cx - self.width_px / 2) * scale, height_px / 2 + (cy - self.height_px / 2) * scale),
         )
+
+    def turned(self, quarters: int) -> FileCamera:
+        """The same camera, turned about its axis so that its image appears so many quarter turns clockwise."""
+        camera = self
+        for _ in range(quarters % 4):
+            (fx, fy), (cx, cy) = camera.focal_px, camera.principal_point_px
+            right, down, *rest = camera.world_to_camera
+            camera = replace(
+                camera,
+                world_to_camera=np.stack([-down, right, *rest]),
+                focal_px=(fy, fx),
+                principal_point_px=(camera.height_px - cy, cx),
+                width_px=camera.height_px,
+                height_px=camera.width_px,
+            )
+        return camera
 
 
 def is_camera_file(data: Any) -> bool:

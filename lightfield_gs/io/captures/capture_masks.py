@@ -7,24 +7,26 @@ from pathlib import Path, PurePosixPath
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.masks import FOLDER, mask_named
-from lightfield_gs.io.captures.photo_files import PhotoFiles, first_names
+from lightfield_gs.io.captures.masks import mask_beside, mask_named
+from lightfield_gs.io.captures.photo_files import MASK_FOLDERS, PhotoFiles, first_names
 from lightfield_gs.io.captures.shot import Shot, Shots
 
 
 def masks_for(
     found: Shots, shots: Sequence[Shot], folder: Path, masks: Path | None, alphas: Sequence[bool]
 ) -> list[Path | None]:
-    """The mask's file of each shot: in the folder `masks` where that is given; else what the layout names; else in the
-    capture's folder masks, or masks beside the images. Says which is used. alphas: which photographs have alpha.
+    """The mask's file of each shot: in the folder `masks` where that is given; else what the layout names; else in a
+    folder masks or mask of the capture, beside or below the images, or beside the photographs themselves. Says which
+    is used, and which belong to no photograph. alphas: which photographs have alpha.
 
     Raises InputError where a folder is given that has none of them.
     """
     if masks is None and any(shot.mask for shot in shots):
         paths, where = [shot.mask for shot in shots], f"mask_path of {found.source.name}"
     else:
-        places = [masks] if masks else [folder / FOLDER, found.images.parent / FOLDER]
-        paths, where = _in_folders([place for place in places if place.is_dir()], found.images.name, shots)
+        roots = (folder, found.images.parent, found.images)
+        places = [masks] if masks else [root / name for root in roots for name in MASK_FOLDERS]
+        paths, where = _in_folders([place for place in places if place.is_dir()], found.images, shots)
         if masks and not any(paths):
             raise InputError(
                 f"{masks}: missing masks: expected {shots[0].name}.png or {PurePosixPath(shots[0].name).stem}.png, as "
@@ -39,12 +41,38 @@ def masks_for(
     return paths
 
 
-def _in_folders(places: Sequence[Path], images: str, shots: Sequence[Shot]) -> tuple[list[Path | None], str]:
-    """The masks in the first of these folders that has any, and its name."""
-    for place in places:
-        files = {name.lower(): path for name, path in PhotoFiles(place).paths.items()}
-        names = [PurePosixPath(shot.name) for shot in shots]
-        paths = [mask_named((name, images / name), files) for name in names]
+def _in_folders(places: Sequence[Path], images: Path, shots: Sequence[Shot]) -> tuple[list[Path | None], str]:
+    """The masks in the first of these folders that has any, or else beside the photographs; and where."""
+    beside = PhotoFiles(images)
+    posed = [PurePosixPath(shot.name) for shot in shots]
+    others = [PurePosixPath(name) for name in beside.photographs]  # which may have masks without being posed
+    for place in dict.fromkeys(places):
+        known = {name.lower(): path for name, path in PhotoFiles(place).paths.items()}
+        paths = [mask_named(_places(name, posed, images), known) for name in posed]
+        owned = {mask_named(_places(name, others, images), known) for name in others}.union(paths)
+        _say_unowned(place, [name for name, path in known.items() if path not in owned], len(known), shots[0].name)
         if any(paths):
             return paths, str(place)
-    return [None] * len(shots), ""
+    known = {name.lower(): path for name, path in beside.paths.items()}
+    return [mask_beside(name, known) for name in posed], f"{images}, beside the photographs,"
+
+
+def _places(name: PurePosixPath, names: Sequence[PurePosixPath], images: Path) -> list[PurePosixPath]:
+    """Where the mask of a photograph may be in a folder of masks; one that all `names` are in may be left out."""
+    inner = [PurePosixPath(*name.parts[1:])] if len({other.parts[0] for other in names}) == 1 < len(name.parts) else []
+    return [name, images.name / name, *inner]
+
+
+def _say_unowned(place: Path, names: Sequence[str], count: int, example: str) -> None:
+    """Says which pictures of a folder of masks belong to no photograph."""
+    if not names:
+        return
+    which = (
+        "none of which belongs to a"
+        if len(names) == count
+        else f"{len(names)} of which belong{'s' * (len(names) == 1)} to no"
+    )
+    assume(
+        f"{place} holds {count} pictures, {which} photograph: {first_names(names)}; the mask of {example} is "
+        f"{example}.png, {PurePosixPath(example).stem}.png, or one with .mask.png or _mask.png"
+    )

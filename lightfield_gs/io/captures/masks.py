@@ -8,6 +8,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.photo_files import MASK_ENDINGS, is_hidden
 from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
 from lightfield_gs.io.images import read_image
 
@@ -24,7 +25,7 @@ def masks_beside(folder: Path, images: list[Path]) -> tuple[Path, ...] | None:
     known = {
         path.relative_to(root).as_posix().lower(): path
         for path in sorted(root.rglob("*"))
-        if path.suffix.lower() in IMAGE_SUFFIXES
+        if path.suffix.lower() in IMAGE_SUFFIXES and not is_hidden(path.name)
     }
     if not known:
         return None
@@ -48,11 +49,25 @@ def _mask_of(folder: Path, image: Path, known: dict[str, Path]) -> Path | None:
 
 def mask_named(places: Sequence[PurePath], known: dict[str, Path]) -> Path | None:
     """The mask of an image at the first of these places that has one: named as the image, with .png or so added (as
-    COLMAP does) or instead of its extension (nerfstudio). known: masks by their lower-case paths below their folder."""
+    COLMAP does) or instead of its extension (nerfstudio), or with .mask.png (RealityScan) or _mask.png (Metashape).
+    known: masks by their lower-case paths below their folder."""
     for place in places:
-        for name in (place, place.with_suffix("")):
-            for suffix in ("", *IMAGE_SUFFIXES):
-                if mask := known.get(f"{name.as_posix()}{suffix}".lower()):
+        if mask := _with_endings(place, ("", *MASK_ENDINGS), known):
+            return mask
+    return None
+
+
+def mask_beside(image: PurePath, known: dict[str, Path]) -> Path | None:
+    """The mask of an image in its own folder, which only an ending of its name tells from another image."""
+    return _with_endings(image, MASK_ENDINGS, known)
+
+
+def _with_endings(image: PurePath, endings: Sequence[str], known: dict[str, Path]) -> Path | None:
+    """The picture that is named as an image, with or without its extension, and one of these endings."""
+    for ending in endings:
+        for name in (image, image.with_suffix("")):
+            for suffix in IMAGE_SUFFIXES if ending else ("", *IMAGE_SUFFIXES):
+                if mask := known.get(f"{name.as_posix()}{ending}{suffix}".lower()):
                     return mask
     return None
 

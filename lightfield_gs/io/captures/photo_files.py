@@ -19,6 +19,8 @@ RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
 # Photographs only where the model names them so, or where there are no others: beside these they are maps of depth
 _FURTHER_SUFFIXES = (".exr", ".hdr", ".jxl", ".jp2", ".tga", ".ppm", *RAW_SUFFIXES)
 _MAPS = ("mask", "depth", "normal", "segm", "semantic", "alpha")  # what folders of other pictures' names begin with
+MASK_FOLDERS = ("masks", "mask")
+MASK_ENDINGS = (".mask", "_mask")  # after a photograph's name, before .png: RealityScan's and Metashape's
 _LEAST_PHOTOGRAPHS = 3  # that have to be left of more; a model of fewer needs all
 
 
@@ -78,10 +80,23 @@ class PhotoFiles:
         counts = Counter(found.values())
         return {name: path for name, path in found.items() if counts[path] == 1}
 
+    @property
+    def photographs(self) -> list[str]:
+        """Names of the pictures that are no masks: neither in a folder of masks beside others, nor named as the mask of
+        a picture beside them."""
+        outside = [name for name in self.paths if not _in_mask_folder(name)]
+        return [name for name in outside or self.paths if not self._masks_another(name)]
+
     def without(self, names: Collection[Path]) -> list[str]:
-        """Names of the pictures that are not among these."""
+        """Names of the photographs that are not among these."""
         used = set(names)
-        return [name for name, path in self.paths.items() if path not in used]
+        return [name for name in self.photographs if self.paths[name] not in used]
+
+    def _masks_another(self, name: str) -> bool:
+        """Whether a picture is named as the mask of one that lies beside it."""
+        stem = _stem(name)
+        owners = [stem.removesuffix(ending) for ending in MASK_ENDINGS if stem.endswith(ending)]
+        return any(owner in self._folded or owner in self._stems for owner in owners)
 
 
 Places = dict[str, tuple[str, Path]]  # by a model's names of photographs: their names in their folder, and paths
@@ -210,7 +225,7 @@ def _files_below(folder: Path, above: tuple[str, ...] = ()) -> Iterator[Path]:
         return
     with os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name.startswith("."):
+            if is_hidden(entry.name):
                 continue
             path = folder / entry.name
             if entry.is_dir():
@@ -246,6 +261,15 @@ def _last(name: str) -> str:
 def _folded(name: str) -> str:
     """A name without its case and its form of Unicode: macOS takes letters with accents apart."""
     return unicodedata.normalize("NFC", name).lower()
+
+
+def is_hidden(name: str) -> bool:
+    """Whether the name of a file or folder is that of a hidden one."""
+    return name.startswith(".")
+
+
+def _in_mask_folder(name: str) -> bool:
+    return any(part.lower() in MASK_FOLDERS for part in PurePosixPath(name).parts[:-1])
 
 
 def _stem(name: str) -> str:

@@ -22,6 +22,7 @@ class Photograph:
 
     stored_px: width and height of the file. size_px: of what image() and mask() give. intrinsics: (fx, fy, cx, cy) in
     pixels of the file. mask_path: of a picture in which white counts. alpha: whether the file has an alpha channel.
+    orientation: the Exif orientation 1..8 of the file, which none of these is turned by.
     """
 
     path: Path
@@ -31,6 +32,7 @@ class Photograph:
     lens: Lens | None = None
     mask_path: Path | None = None
     alpha: bool = False
+    orientation: int = 1
 
     def image(self) -> np.ndarray:
         """Colours uint8 [H,W,3] as the file has them (sRGB), undistorted; those of transparent pixels bleed into no

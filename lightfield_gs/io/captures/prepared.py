@@ -37,9 +37,8 @@ def photographs_of(
         if shot.lens is not None and (key := (shot.lens, intrinsics, stored)) not in checked:
             checked.add(key)
             _check_lens(shot, shot.lens, np.array(intrinsics), stored)
-        photographs.append(
-            Photograph(shot.path, stored, _size(stored, share, longest_px), intrinsics, shot.lens, mask, alpha)
-        )
+        size = _size(stored, share, longest_px)
+        photographs.append(Photograph(shot.path, stored, size, intrinsics, shot.lens, mask, alpha, info.orientation))
     _say_sizes(shots, photographs)
     return photographs
 

@@ -6,7 +6,7 @@ dependency.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,25 +16,28 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, first_names
-from lightfield_gs.io.images import read_info
+from lightfield_gs.io.captures.sfm_cameras import cameras_of, readable
+from lightfield_gs.io.captures.sfm_tries import TRIES, Progress, best_model
 
 _LEAST_PHOTOGRAPHS = 3
 _MOST_FOR_ALL_PAIRS = 200  # beyond, photographs are matched with those that follow them: all pairs would take hours
-Progress = Callable[[str], None]
 
 
 def structure_from_motion(photographs: str | Path, output: str | Path, progress: Progress = lambda words: None) -> Path:
     """Poses the photographs in and below a folder, and writes the model to output/sparse/0, whole or not at all.
 
     Returns that folder, for read_capture(output, images=photographs). progress: is told in words what is being done.
-    Photographs of one size are taken as one camera (COLMAP's SIMPLE_RADIAL), others as one each. What was not posed is
-    said. Raises InputError where pycolmap is missing, there are too few photographs, or they do not pose.
+    Photographs of one size and lens, by their Exif, are taken as one camera (COLMAP's SIMPLE_RADIAL). Masks among them
+    are not posed. What was not posed is said. Raises InputError where pycolmap is missing, there are too few
+    photographs, or they do not pose.
     """
     pycolmap = _pycolmap()
     files = PhotoFiles(_existing(photographs))
-    names = sorted(files.paths)
+    names = files.photographs
     if len(names) < _LEAST_PHOTOGRAPHS:
         raise InputError(f"{photographs}: expected {_LEAST_PHOTOGRAPHS} photographs or more, got {len(names)}")
+    if masks := len(files.paths) - len(names):
+        assume(f"{photographs}: {masks} of {len(files.paths)} pictures are masks by their names or folder: not posed")
     target = checked_path(output) / "sparse" / "0"
     if target.exists():
         raise InputError(f"{target}: there is a model already: read it without --sfm, or remove it")
@@ -55,53 +58,33 @@ def structure_from_motion(photographs: str | Path, output: str | Path, progress:
 
 def _posed(pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], work: Path, progress: Progress) -> Any:
     """The largest of pycolmap's reconstructions; raises InputError where there is none."""
-    photographs, database, models = str(files.folder), str(work / "database.db"), work / "models"
-    models.mkdir()
-    infos = [read_info(files.paths[name]) for name in names]
-    one_size = len({(info.width_px, info.height_px) for info in infos}) == 1
-    mode = pycolmap.CameraMode.SINGLE if one_size else pycolmap.CameraMode.PER_IMAGE
-    assume(f"the {len(names)} photographs are of {'one camera' if one_size else 'several sizes, and a camera each'}")
+    paths, database = {name: files.paths[name] for name in names}, work / "database.db"
+    cameras = cameras_of(paths)
+    photographs = readable(paths, files.folder, work)
     pycolmap.set_random_seed(0)
     progress(f"features of {len(names)} photographs")
     device = pycolmap.Device.cpu
     try:
-        pycolmap.extract_features(database, photographs, list(names), camera_mode=mode, device=device)
+        for group in cameras:
+            pycolmap.extract_features(
+                str(database), str(photographs), group, camera_mode=pycolmap.CameraMode.SINGLE, device=device
+            )
         if len(names) <= _MOST_FOR_ALL_PAIRS:
             progress(f"matches of {len(names) * (len(names) - 1) // 2} pairs")
-            pycolmap.match_exhaustive(database, device=device)
+            pycolmap.match_exhaustive(str(database), device=device)
         else:
             assume(f"the names of {len(names)} photographs are in the order of the camera's way: only near ones match")
             progress("matches of photographs with those that follow")
-            pycolmap.match_sequential(database, device=device)
-        progress("poses")
-        begun, posed = _counted(progress)
-        found = pycolmap.incremental_mapping(
-            database, photographs, str(models), initial_image_pair_callback=begun, next_image_callback=posed
-        )
+            pycolmap.match_sequential(str(database), device=device)
+        best = best_model(pycolmap, database, photographs, len(names), progress)
     except (RuntimeError, ValueError) as error:
         raise InputError(f"{files.folder}: COLMAP failed: {' '.join(str(error).split())[:300]}") from error
-    if not found:
+    if best is None:
         raise InputError(
-            f"{files.folder}: the {len(names)} photographs did not pose: expected sharp ones of a scene that stands "
-            "still, each overlapping the next by two thirds, from many places"
+            f"{files.folder}: the {len(names)} photographs did not pose in {len(TRIES)} tries: expected sharp ones of "
+            "a scene that stands still, each overlapping the next by two thirds, from many places"
         )
-    return max(found.values(), key=lambda model: model.num_reg_images())
-
-
-def _counted(progress: Progress) -> tuple[Callable[[], None], Callable[[], None]]:
-    """What tells of a model that is begun with two photographs, and of each that is posed after them."""
-    count = 0
-
-    def begun() -> None:
-        nonlocal count
-        count = 2
-
-    def posed() -> None:
-        nonlocal count
-        count += 1
-        progress(f"posed {count} photographs")
-
-    return begun, posed
+    return best
 
 
 def _pycolmap() -> ModuleType:

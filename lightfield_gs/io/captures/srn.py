@@ -15,6 +15,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.masks import masks_beside
+from lightfield_gs.io.captures.photo_files import is_hidden
 from lightfield_gs.io.captures.views import (
     IMAGE_SUFFIXES,
     ObjectViews,
@@ -75,8 +76,10 @@ def _paired_files(folder: Path) -> list[tuple[Path, Path]]:
     for part in PARTS:
         if not (folder / part).exists():
             raise InputError(f"{folder}: missing {part}: expected rgb/, pose/ and intrinsics.txt")
-    images = {p.stem: p for p in sorted((folder / "rgb").iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES}
-    poses = {p.stem: p for p in sorted((folder / "pose").iterdir()) if p.suffix.lower() == ".txt"}
+    images, poses = (
+        {p.stem: p for p in sorted((folder / part).iterdir()) if p.suffix.lower() in suffixes and not is_hidden(p.name)}
+        for part, suffixes in (("rgb", IMAGE_SUFFIXES), ("pose", (".txt",)))
+    )
     if not images:
         raise InputError(f"{folder}/rgb: found no image: expected files ending in {', '.join(IMAGE_SUFFIXES)}")
     for kind, have, want in (("poses", poses, images), ("images", images, poses)):
