@@ -1,44 +1,21 @@
-"""Depth maps from files: whole numbers or floats, distances or disparities, as view-space z."""
+"""What the numbers of a depth map mean: distances or disparities, as view-space z."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DepthInvalid, DepthKind
-from lightfield_gs.io.images import read_info, read_picture
-from lightfield_gs.io.npy import open_array, stored_arrays
+from lightfield_gs.photo.depth_files import DepthNumbers, read_numbers
 
-_IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
 FARTHEST = 1e12  # scene units: what is farther counts as not measured
 # Where infinitely far things are put, in distances of the farthest that was measured: there the cameras beside see next
 # to no parallax
 _FAR_BEYOND = 2
-_ALMOST_GREY = 0.04  # how far the channels of a grey map come apart when it is saved as JPEG, as a share of its range
-# Names in .npz files; the first of each is Depth Pro's
-_DEPTH_KEYS, _DISPARITY_KEYS = ("depth", "depth_map", "z"), ("disparity", "disp", "inverse_depth")
-_FOCAL_KEYS = ("focallength_px", "focal_length_px", "focal_px")
-
-
-@dataclass
-class DepthNumbers:
-    """The numbers of a depth map as its file holds them.
-
-    values: [H, W], integers or floats. orientation: the Exif orientation that was undone. kind: "distance" or
-    "disparity", and focal_px: the focal length in pixels; None where the file does not say it. notes: what may not be
-    as it was meant.
-    """
-
-    values: np.ndarray
-    orientation: int = 1
-    kind: str | None = None
-    focal_px: float | None = None
-    notes: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -126,96 +103,6 @@ def depth_map(
     with np.errstate(over="ignore"):
         z = z.astype(np.float32)
     return DepthMap(z, numbers.focal_px, said, [f"{path} {words}" for words in numbers.notes])
-
-
-def read_numbers(path: str | Path) -> DepthNumbers:
-    """The numbers of a depth map, whatever they mean. Raises InputError that names the file."""
-    suffix = Path(path).suffix.lower()
-    if suffix == ".npz":
-        return _from_npz(path)
-    if suffix == ".npy":
-        return DepthNumbers(_checked(path, open_array(path)))
-    info = read_info(path)
-    if info.sample_type not in _IMAGE_TYPES:
-        raise InputError(
-            f"{path}: expected a depth map of {', '.join(_IMAGE_TYPES)}, got {info.sample_type}; save it as .npy"
-        )
-    picture = read_picture(path)
-    return grey_numbers(path, picture.pixels, picture.orientation)
-
-
-def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> DepthNumbers:
-    """The numbers of an image [H, W, C] that is grey, or almost, whatever its channels. Raises InputError."""
-    if pixels.shape[2] < 3:  # grey, or grey and alpha
-        return DepthNumbers(pixels[..., 0], orientation)
-    apart = {pair: channels_apart(pixels, *pair) for pair in ((0, 1), (0, 2), (1, 2))}
-    most = max(apart.values())
-    if most == 0:
-        return DepthNumbers(pixels[..., 0], orientation)
-    if most <= _ALMOST_GREY:
-        return DepthNumbers(
-            np.median(pixels[..., :3], 2).astype(pixels.dtype),
-            orientation,
-            notes=[
-                f"is almost grey: its channels differ by up to {most:.1%} of its range, and the middle one is taken"
-            ],
-        )
-    for (one, other), difference in apart.items():
-        third = pixels[..., 3 - one - other]
-        if difference <= _ALMOST_GREY and (third == third[0, 0]).all():
-            return DepthNumbers(
-                pixels[..., one],
-                orientation,
-                notes=[
-                    f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: "
-                    "the former is taken"
-                ],
-            )
-    raise InputError(f"{path} is in colour; expected a grey depth map, one number a pixel")
-
-
-def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
-    """The largest difference between two channels of pixels [H, W, C], of the range of both; infinite where one of them
-    is finite and the other is not."""
-    both = pixels[..., [one, other]].astype(np.float32)
-    finite = np.isfinite(both)
-    if not np.array_equal(both[..., 0][~finite.all(2)], both[..., 1][~finite.all(2)], equal_nan=True):
-        return np.inf
-    values = both[finite.all(2)]
-    if not len(values):
-        return 0.0
-    return float(np.abs(values[:, 0] - values[:, 1]).max()) / (float(np.ptp(values)) or 1.0)
-
-
-def _from_npz(path: str | Path) -> DepthNumbers:
-    """The one depth map in a .npz, by its name, or because there is no other array [H, W]; and its focal length."""
-    arrays = stored_arrays(path)
-    flat = [name for name, array in arrays.items() if len(array.shape) == 2]
-    named = [name for name in (*_DEPTH_KEYS, *_DISPARITY_KEYS) if name in flat]
-    if not named and len(flat) != 1:
-        raise InputError(
-            f"{path}: expected a depth map [H, W] named {_DEPTH_KEYS[0]}, or one array alone; it holds "
-            f"{ascii(', '.join(arrays))[1:-1][:200] or 'nothing'}; save the map as .npy"
-        )
-    name = (named or flat)[0]
-    focal = [
-        float(arrays[key].read().ravel()[0])
-        for key in _FOCAL_KEYS
-        if key in arrays and math.prod(arrays[key].shape) == 1
-    ]
-    if focal and not 0 < focal[0] < np.inf:
-        raise InputError(f"{path}: expected a focal length > 0 px, got {focal[0]:g}")
-    return DepthNumbers(
-        _checked(path, arrays[name].read()),
-        kind="disparity" if name in _DISPARITY_KEYS else None,
-        focal_px=focal[0] if focal else None,
-    )
-
-
-def _checked(path: str | Path, values: np.ndarray) -> np.ndarray:
-    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "iuf":
-        raise InputError(f"{path}: expected numbers [H, W], got {values.dtype} {list(values.shape)}")
-    return np.asarray(values)
 
 
 def _between(path: str | Path, values: np.ndarray, kind: str, near: float, far: float) -> np.ndarray:

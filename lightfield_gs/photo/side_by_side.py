@@ -10,7 +10,7 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_PARTS
 from lightfield_gs.io.images import as_floats
-from lightfield_gs.photo.depth import channels_apart
+from lightfield_gs.photo.depth_files import channels_apart
 
 _NAME = re.compile(r"(^|[^a-z0-9])rgbd$", re.IGNORECASE)
 _SAMPLES = 128  # pixels a side that are looked at: enough to see whether a half is grey

@@ -16,7 +16,8 @@ from lightfield_gs.photo.side_by_side import halves, is_named_so
 
 if TYPE_CHECKING:
     from lightfield_gs.io.images import Picture
-    from lightfield_gs.photo.depth import DepthMap, DepthNumbers
+    from lightfield_gs.photo.depth import DepthMap
+    from lightfield_gs.photo.depth_files import DepthNumbers
     from lightfield_gs.photo.load import Photo
 
 # How a depth map beside its photo is taken when nothing else is said: bright is near, as Looking Glass has it
@@ -95,7 +96,8 @@ def has_depth(args: argparse.Namespace) -> bool:
 
 
 def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
-    from lightfield_gs.photo.depth import depth_map, read_numbers
+    from lightfield_gs.photo.depth import depth_map
+    from lightfield_gs.photo.depth_files import read_numbers
     from lightfield_gs.photo.orientation import turned_with_photo
 
     def turn(numbers: DepthNumbers):
@@ -121,7 +123,8 @@ def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
 
 
 def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> DepthMap:
-    from lightfield_gs.photo.depth import depth_map, grey_numbers
+    from lightfield_gs.photo.depth import depth_map
+    from lightfield_gs.photo.depth_files import grey_numbers
 
     numbers = grey_numbers(f"{args.input}: its {side} half", halves(args.input, picture.pixels, side)[1])
     limits = args.depth_range
