@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.images import read_info, read_picture
+from lightfield_gs.io.images import read_info, read_layer, read_picture
 from lightfield_gs.io.npy import open_array, stored_arrays
 
 _IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
 _ALMOST_GREY = 0.04  # how far the channels of a grey map come apart when it is saved as JPEG, as a share of its range
 # Names in .npz files; the first of each is Depth Pro's
-_DEPTH_KEYS, _DISPARITY_KEYS = ("depth", "depth_map", "z"), ("disparity", "disp", "inverse_depth")
+_DEPTH_KEYS, _DISPARITY_KEYS = (
+    ("depth", "depth_map", "z", "depths", "predicted_depth"),
+    ("disparity", "disp", "inverse_depth"),
+)
+_IS_DEPTH = re.compile(r"depth|distance|^zbuffer$")  # in the name of a channel or of its layer
 _FOCAL_KEYS = ("focallength_px", "focal_length_px", "focal_px")
 
 
@@ -24,14 +30,17 @@ class DepthNumbers:
     """The numbers of a depth map as its file holds them.
 
     values: [H, W], integers or floats. orientation: the Exif orientation that was undone. kind: "distance" or
-    "disparity", and focal_px: the focal length in pixels; None where the file does not say it. notes: what may not be
-    as it was meant.
+    "disparity", and focal_px: the focal length in pixels; None where the file does not say it. is_along_ray: whether
+    they are, or are made of, distances along the pixels' rays. said: which part of the file they are, in words, where
+    it has several; notes: what may not be as it was meant.
     """
 
     values: np.ndarray
     orientation: int = 1
     kind: str | None = None
     focal_px: float | None = None
+    is_along_ray: bool = False
+    said: str = ""
     notes: list[str] = field(default_factory=list)
 
 
@@ -42,6 +51,8 @@ def read_numbers(path: str | Path) -> DepthNumbers:
         return _from_npz(path)
     if suffix == ".npy":
         return DepthNumbers(_checked(path, open_array(path)))
+    if (layer := read_layer(path, depth_channel)) is not None:
+        return DepthNumbers(layer.pixels, kind="distance", said=f"channel {layer.name}")
     info = read_info(path)
     if info.sample_type not in _IMAGE_TYPES:
         raise InputError(
@@ -49,6 +60,33 @@ def read_numbers(path: str | Path) -> DepthNumbers:
         )
     picture = read_picture(path)
     return grey_numbers(path, picture.pixels, picture.orientation)
+
+
+def depth_channel(names: Sequence[str]) -> int | None:
+    """Which channel of an EXR with several holds distances, by their names; None where none does.
+
+    Those are Z, depth.Z, ViewLayer.Depth.Z and the like, or the Z or V alone in its layer: not the Z of a normal or a
+    position, the V of texture coordinates, or a mist.
+    """
+    if len(names) < 2:
+        return None
+    layers: dict[str, list[str]] = {}
+    for name in names:
+        layer, _, part = name.rpartition(".")
+        layers.setdefault(layer.lower(), []).append(part.lower())
+    ranks = []
+    for index, name in enumerate(names):
+        layer, _, part = (text.lower() for text in name.rpartition("."))
+        beside = layers[layer]
+        if _IS_DEPTH.search(part) or part == "z" and not {"x", "y"} & {*beside}:
+            rank = 2 if "mist" in layer else 0 if layer == "" or _IS_DEPTH.search(layer) else 1
+        elif _IS_DEPTH.search(layer.rpartition(".")[2]) and (part in ("v", "r", "y") or len(beside) == 1):
+            rank = 0
+        else:
+            rank = 1 if part == "v" and (len(beside) == 1 or layer == "" and "u" not in beside) else 2
+        ranks.append((rank, index))
+    rank, index = min(ranks)
+    return index if rank < 2 else None
 
 
 def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> DepthNumbers:
@@ -97,14 +135,14 @@ def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
 def _from_npz(path: str | Path) -> DepthNumbers:
     """The one depth map in a .npz, by its name, or because there is no other array [H, W]; and its focal length."""
     arrays = stored_arrays(path)
-    flat = [name for name, array in arrays.items() if len(array.shape) == 2]
-    named = [name for name in (*_DEPTH_KEYS, *_DISPARITY_KEYS) if name in flat]
+    flat = {name.lower(): name for name, array in arrays.items() if _is_map(array.shape) and array.dtype.kind in "iuf"}
+    named = [flat[name] for name in (*_DEPTH_KEYS, *_DISPARITY_KEYS) if name in flat]
     if not named and len(flat) != 1:
         raise InputError(
             f"{path}: expected a depth map [H, W] named {_DEPTH_KEYS[0]}, or one array alone; it holds "
             f"{ascii(', '.join(arrays))[1:-1][:200] or 'nothing'}; save the map as .npy"
         )
-    name = (named or flat)[0]
+    name = (named or [*flat.values()])[0]
     focal = [
         float(arrays[key].read().ravel()[0])
         for key in _FOCAL_KEYS
@@ -114,12 +152,18 @@ def _from_npz(path: str | Path) -> DepthNumbers:
         raise InputError(f"{path}: expected a focal length > 0 px, got {focal[0]:g}")
     return DepthNumbers(
         _checked(path, arrays[name].read()),
-        kind="disparity" if name in _DISPARITY_KEYS else None,
+        kind="disparity" if name.lower() in _DISPARITY_KEYS else "distance" if named else None,
         focal_px=focal[0] if focal else None,
+        said=f"array {ascii(name)[1:-1][:80]}" if len(arrays) > len(focal) + 1 else "",
     )
 
 
+def _is_map(shape: tuple[int, ...]) -> bool:
+    """Whether an array is [H, W] but for axes of length 1, as [1, H, W] of a network or [H, W, 1] of an image."""
+    return len(shape) == 2 or len(shape) > 2 and sum(size != 1 for size in shape) == 2
+
+
 def _checked(path: str | Path, values: np.ndarray) -> np.ndarray:
-    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "iuf":
+    if not _is_map(values.shape) or values.size == 0 or values.dtype.kind not in "iuf":
         raise InputError(f"{path}: expected numbers [H, W], got {values.dtype} {list(values.shape)}")
-    return np.asarray(values)
+    return np.asarray(values if values.ndim == 2 else values.squeeze())

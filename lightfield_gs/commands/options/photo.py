@@ -135,16 +135,17 @@ def _read_whole(args: argparse.Namespace) -> ReadPhoto:
     """All that a photo shows, with its depth map unless that is estimated."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.load import photo_of
-    from lightfield_gs.photo.rgbd import check_depth_size
+    from lightfield_gs.photo.rgbd import check_photo_size
 
     picture = read_picture(args.input)
-    side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels)
+    side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels, is_named=True)
     if side is None and args.depth is None:
         raise InputError(
-            f"{args.input}: its name says that its depth map is in it, and none of its halves is grey; "
-            "say which it is with --rgbd, or rename it"
+            f"{args.input}: its name says that its depth map is in it, and none of its halves is grey beside one in "
+            "colour; say which it is with --rgbd, or rename it"
         )
     colour = picture if side is None else replace(picture, pixels=halves(args.input, picture.pixels, side)[0])
+    check_photo_size(str(args.input), *colour.pixels.shape[:2])
     photo = photo_of(
         args.input,
         colour,
@@ -156,7 +157,6 @@ def _read_whole(args: argparse.Namespace) -> ReadPhoto:
     if is_estimated(args):
         return ReadPhoto(photo, is_whole=True)
     depth = depth_of_file(args, photo) if side is None else depth_beside(args, picture, side)
-    check_depth_size(str(args.depth), depth.z, photo.pixels)
     return ReadPhoto(photo, is_whole=True, depth=depth)
 
 

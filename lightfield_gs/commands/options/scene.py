@@ -34,7 +34,16 @@ _PHOTO_OPTIONS = (
     "detail",
     "detail_budget",
 )
-_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics", "fit")
+_DEPTH_OPTIONS = (
+    "depth_kind",
+    "depth_range",
+    "depth_scale",
+    "depth_invalid",
+    "pixel_aspect",
+    "fov",
+    "intrinsics",
+    "fit",
+)
 
 
 def add_scene(
@@ -74,6 +83,8 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if args.depth is not None:
         _refuse(args, ("rgbd",), "takes the place of --depth")
     if is_estimated(args):
+        if args.depth_kind == "ray":
+            raise InputError("--depth-kind: ray is for a depth map in a file; --depth auto estimates none of that kind")
         _refuse(args, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
     else:
         _refuse(args, ("depth_model",), "is for --depth auto")
@@ -83,7 +94,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
         raise InputError(
             f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and {args.intrinsics[1]:g}"
         )
-    for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics")):
+    for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics"), ("pixel_aspect", "intrinsics")):
         if getattr(args, one) is not None:
             _refuse(args, (other,), f"takes the place of {_option(one)}")
 
