@@ -15,6 +15,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import MAX_PIXELS, write_image
 from lightfield_gs.video.av_library import av_library
@@ -70,10 +71,27 @@ def open_sequence(path: str | Path, maps: bool = False) -> Sequence:
     path = checked_path(path)
     if not path.is_dir():
         return _of_video(path)
-    files = _files(path, _MAPS if maps else PICTURES)
+    pictures, beside = pictures_and_maps(path)
+    files = (beside or _files(path, _MAPS)) if maps else pictures
     if not files:
         raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else PICTURES)}), got none")
     return Sequence(path, len(files), tuple(files))
+
+
+def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
+    """The pictures of a folder in order, and the depth maps that lie beside them by their names, one for each; of the
+    latter none where none do. Raises InputError where only some pictures have one."""
+    files = _files(folder, _MAPS)
+    beside = depth_maps_beside(path.name for path in files)
+    maps = {name for names in beside.values() for name in names}
+    pictures = [path for path in files if path.suffix.lower() in PICTURES and path.name not in maps]
+    without = [path.name for path in pictures if path.name not in beside]
+    if beside and without:
+        raise InputError(
+            f"{folder}: {len(beside)} of its pictures have a depth map beside them, as {next(iter(beside))}, and "
+            f"{len(without)} have none, as {without[0]}; give all of them one, or put the maps into another folder"
+        )
+    return pictures, [folder / beside[path.name][0] for path in pictures if beside]
 
 
 @contextmanager

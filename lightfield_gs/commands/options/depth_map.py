@@ -71,8 +71,9 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     add(
         "--rgbd",
         choices=DEPTH_PARTS,
-        help="in place of --depth: the half of the photo that is its depth map (found by "
-        "itself for names like photo_rgbd.png); bright is near and --depth-range 1,1.6 when not said",
+        help="in place of --depth: the half of the photo that is its depth map (found by itself for names like "
+        "photo_rgbd.png, and so is a map inside a telephone's .jpg); bright is near and --depth-range 1,1.6 when not "
+        "said",
     )
     add(
         "--map-orientation",
@@ -105,8 +106,19 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
 
 
 def has_depth(args: argparse.Namespace) -> bool:
-    """Whether the photo comes with its depths, in a file or beside it in the picture, or they are to be estimated."""
-    return args.depth is not None or args.rgbd is not None or is_named_so(args.input)
+    """Whether the photo comes with its depths, in a file, beside it in the picture or inside its file, or they are to
+    be estimated."""
+    return args.depth is not None or args.rgbd is not None or is_named_so(args.input) or is_depth_inside(args)
+
+
+def is_depth_inside(args: argparse.Namespace) -> bool:
+    """Whether the depths of a photo are those inside its file: nothing gives others, or asks for an object alone."""
+    others = ("depth", "rgbd", "mask", "checkpoint", "detail", "detail_budget")
+    if args.remove_background or any(getattr(args, name) is not None for name in others) or is_named_so(args.input):
+        return False
+    from lightfield_gs.photo.inside import depth_inside
+
+    return depth_inside(args.input) is not None
 
 
 def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
@@ -162,6 +174,42 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
     near = f", {nearness(kind, limits)}" if kind is not None and is_plain else ""
     said = f"depth by its {side} half: {depth.said}{near}" + (f" (assumed; {', '.join(assumed)})" if assumed else "")
     return replace(depth, said=said)
+
+
+def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
+    """The map inside the photo's file, as its format has it where nothing else is said. Raises InputError."""
+    from lightfield_gs.photo.depth import depth_map, nearness
+    from lightfield_gs.photo.inside import depth_inside
+
+    inside = depth_inside(args.input)
+    assert inside is not None
+    limits = args.depth_range
+    if limits is None and args.depth_scale is None:
+        limits = (inside.near, inside.far) if inside.near and inside.far else _BESIDE_LIMITS
+    kind = args.depth_kind
+    if kind is None and args.depth_scale is None:
+        kind = "disparity" if inside.is_inverse else "distance"
+        if inside.is_inverse and limits is not None:
+            limits = limits[::-1]  # dark is near in both formats
+    numbers = inside.numbers(args.input)
+    depth = depth_map(
+        args.input,
+        numbers,
+        kind,
+        scale=args.depth_scale,
+        limits=limits,
+        invalid=args.depth_invalid or "far",
+        turn=_turn_with(args, photo, args.map_orientation or "stored"),
+        rays=_rays_of(args, photo.pixels.shape[:2], None),
+    )
+    said = f"depth inside it ({inside.name}): {depth.said}"
+    if args.depth_kind is None and limits is not None:
+        near = nearness(str(kind), limits)
+        said += "" if near in said else f", {near}"
+        if args.depth_range is None:
+            said += " by its format (--depth-range FAR,NEAR where it is not)"
+            said += "" if inside.near else ", near and far assumed (--depth-range)"
+    return _fitted(f"{args.input}: the depth map inside it", replace(depth, said=said), photo)
 
 
 def _turn_with(

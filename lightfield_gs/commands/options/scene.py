@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.depth_map import add_depth, has_depth
 from lightfield_gs.commands.options.detail import add_detail
 from lightfield_gs.commands.options.estimated import depth_file, is_estimated
-from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, read_photo
+from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
 
@@ -153,8 +152,8 @@ def load_scene(
 
 
 def _note_quilt(path: Path) -> None:
-    """Says so where a photo's name is that of a quilt: <name>_qs<columns>x<rows>a<aspect>."""
-    if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
+    """Says so where a photo's name is that of a quilt."""
+    if name := quilt_in_name(path):
         note(
             f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
             "photo; `lightfield-gs weave` takes its views"
