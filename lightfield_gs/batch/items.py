@@ -94,7 +94,7 @@ def _found(
 
 def _maps_beside(names: list[str]) -> dict[str, list[str]]:
     """The depth maps beside photos and videos, of these names in one folder."""
-    beside = {}
+    beside: dict[str, list[str]] = {}
     for kinds, of_maps in ((PICTURES, (*PICTURES, ".npy", ".npz")), (VIDEO_INPUTS, VIDEO_INPUTS)):
         found = depth_maps_beside(name for name in names if PurePosixPath(name).suffix.lower() in of_maps)
         beside |= {name: maps for name, maps in found.items() if PurePosixPath(name).suffix.lower() in kinds}

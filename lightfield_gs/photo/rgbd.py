@@ -235,8 +235,8 @@ def check_depth_size(name: str, depth: np.ndarray | Tensor, photo: np.ndarray | 
     (height, width), expected = depth.shape, photo.shape[:2]
     if (height, width) != tuple(expected):
         raise InputError(
-            f"{name}: expected a depth map of the photo's size {expected[1]} x {expected[0]}, or of its shape, got "
-            f"{width} x {height}; crop or resize one of them (the map without smoothing: it would join far and near)"
+            f"{name}: expected a depth map of the photo's size {expected[1]} x {expected[0]}, got {width} "
+            f"x {height}; resize one of them (the map without smoothing: it would join far and near)"
         )
 
 

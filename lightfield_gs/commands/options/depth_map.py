@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, MAP_ORIENTATIONS
 from lightfield_gs.commands.options.estimated import add_depth_model
 from lightfield_gs.commands.options.photo_camera import camera_of_photo
@@ -247,12 +248,15 @@ def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """A map at the photo's size; of another size it has to have the photo's shape. Raises InputError."""
     from lightfield_gs.photo.joint_upsampling import at_size_of_photo
     from lightfield_gs.photo.orientation import is_alike
-    from lightfield_gs.photo.rgbd import check_depth_size
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
-    if shape == size or not is_alike(shape, size):
-        check_depth_size(name, depth.z, photo.pixels)
+    if shape == size:
         return depth
+    if not is_alike(shape, size):
+        raise InputError(
+            f"{name}: expected a depth map of the photo's size {size[1]} x {size[0]}, or of its shape, got {shape[1]} "
+            f"x {shape[0]}; crop one of them, so that both show the same"
+        )
     way = "along the photo's edges" if math.prod(shape) <= math.prod(size) else "pixel by pixel"
     said = f"{depth.said}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
     return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), said=said)
