@@ -51,11 +51,9 @@ def _are_eyes(left: Tensor, right: Tensor) -> bool:
 def _difference(left: Tensor, right: Tensor) -> float:
     """Mean difference of two pictures [h, w] where each place takes the parallax that suits it best."""
     reach = round(_MOST_PARALLAX * left.shape[1])
-    best = torch.full_like(left, torch.inf)
-    for down in range(-_ROWS_OFF, _ROWS_OFF + 1):
-        for across in range(-reach, reach + 1):
-            apart = (left - right.roll((down, across), (0, 1))).abs()
-            best = torch.minimum(best, avg_pool2d(apart[None], _WINDOW_PX, 1, _WINDOW_PX // 2)[0])
+    shifts = [(down, across) for down in range(-_ROWS_OFF, _ROWS_OFF + 1) for across in range(-reach, reach + 1)]
+    apart = (left - torch.stack([right.roll(shift, (0, 1)) for shift in shifts])).abs()
+    best = avg_pool2d(apart, _WINDOW_PX, 1, _WINDOW_PX // 2).amin(0)
     return float(best[_WINDOW_PX:-_WINDOW_PX, reach:-reach].mean())
 
 

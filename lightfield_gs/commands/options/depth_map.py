@@ -115,7 +115,9 @@ def has_depth(args: argparse.Namespace) -> bool:
 def is_depth_inside(args: argparse.Namespace) -> bool:
     """Whether the depths of a photo are those inside its file: nothing gives others, or asks for an object alone."""
     others = ("depth", "rgbd", "mask", "checkpoint", "detail", "detail_budget")
-    if args.remove_background or any(getattr(args, name) is not None for name in others) or is_named_so(args.input):
+    if is_named_so(args.input) or getattr(args, "remove_background", False):
+        return False
+    if any(getattr(args, name, None) is not None for name in others):
         return False
     from lightfield_gs.photo.inside import depth_inside
 

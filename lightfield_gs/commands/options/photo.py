@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
     from lightfield_gs.scene.gaussians import Gaussians
+
+
+_MOST_BESIDE = 200  # files in the folder of a photo up to which a depth map is looked for: each of a batch does so
 
 
 @dataclass
@@ -77,7 +81,8 @@ def _read_object(args: argparse.Namespace) -> ReadPhoto:
     from lightfield_gs.photo.load import NoCutOut, photo_of
 
     picture = read_picture(args.input)
-    notes = _other_ways(args, picture)
+    side = depth_side(picture.pixels)
+    notes = _other_ways(args, picture, side)
     try:
         photo = photo_of(
             args.input,
@@ -87,29 +92,33 @@ def _read_object(args: argparse.Namespace) -> ReadPhoto:
             map_orientation=args.map_orientation,
         )
     except InputError as error:
-        if notes:
-            ways = (words.removeprefix(f"{args.input}: ") for words in notes)
-            raise InputError("; ".join([str(error), *ways])) from None
+        ways = [words.removeprefix(f"{args.input}: ") for words in notes]
+        if not isinstance(error, NoCutOut):
+            raise InputError("; ".join([str(error), *ways[: side is not None]])) from None
+        refused = NoCutOut("; ".join([str(error), *ways]))
         of_network = (args.checkpoint, args.detail, args.detail_budget)
-        if not isinstance(error, NoCutOut) or any(value is not None for value in of_network):
-            raise
-        return _read_whole_instead(args, error)
+        if side is not None or any(value is not None for value in of_network):
+            raise refused from None
+        return _read_whole_instead(args, refused)
     return ReadPhoto(photo, notes=notes)
 
 
-def _other_ways(args: argparse.Namespace, picture: Picture) -> list[str]:
-    """Lines on what a picture may be beside a photo, and what its file holds and others beside it, that is not used."""
+def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) -> list[str]:
+    """Lines on what a picture may be beside a photo, and what its file holds and others beside it, that is not used;
+    side: the half that looks like a depth map, which comes first."""
     from lightfield_gs.io.depth_names import depth_maps_beside
     from lightfield_gs.photo.inside import notes_inside
 
-    notes = _notes_on_eyes(args, picture)
-    if (side := depth_side(picture.pixels)) is not None:
+    notes = []
+    if side is not None:
         notes.append(
             f"{args.input}: its {side} half is grey, as a photo's depth map beside it would be: --rgbd {side} takes it "
             "so"
         )
+    notes += _notes_on_eyes(args, picture)
     notes += notes_inside(args.input, is_depth_used=False)
-    beside = depth_maps_beside(path.name for path in args.input.parent.iterdir() if path.is_file())
+    some = [path.name for path in islice(args.input.parent.iterdir(), _MOST_BESIDE)]
+    beside = depth_maps_beside(some) if len(some) < _MOST_BESIDE else {}
     if maps := beside.get(args.input.name):
         notes.append(f"{args.input}: {maps[0]} beside it looks like its depth map: --depth takes it")
     return notes
