@@ -15,6 +15,7 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.batch.item import COMMANDS, Command, Item
 from lightfield_gs.io.captures.colmap_capture import model_folder
 from lightfield_gs.io.captures.transforms_frames import transforms_file
+from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
 from lightfield_gs.io.text_file import read_text
@@ -24,17 +25,29 @@ _LIST_LIMIT_BYTES = 1 << 30
 _IMAGES_AND_SCENES = {*PICTURES, *SUFFIXES}
 
 
-def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item], Counter[str]]:
+def read_items(
+    source: str | Path, suffix: str, output: Path, with_maps: bool = True
+) -> tuple[list[Item], Counter[str]]:
     """The items of a folder or a list, in order, and how many files of a folder are none, by the ends of their names.
 
-    suffix: of images. output: the folder of the batch, which is left out where it is in the other. Raises InputError
+    suffix: of images. output: the folder of the batch, which is left out where it is in the other. with_maps: whether
+    photos and videos of a folder take the depth maps beside them, which are no items either way. Raises InputError
     where there is none, and where two would become one file.
     """
     source = checked_path(source)
     left: Counter[str] = Counter()
     if source.is_dir():
         found = _found(source, PurePosixPath(), output, left)
-        items = [_item(source / name, name, suffix, command) for name, command in found]
+        items = [
+            _item(
+                source / name,
+                name,
+                suffix,
+                command,
+                words=(f"--depth={source / beside}",) if beside and with_maps else (),
+            )
+            for name, command, beside in found
+        ]
     else:
         items = list(_listed(source, suffix))
     if not items:
@@ -51,28 +64,41 @@ def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item
 
 def _found(
     source: Path, at: PurePosixPath, output: Path, left: Counter[str]
-) -> Iterator[tuple[PurePosixPath, Command]]:
-    """What a folder, and those in it, hold, by names from `source`, in order; hidden ones are left out. at: the name
-    of the folder itself."""
+) -> Iterator[tuple[PurePosixPath, Command, PurePosixPath | None]]:
+    """What a folder, and those in it, hold, by names from `source`, in order, each with the depth map beside it; hidden
+    ones are left out. at: the name of the folder itself."""
     folder = source / at
     if (command := _command(folder, is_folder=True)) in ("fit", "encode"):
         raise InputError(f"{folder} is one {'capture' if command == 'fit' else 'scene'}; give the folder it is in")
     with reading(folder), os.scandir(folder) as entries:
         inside = sorted((entry.name, entry.is_dir()) for entry in entries if not entry.name.startswith("."))
+    beside = _maps_beside([name for name, is_folder in inside if not is_folder])
+    maps = {name for names in beside.values() for name in names}
     for name, is_folder in inside:
         path = folder / name
+        if name in maps:
+            continue
         command = _command(path, is_folder)
         if not is_folder:
             if command is None:
                 left[path.suffix.lower() or name] += 1
             else:
-                yield at / name, command
+                yield at / name, command, at / beside[name][0] if name in beside else None
         elif path.resolve() == output.resolve() or folder.resolve().is_relative_to(path.resolve()):
             continue  # a link that leads back
         elif command in ("fit", "encode"):
-            yield at / name, command
+            yield at / name, command, None
         else:  # a folder of photos is as many items as it holds
             yield from _found(source, at / name, output, left)
+
+
+def _maps_beside(names: list[str]) -> dict[str, list[str]]:
+    """The depth maps beside photos and videos, of these names in one folder."""
+    beside: dict[str, list[str]] = {}
+    for kinds, of_maps in ((PICTURES, (*PICTURES, ".npy", ".npz")), (VIDEO_INPUTS, VIDEO_INPUTS)):
+        found = depth_maps_beside(name for name in names if PurePosixPath(name).suffix.lower() in of_maps)
+        beside |= {name: maps for name, maps in found.items() if PurePosixPath(name).suffix.lower() in kinds}
+    return beside
 
 
 def _command(path: Path, is_folder: bool) -> Command | None:

@@ -78,7 +78,10 @@ def run(args: argparse.Namespace) -> int:
 
     setup, options = _setup(args)
     check_folder(args.output)
-    items, left = read_items(args.input, f".{args.format}", args.output)
+    items, left = read_items(args.input, f".{args.format}", args.output, with_maps=args.depth is None)
+    if args.input.is_dir() and (paired := [item for item in items if item.words]):
+        first = f"{paired[0].input} with {paired[0].words[0].partition('=')[2]}"
+        note(f"{args.input}: {len(paired)} photos or videos are taken with the depth maps beside them, as {first}")
     if left:
         kinds = ", ".join(f"{count} {end}" for end, count in left.most_common(8))
         note(f"{args.input}: left out, for they are no photos, scenes or videos: {kinds}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from lightfield_gs.io.png_file import CompressedImage, write_png
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
+_MOST_CHANNELS, _MOST_LAYERS = 16, 1024  # of a picture, and of an EXR of which one is read
 # A file may become so many times as long in memory, or this many bytes: deflate reaches 1030 on a plain picture.
 _MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
 _COLOUR_ATTRIBUTES = (
@@ -224,6 +225,49 @@ def read_picture(path: str | Path, turn: bool = True) -> Picture:
     return _picture(pixels, orientation, colour, turn)
 
 
+@dataclass(frozen=True)
+class Layer:
+    """One channel of an EXR: its name with those of its layers and its part, and its pixels, float32 [H, W]."""
+
+    name: str
+    pixels: np.ndarray
+
+
+def read_layer(path: str | Path, choose: Callable[[Sequence[str]], int | None]) -> Layer | None:
+    """The channel of an EXR that is chosen of the names of all, in all its parts; None of other files and where none
+    is chosen. Raises InputError as read_image does."""
+    import OpenImageIO as oiio
+
+    path = _checked_file(path)
+    if is_heif(path):
+        return None
+    with _opened(path, most_channels=_MOST_LAYERS) as source:
+        if source.format_name() != "openexr":
+            return None
+        found: list[tuple[int, int, str]] = []
+        part = 0
+        while source.seek_subimage(part, 0):
+            spec = source.spec()
+            layer = spec.get_string_attribute("oiio:subimagename") or spec.get_string_attribute("name")
+            for index, name in enumerate(spec.channelnames):
+                found.append((part, index, name if "." in name or not layer else f"{layer}.{name}"))
+            part += 1
+        oiio.geterror()  # of looking for a part behind the last
+        chosen = choose([name for _, _, name in found])
+        if chosen is None:
+            return None
+        part, index, name = found[chosen]
+        source.seek_subimage(part, 0)
+        spec = source.spec()
+        _check_size(path, spec.width, spec.height, 1, 4)
+        if spec.deep:
+            raise InputError(f"{path}: expected one number a pixel, got a deep image; flatten it")
+        pixels = source.read_image(part, 0, index, index + 1, "float")
+        if pixels is None or source.has_error:
+            raise InputError(f"{path} is damaged or cut: {_first_line(source.geterror)}")
+        return Layer(name, np.asarray(pixels, np.float32).reshape(spec.height, spec.width))
+
+
 def _picture(pixels: np.ndarray, orientation: int, colour: dict[str, Any], turn: bool) -> Picture:
     return Picture(np.ascontiguousarray(upright(pixels, orientation) if turn else pixels), orientation, colour)
 
@@ -250,7 +294,7 @@ def _checked_file(path: str | Path) -> Path:
 
 
 @contextlib.contextmanager
-def _opened(path: Path, pixels: bool = False) -> Iterator:
+def _opened(path: Path, pixels: bool = False, most_channels: int = _MOST_CHANNELS) -> Iterator:
     """An open ImageInput whose size has been checked; pixels: they are to be read."""
     import OpenImageIO as oiio
 
@@ -266,9 +310,10 @@ def _opened(path: Path, pixels: bool = False) -> Iterator:
         raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
         spec = source.spec()
-        if spec.depth > 1 or not 1 <= spec.nchannels <= 16:
+        if spec.depth > 1 or not 1 <= spec.nchannels <= most_channels:
             raise InputError(
-                f"{path}: expected a flat image of 1..16 channels, got {spec.nchannels} channels and depth {spec.depth}"
+                f"{path}: expected a flat image of 1..{most_channels} channels, got {spec.nchannels} channels and "
+                f"depth {spec.depth}"
             )
         _check_size(path, spec.width, spec.height, spec.nchannels, spec.format.size())
         yield source

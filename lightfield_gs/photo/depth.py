@@ -1,44 +1,27 @@
-"""Depth maps from files: whole numbers or floats, distances or disparities, as view-space z."""
+"""What the numbers of a depth map mean: distances or disparities, as view-space z."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DepthInvalid, DepthKind
-from lightfield_gs.io.images import read_info, read_picture
-from lightfield_gs.io.npy import open_array, stored_arrays
+from lightfield_gs.photo.depth_files import DepthNumbers, read_numbers
 
-_IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
 FARTHEST = 1e12  # scene units: what is farther counts as not measured
+# What programs store for the sky, where there is nothing: the largest half float, the largest number of 16 bits, and
+# the latter in thousandths. They count as the sky where all else is well below them, and so do numbers from _SKY on,
+# which no distance has (Blender's is 1e10), and any that is so many times the next largest
+_STORED_SKY, _SKY = (65504, 65535, 65.535), 1e9
+_WELL_ABOVE, _ALONE = 1.25, 1000
+_NO_SHARE = -1  # with limits, numbers up to it mark what was not measured, as -9999
 # Where infinitely far things are put, in distances of the farthest that was measured: there the cameras beside see next
 # to no parallax
 _FAR_BEYOND = 2
-_ALMOST_GREY = 0.04  # how far the channels of a grey map come apart when it is saved as JPEG, as a share of its range
-# Names in .npz files; the first of each is Depth Pro's
-_DEPTH_KEYS, _DISPARITY_KEYS = ("depth", "depth_map", "z"), ("disparity", "disp", "inverse_depth")
-_FOCAL_KEYS = ("focallength_px", "focal_length_px", "focal_px")
-
-
-@dataclass
-class DepthNumbers:
-    """The numbers of a depth map as its file holds them.
-
-    values: [H, W], integers or floats. orientation: the Exif orientation that was undone. kind: "distance" or
-    "disparity", and focal_px: the focal length in pixels; None where the file does not say it. notes: what may not be
-    as it was meant.
-    """
-
-    values: np.ndarray
-    orientation: int = 1
-    kind: str | None = None
-    focal_px: float | None = None
-    notes: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -59,20 +42,24 @@ def read_depth(
     scale: float | None = None,
     limits: tuple[float, float] | None = None,
     invalid: DepthInvalid = "far",
+    rays: Callable[[tuple[int, int]], np.ndarray] | None = None,
 ) -> np.ndarray:
     """View-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
-    path: a grey image (PNG of 8 or 16 bits, EXR, TIFF), a .npy of numbers [H, W], or a .npz with one.
-    kind: the numbers v are "distance", v = z / scale, or "disparity" (inverse distance), v = scale / z. NaN, negative
-    numbers, the distance 0 and infinite disparities are no measurement.
+    path: a grey image (PNG of 8 or 16 bits, EXR, TIFF), the depth channel of an EXR, a .npy of numbers [H, W], or a
+    .npz with one; axes of length 1 are dropped.
+    kind: the numbers v are "distance", v = z / scale, "ray", the same along the pixel's ray, or "disparity" (inverse
+    distance), v = scale / z. NaN, negative numbers, the distance 0 and infinite disparities are no measurement.
     scale: 0.001 for millimetres to metres; for disparities in pixels focal length times baseline. None: 1, for floats.
     limits: (near, far) in place of a scale: z, or with "disparity" 1/z, runs linearly between them over the full
-    scale of the file, 0..255, 0..65535 or 0..1 for floats; distance has near at 0, disparity far at 0.
-    invalid: infinite distances and the disparity 0 are "far" away, at twice the largest distance that was measured, or
-    with limits at the far one; or a "hole", not measured.
+    scale of the file, 0..255, 0..65535 or 0..1 for floats; distance has near at 0, disparity far at 0. With the larger
+    one first it is the other way round.
+    invalid: infinite distances, those that stand for the sky (1e10, 65504, 65535) and the disparity 0 are "far" away,
+    at twice the largest distance that was measured, or with limits at the far one; or a "hole", not measured.
+    rays: of a "ray", see `ray_lengths`: the lengths [H, W] of the rays up to z = 1, for a map of this height and width.
     Raises InputError that names the file: no depth map, numbers out of range, or whole numbers that nothing explains.
     """
-    return depth_map(path, read_numbers(path), kind, scale=scale, limits=limits, invalid=invalid).z
+    return depth_map(path, read_numbers(path), kind, scale=scale, limits=limits, invalid=invalid, rays=rays).z
 
 
 def depth_map(
@@ -84,166 +71,140 @@ def depth_map(
     limits: tuple[float, float] | None = None,
     invalid: str = "far",
     turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None,
+    rays: Callable[[tuple[int, int]], np.ndarray] | None = None,
 ) -> DepthMap:
     """What read_depth does, of the numbers that were read from `path`.
 
     kind: None: what the file says, else "distance". turn: a function that returns the numbers as upright as the photo
     is, and whether it turned them.
     """
-    kind = kind or numbers.kind or "distance"
-    for name, given, choices in (("depth kind", kind, DEPTH_KINDS), ("invalid depths", invalid, DEPTH_INVALID)):
-        if given not in choices:
-            raise InputError(f"{name}: expected {' or '.join(choices)}, got {given!r}")
+    given, kind = kind or numbers.kind, kind or numbers.kind or "distance"
+    for name, word, choices in (("depth kind", kind, DEPTH_KINDS), ("invalid depths", invalid, DEPTH_INVALID)):
+        if word not in choices:
+            raise InputError(f"{name}: expected {' or '.join(choices)}, got {word!r}")
     if scale is not None and limits is not None:
         raise InputError("a depth map has a scale, or near and far limits, not both; leave out one of them")
+    if kind == "ray" and rays is None:
+        raise InputError("depth kind: ray needs the camera; give the lengths of its rays, or z in place of distances")
     values, turned = (numbers.values, False) if turn is None else turn(numbers)
+    sky, stored = _sky(values) if kind != "disparity" and (limits is None or values.dtype.kind == "f") else (None, "")
     if limits is not None:
-        z = _between(path, values, kind, *limits)
-        if kind == "disparity" and invalid == "hole":
-            z[values == 0] = np.inf
+        z = _between(path, values, sky, kind, *limits, invalid)
     else:
         if scale is None and values.dtype.kind in "iu":
             raise InputError(
-                f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR), "
-                "or the length of one (--depth-scale, 0.001 for millimetres to metres)"
+                f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR, with "
+                "--depth-kind disparity where bright is near), or the length of one (--depth-scale, 0.001 for "
+                "millimetres to metres)"
             )
         scale = 1.0 if scale is None else _positive("depth scale", scale)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            z = _scaled(values.astype(np.float64), kind, scale)
+            z = _scaled(values.astype(np.float64), sky, kind, scale)
+    if rays is not None and (kind == "ray" or numbers.is_along_ray):
+        z = z / rays((z.shape[0], z.shape[1]))
     measured = np.isfinite(z)
     if not measured.any():
         raise InputError(f"{path}: expected distances or disparities > 0, there is none")
-    said = f"{kind} {'as' if kind == 'distance' else 'turned into'} z {z[measured].min():.4g}..{z[measured].max():.4g}"
+    means = {"distance": "distance as z", "ray": "distance along the ray as z", "disparity": "disparity turned into z"}
+    said = f"{means[kind]} {z[measured].min():.4g}..{z[measured].max():.4g}"
+    if limits is not None and _is_reversed(limits):
+        said += f", {nearness(kind, limits)}"
+    elif given is None:
+        said += f", {nearness(kind, limits)} (assumed; --depth-kind)"
     said += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
-        beyond = min(_FAR_BEYOND * z[measured].max(), FARTHEST) if limits is None else limits[1]
+        beyond = min(_FAR_BEYOND * z[measured].max(), FARTHEST) if limits is None else max(limits)
         z[far] = beyond if invalid == "far" else np.nan
-        said += f", {far.mean():.1%} " + (
-            f"infinitely far (put at {beyond:.4g})" if invalid == "far" else "infinitely far and left out"
-        )
+        words = [stored, f"put at {beyond:.4g}" if invalid == "far" else "left out"]
+        said += f", {far.mean():.1%} {'sky' if stored else 'infinitely far'} ({', '.join(filter(None, words))})"
     if (holes := ~(measured | far)).any():
         said += f", {holes.mean():.1%} not measured"
     with np.errstate(over="ignore"):
         z = z.astype(np.float32)
+    said = f"{numbers.said}: {said}" if numbers.said else said
     return DepthMap(z, numbers.focal_px, said, [f"{path} {words}" for words in numbers.notes])
 
 
-def read_numbers(path: str | Path) -> DepthNumbers:
-    """The numbers of a depth map, whatever they mean. Raises InputError that names the file."""
-    suffix = Path(path).suffix.lower()
-    if suffix == ".npz":
-        return _from_npz(path)
-    if suffix == ".npy":
-        return DepthNumbers(_checked(path, open_array(path)))
-    info = read_info(path)
-    if info.sample_type not in _IMAGE_TYPES:
-        raise InputError(
-            f"{path}: expected a depth map of {', '.join(_IMAGE_TYPES)}, got {info.sample_type}; save it as .npy"
-        )
-    picture = read_picture(path)
-    return grey_numbers(path, picture.pixels, picture.orientation)
+def nearness(kind: str, limits: tuple[float, float] | None = None) -> str:
+    """Which numbers of a map are near, in words; limits: as they were given, the larger one first where so."""
+    disparity = kind == "disparity"
+    if limits is None:
+        return f"{'large' if disparity else 'small'} numbers are near"
+    return f"{'bright' if disparity != _is_reversed(limits) else 'dark'} is near"
 
 
-def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> DepthNumbers:
-    """The numbers of an image [H, W, C] that is grey, or almost, whatever its channels. Raises InputError."""
-    if pixels.shape[2] < 3:  # grey, or grey and alpha
-        return DepthNumbers(pixels[..., 0], orientation)
-    apart = {pair: channels_apart(pixels, *pair) for pair in ((0, 1), (0, 2), (1, 2))}
-    most = max(apart.values())
-    if most == 0:
-        return DepthNumbers(pixels[..., 0], orientation)
-    if most <= _ALMOST_GREY:
-        return DepthNumbers(
-            np.median(pixels[..., :3], 2).astype(pixels.dtype),
-            orientation,
-            notes=[
-                f"is almost grey: its channels differ by up to {most:.1%} of its range, and the middle one is taken"
-            ],
-        )
-    for (one, other), difference in apart.items():
-        third = pixels[..., 3 - one - other]
-        if difference <= _ALMOST_GREY and (third == third[0, 0]).all():
-            return DepthNumbers(
-                pixels[..., one],
-                orientation,
-                notes=[
-                    f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: "
-                    "the former is taken"
-                ],
-            )
-    raise InputError(f"{path} is in colour; expected a grey depth map, one number a pixel")
+def ray_lengths(
+    shape: tuple[int, int], size: tuple[int, int], focal_px: tuple[float, float], centre_px: tuple[float, float]
+) -> np.ndarray:
+    """How long the ray through the middle of each pixel of a map is up to z = 1, float64 [h, w].
+
+    shape: height and width of the map. size: those of its photo, which may be another. focal_px, centre_px: focal
+    lengths and principal point (x, y), pixels of the photo.
+    """
+    (height, width), (rows, columns) = size, shape
+    x = ((np.arange(columns) + 0.5) * width / columns - centre_px[0]) / focal_px[0]
+    y = ((np.arange(rows) + 0.5) * height / rows - centre_px[1]) / focal_px[1]
+    return np.sqrt(1 + x[None] ** 2 + y[:, None] ** 2)
 
 
-def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
-    """The largest difference between two channels of pixels [H, W, C], of the range of both; infinite where one of them
-    is finite and the other is not."""
-    both = pixels[..., [one, other]].astype(np.float32)
-    finite = np.isfinite(both)
-    if not np.array_equal(both[..., 0][~finite.all(2)], both[..., 1][~finite.all(2)], equal_nan=True):
-        return np.inf
-    values = both[finite.all(2)]
-    if not len(values):
-        return 0.0
-    return float(np.abs(values[:, 0] - values[:, 1]).max()) / (float(np.ptp(values)) or 1.0)
+def _sky(values: np.ndarray) -> tuple[np.ndarray | None, str]:
+    """Which distances [H, W] stand for the sky, and the number that does, in words; None where none does."""
+    values = values.astype(np.float32) if values.dtype == np.float16 else values
+    there = np.isfinite(values) & (values > 0)
+    sky = np.zeros_like(there)
+    if values.dtype.kind == "f":
+        stored = np.logical_or.reduce([np.abs(values - number) <= 1e-6 * number for number in _STORED_SKY])
+    else:
+        stored = np.isin(values, [*_STORED_SKY, np.iinfo(values.dtype).max]) & (values.dtype.itemsize > 1)
+    for candidates, times in ((values >= _SKY, _WELL_ABOVE), (stored, _WELL_ABOVE), (None, _ALONE)):
+        left = there & ~sky
+        found = left & (values == values.max(initial=0, where=left) if candidates is None else candidates)
+        rest = values[left & ~found]
+        if found.any() and rest.size and float(rest.max()) * times <= float(values[found].min()):
+            sky |= found
+    return (sky, f"{values[sky].max():.7g} in the file") if sky.any() else (None, "")
 
 
-def _from_npz(path: str | Path) -> DepthNumbers:
-    """The one depth map in a .npz, by its name, or because there is no other array [H, W]; and its focal length."""
-    arrays = stored_arrays(path)
-    flat = [name for name, array in arrays.items() if len(array.shape) == 2]
-    named = [name for name in (*_DEPTH_KEYS, *_DISPARITY_KEYS) if name in flat]
-    if not named and len(flat) != 1:
-        raise InputError(
-            f"{path}: expected a depth map [H, W] named {_DEPTH_KEYS[0]}, or one array alone; it holds "
-            f"{ascii(', '.join(arrays))[1:-1][:200] or 'nothing'}; save the map as .npy"
-        )
-    name = (named or flat)[0]
-    focal = [
-        float(arrays[key].read().ravel()[0])
-        for key in _FOCAL_KEYS
-        if key in arrays and math.prod(arrays[key].shape) == 1
-    ]
-    if focal and not 0 < focal[0] < np.inf:
-        raise InputError(f"{path}: expected a focal length > 0 px, got {focal[0]:g}")
-    return DepthNumbers(
-        _checked(path, arrays[name].read()),
-        kind="disparity" if name in _DISPARITY_KEYS else None,
-        focal_px=focal[0] if focal else None,
-    )
+def _is_reversed(limits: tuple[float, float]) -> bool:
+    return limits[0] > limits[1]
 
 
-def _checked(path: str | Path, values: np.ndarray) -> np.ndarray:
-    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "iuf":
-        raise InputError(f"{path}: expected numbers [H, W], got {values.dtype} {list(values.shape)}")
-    return np.asarray(values)
-
-
-def _between(path: str | Path, values: np.ndarray, kind: str, near: float, far: float) -> np.ndarray:
+def _between(
+    path: str | Path, values: np.ndarray, sky: np.ndarray | None, kind: str, first: float, second: float, invalid: str
+) -> np.ndarray:
     """z [H, W] of numbers whose full scale runs from near to far; see read_depth. Raises InputError."""
-    near, far = _positive("depth range: near", near), _positive("depth range: far", far)
-    if near >= far:
-        raise InputError(f"depth range: expected near < far, got {near:g},{far:g}")
+    first, second = _positive("depth range: near", first), _positive("depth range: far", second)
+    if first == second:
+        raise InputError(f"depth range: expected near < far (or far first, where the map is so), got {first:g} twice")
+    near, far = sorted((first, second))
     if values.dtype.kind in "iu":
         if values.dtype not in (np.uint8, np.uint16):
             raise InputError(f"{path}: near and far are for uint8, uint16 or floats in 0..1, got {values.dtype}")
         share = values / np.iinfo(values.dtype).max
     else:
-        share = np.where(np.isfinite(values), values, np.nan).astype(np.float64)
+        share = np.where(np.isfinite(values) & (values > _NO_SHARE), values, np.nan).astype(np.float64)
+        if sky is not None:
+            share[sky] = np.nan
         if (share < 0).any() or (share > 1).any():
             raise InputError(
                 f"{path}: with near and far expected floats in 0..1, got {np.nanmin(share):g}.."
                 f"{np.nanmax(share):g}; divide by the largest, or give a scale"
             )
-    if kind == "distance":
-        return np.where(np.isposinf(values), np.inf, near + (far - near) * share)
-    return 1 / (1 / far + (1 / near - 1 / far) * share)
+    if _is_reversed((first, second)):
+        share = 1 - share
+    if kind == "disparity":
+        z = 1 / (1 / far + (1 / near - 1 / far) * share)
+        return np.where(share == 0, np.inf, z) if invalid == "hole" else z
+    beyond = np.isposinf(values) if sky is None else np.isposinf(values) | sky
+    return np.where(beyond, np.inf, near + (far - near) * share)
 
 
-def _scaled(values: np.ndarray, kind: str, scale: float) -> np.ndarray:
+def _scaled(values: np.ndarray, sky: np.ndarray | None, kind: str, scale: float) -> np.ndarray:
     """z [H, W]: infinite where it is far away, NaN where nothing was measured."""
-    if kind == "distance":
-        return np.where(values > 0, values * scale, np.nan)
-    return np.where((values >= 0) & np.isfinite(values), scale / values, np.nan)
+    if kind == "disparity":
+        return np.where((values >= 0) & np.isfinite(values), scale / values, np.nan)
+    z = np.where(values > 0, values * scale, np.nan)
+    return z if sky is None else np.where(sky, np.inf, z)
 
 
 def _positive(name: str, value: float) -> float:

@@ -17,7 +17,7 @@ from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEPTH_KINDS, DEPTH_MODEL, DEVICES, DepthKind, Device
+from lightfield_gs.base.options import DEPTH_MODEL, DEVICES, DepthKind, Device
 from lightfield_gs.photo.depth import DepthMap
 from lightfield_gs.photo.estimated_depth import z_of_disparities, z_of_distances
 from lightfield_gs.photo.joint_upsampling import upsampled
@@ -27,6 +27,7 @@ _INSTALL = "pip install 'lightfield-gs[depth]'"
 _OTHER_WAY = "or give a depth map with --depth FILE"
 _FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
 _USUAL_SIDE_PX = 518  # of the photo as the network sees it, where its own processor does not say it
+_ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
 # What the numbers of families are that do not say it in their configuration
 _KINDS: dict[str, DepthKind] = {
     "depth_pro": "distance",
@@ -78,7 +79,7 @@ def estimated_depth(
     """What depth_from_network does, and words on it. say: is told what is fetched, before it is."""
     pixels = _checked_pixels(image)
     expect("model", model, str, Path)
-    for what, given, choices in (("depth kind", kind, (None, *DEPTH_KINDS)), ("device", device, DEVICES)):
+    for what, given, choices in (("depth kind", kind, (None, *_ESTIMATED_KINDS)), ("device", device, DEVICES)):
         if given not in choices:
             raise InputError(f"{what}: expected one of {', '.join(str(one) for one in choices)}, got {given!r}")
     limits = None if limits is None else _checked_limits(limits)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
+from lightfield_gs.photo.estimated_depth import z_of_distances
 from lightfield_gs.photo.windows import largest
 
 _EDGE = 0.06  # what the disparity of a neighbourhood spans where an edge is looked for, as a share of the map's range
@@ -41,6 +43,21 @@ def upsampled(values: Tensor, photo: Tensor, spread: float) -> Tensor:
         row, column = rows[start : start + _CHUNK], columns[start : start + _CHUNK]
         result[row, column] = candidates.elected(row, column, photo[row, column])
     return result
+
+
+def at_size_of_photo(z: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """A depth map [h, w] of a photo at the photo's size, float32 [H, W], NaN where nothing was measured.
+
+    z: distances, scene units. photo: [H, W, 3 or more], floats in 0..1, of the same shape. A smaller map is brought to
+    its edges as `upsampled` does; of a larger one each pixel takes the depth at its middle, so that none lies between
+    near and far.
+    """
+    (height, width), (rows, columns) = photo.shape[:2], z.shape
+    if rows * columns > height * width:
+        down, right = (((np.arange(n) + 0.5) * m / n).astype(int) for n, m in ((height, rows), (width, columns)))
+        return z[np.ix_(down, right)]
+    found = z_of_distances(torch.from_numpy(z))
+    return found.z(upsampled(found.disparities, torch.from_numpy(photo[..., :3]), found.spread)).numpy()
 
 
 class _Candidates:

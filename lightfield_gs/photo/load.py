@@ -21,6 +21,7 @@ __all__ = ["NoCutOut", "Photo", "load_photo", "photo_of", "plain_background_mask
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
 _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
 _COVERS_ALL = 0.93  # alpha that covers this share of the pixels and more has rounded corners or a frame, and no object
+_ALL_OF_RIM = 0.98
 # Shares of what an object encloses. If more than the first two is lost, as faded or as holes, it is likely to be the
 # object itself, which is refused; from the third on it may be, which is said.
 _MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
@@ -102,6 +103,7 @@ def photo_of(
         photo.said.append(f"turned by its Exif orientation {picture.orientation}")
     if mask is not None:
         alpha = _read_mask(mask, photo, map_orientation)
+        photo.notes += _inverted(str(mask), alpha)
         empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
         said = f"cut out by {Path(mask).name}"
     elif remove_background:
@@ -112,6 +114,7 @@ def photo_of(
         alpha = _shares(alpha)
         empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or --mask FILE"
         said = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
+        photo.notes += [] if whole else _inverted(f"{path}: its alpha", alpha)
     elif whole:
         alpha, empty, said = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
     else:
@@ -189,6 +192,18 @@ def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
     whole = np.zeros_like(alpha)
     whole[box] = np.minimum(cut.alpha, alpha[box])
     return replace(cut, alpha=whole)
+
+
+def _inverted(name: str, alpha: np.ndarray) -> list[str]:
+    """A note where a cut-out [H, W] is all of the rim and leaves a hole inside, as one that is inverted does."""
+    rim = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
+    hole = float((alpha < 0.5).mean())
+    if (rim > 0.5).mean() < _ALL_OF_RIM or hole < _MIN_OBJECT_SHARE:
+        return []
+    return [
+        f"{name} covers the whole rim of the picture and leaves a hole of {hole:.1%} of it inside: is it inverted? "
+        "What is to be shown is bright or opaque"
+    ]
 
 
 def _without_specks(alpha: np.ndarray) -> str:

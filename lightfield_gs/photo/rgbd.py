@@ -33,7 +33,7 @@ _STEEPEST_RIM = 1.0  # slope of the last pixels before an edge: steeper ones wou
 _OPACITY = 0.99  # of each pixel that is opaque: the rasterizer makes no more of any
 
 
-def focal_length_px(field_of_view_deg: float, height_px: int, width_px: int) -> float:
+def focal_length_px(field_of_view_deg: float, height_px: float, width_px: float) -> float:
     """The focal length of square pixels at which the longer side of the image takes this angle, 0..180 exclusive."""
     if not 0 < field_of_view_deg < 180:
         raise InputError(f"field of view: expected degrees between 0 and 180, got {field_of_view_deg}")
@@ -215,14 +215,19 @@ def _checked_image(image: np.ndarray | Tensor) -> Tensor:
         raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(image.shape)}")
     if not image.is_floating_point():
         raise InputError(f"photo: expected floating point values in 0..1, got {image.dtype}; divide by 255")
-    if image.shape[0] * image.shape[1] > MAX_PIXELS:
-        raise InputError(
-            f"photo: {image.shape[1]} x {image.shape[0]} pixels, each a Gaussian; expected at most "
-            f"{MAX_PIXELS}; make photo and depth map smaller"
-        )
+    check_photo_size("photo", image.shape[0], image.shape[1])
     if not bool(torch.isfinite(image).all()) or float(image.min()) < 0 or float(image.max()) > 1:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")
     return image.to(torch.float32)
+
+
+def check_photo_size(name: str, height: int, width: int) -> None:
+    """Raises InputError where a photo has more pixels than may become Gaussians; name: of the photo."""
+    if height * width > MAX_PIXELS:
+        raise InputError(
+            f"{name}: {width} x {height} pixels, each a Gaussian; expected at most {MAX_PIXELS}; make photo and depth "
+            "map smaller"
+        )
 
 
 def check_depth_size(name: str, depth: np.ndarray | Tensor, photo: np.ndarray | Tensor) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,20 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_PARTS
 from lightfield_gs.io.images import as_floats
-from lightfield_gs.photo.depth import channels_apart
+from lightfield_gs.photo.depth_files import DepthNumbers, grey_numbers
 
 _NAME = re.compile(r"(^|[^a-z0-9])rgbd$", re.IGNORECASE)
 _SAMPLES = 128  # pixels a side that are looked at: enough to see whether a half is grey
-_GREY = 0.04  # how far the channels of a grey half come apart when it is saved as JPEG, as a share of its range
+# How far the channels of a grey half come apart when it is saved as JPEG or as a video: as a share of its range, or of
+# the full scale; and the share of its pixels in which they do not, where something says that it is a map
+_GREY, _GREY_STEP, _MOST_GREY = 0.04, 4 / 255, 0.98
+# At the seam of such a picture the colours of the photo run over into the map: they are stored in blocks of 16 pixels,
+# and interpolated
+_SEAM_PX = 20
 # The least standard deviation of a depth map, and the least mean difference of the channels of a photo, values in 0..1
 _RELIEF, _COLOURFUL = 0.05, 0.05
+# The same of the photo where a name says that there is a map: more than that, and so many times the map's own
+_PALE, _TIMES_PALER = 0.008, 3
 
 
 def is_named_so(path: Path) -> bool:
@@ -40,8 +48,11 @@ def halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray,
     return (first, second) if side in ("right", "bottom") else (second, first)
 
 
-def depth_side(pixels: np.ndarray) -> str | None:
-    """Which half of pixels [H, W, C] is grey, with some relief, beside one in colour; None where no half is."""
+def depth_side(pixels: np.ndarray, is_named: bool = False) -> str | None:
+    """Which half of pixels [H, W, C] is grey, with some relief, beside one in colour; None where no half is.
+
+    is_named: whether something says that one is a map: then the photo may be pale, if the map is less so.
+    """
     height, width, channels = pixels.shape
     if channels < 3 or min(height, width) < 16:
         return None
@@ -49,11 +60,52 @@ def depth_side(pixels: np.ndarray) -> str | None:
         axis = 1 if side in ("right", "left") else 0
         if pixels.shape[axis] % 2:
             continue
-        colour, grey = (_sampled(half) for half in halves("", pixels, side))
-        is_grey = all(channels_apart(grey, *pair) <= _GREY for pair in ((0, 1), (0, 2), (1, 2)))  # mostly not the first
-        if is_grey and grey.std() >= _RELIEF and float(np.ptp(colour, axis=2).mean()) >= _COLOURFUL:
+        colour, grey = (_sampled(_off_seam(half, side, part)) for part, half in enumerate(halves("", pixels, side)))
+        least = max(_PALE, _TIMES_PALER * float(np.ptp(grey, axis=2).mean())) if is_named else _COLOURFUL
+        if _is_grey(grey, is_named) and grey.std() >= _RELIEF and float(np.ptp(colour, axis=2).mean()) >= least:
             return side
     return None
+
+
+def beside_numbers(path: str | Path, pixels: np.ndarray, side: str) -> DepthNumbers:
+    """The numbers of the depth map in the half `side` of pixels [H, W, C]. Raises InputError.
+
+    Whether it is grey is judged away from the seam; where colours run over there, its brightness is taken.
+    """
+    grey = halves(path, pixels, side)[1]
+    name, inner = f"{path}: its {side} half", _off_seam(grey, side, 1)
+    if grey.shape[2] < 3 or not _is_grey(as_floats(inner[..., :3]), True):
+        return grey_numbers(name, grey)
+    values = _brightness(grey)
+    if _is_grey(as_floats(inner[..., :3]), False):
+        found = grey_numbers(name, inner)
+        _off_seam(values[..., None], side, 1)[..., 0] = found.values
+        return replace(found, values=values)
+    return DepthNumbers(values, notes=["is not quite grey, as in a JPEG or a video: its brightness is taken"])
+
+
+def _is_grey(values: np.ndarray, is_named: bool) -> bool:
+    """Whether values [H, W, 3] in 0..1 have next to no colour; is_named: see depth_side."""
+    apart, span = np.ptp(values, axis=2), float(np.ptp(values)) or 1.0
+    if is_named:
+        return float(np.quantile(apart, _MOST_GREY)) <= max(_GREY * span, _GREY_STEP)
+    return float(apart.max()) <= _GREY * span
+
+
+def _brightness(pixels: np.ndarray) -> np.ndarray:
+    """The luma [H, W] of pixels [H, W, 3 or more] (BT.601, as in JPEG), in their type; of grey ones the channels."""
+    luma = pixels[..., :3] @ np.array([0.299, 0.587, 0.114])
+    luma = (luma if pixels.dtype == np.float32 else np.rint(luma)).astype(pixels.dtype)
+    return np.where(np.ptp(pixels[..., :3], axis=2) == 0, pixels[..., 0], luma)
+
+
+def _off_seam(half: np.ndarray, side: str, part: int) -> np.ndarray:
+    """A half [H, W, C] without the pixels at the seam, a view; part: 0 the photo, 1 the map at `side`."""
+    axis = 1 if side in ("right", "left") else 0
+    cut = min(_SEAM_PX, half.shape[axis] // 4)
+    is_second = (side in ("right", "bottom")) == (part == 1)
+    keep = slice(cut, None) if is_second else slice(None, half.shape[axis] - cut)
+    return half[:, keep] if axis else half[keep]
 
 
 def _sampled(pixels: np.ndarray) -> np.ndarray:

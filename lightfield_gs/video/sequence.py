@@ -13,6 +13,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import write_image
 from lightfield_gs.video.frames import decoded, timeline
@@ -84,10 +85,27 @@ def open_sequence(path: str | Path, maps: bool = False) -> Sequence:
     if not path.is_dir():
         seen = timeline(path)
         return Sequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes)
-    files = _files(path, _MAPS if maps else PICTURES)
+    pictures, beside = pictures_and_maps(path)
+    files = (beside or _files(path, _MAPS)) if maps else pictures
     if not files:
         raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else PICTURES)}), got none")
     return Sequence(path, len(files), tuple(files))
+
+
+def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
+    """The pictures of a folder in order, and the depth maps that lie beside them by their names, one for each; of the
+    latter none where none do. Raises InputError where only some pictures have one."""
+    files = _files(folder, _MAPS)
+    beside = depth_maps_beside(path.name for path in files)
+    maps = {name for names in beside.values() for name in names}
+    pictures = [path for path in files if path.suffix.lower() in PICTURES and path.name not in maps]
+    without = [path.name for path in pictures if path.name not in beside]
+    if beside and without:
+        raise InputError(
+            f"{folder}: {len(beside)} of its pictures have a depth map beside them, as {next(iter(beside))}, and "
+            f"{len(without)} have none, as {without[0]}; give all of them one, or put the maps into another folder"
+        )
+    return pictures, [folder / beside[path.name][0] for path in pictures if beside]
 
 
 def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:

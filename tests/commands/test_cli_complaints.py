@@ -68,7 +68,7 @@ from lightfield_gs.scene import files as scene_file
         ("encode s.ply -o o.png --method sorted --quality fast", "--quality fast is for --method direct, not sorted"),
         (
             "encode photo.png -o o.png --depth d.npy",
-            "d.npy: expected a depth map of the photo's size 16 x 16, got 9 x 8",
+            "d.npy: expected a depth map of the photo's size 16 x 16, or of its shape, got 9 x 8",
         ),
         ("encode photo.png -o o.png --depth d.npy --depth-scale inf", "finite number > 0, got inf"),
         ("encode photo.png -o o.png --depth d.npy --intrinsics 0,9,8,8", "--intrinsics: expected focal lengths > 0"),

@@ -2,7 +2,6 @@
 
 import json
 import re
-import zipfile
 
 import numpy as np
 import pytest
@@ -14,7 +13,8 @@ from rgbd_scene import view
 import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
-from lightfield_gs.photo.depth import depth_map, read_depth, read_numbers
+from lightfield_gs.photo.depth import depth_map, ray_lengths, read_depth
+from lightfield_gs.photo.depth_files import read_numbers
 from lightfield_gs.photo.margin import place
 from lightfield_gs.show.preview import to_integers
 
@@ -73,13 +73,13 @@ def test_what_is_infinitely_far_is_far_or_left_out_as_asked(tmp_path):
     "array, options, words",
     [
         (np.ones((2, 3), np.uint16), {}, "whole numbers.*--depth-range"),
-        (np.ones((2, 3, 1)), {}, r"expected numbers \[H, W\]"),
+        (np.ones((2, 3, 2)), {}, r"expected numbers \[H, W\]"),
         (np.ones((2, 3), bool), {}, "bool"),
         (np.ones((2, 3), complex), {}, "complex"),
         (np.ones((0, 3)), {}, "0, 3"),
         (np.zeros((2, 3)), {}, "there is none"),
         (np.full((2, 3), np.nan), {"limits": (1, 2)}, "there is none"),
-        (np.ones((2, 3)), {"limits": (2, 1)}, "near < far"),
+        (np.ones((2, 3)), {"limits": (2, 2)}, "near < far"),
         (np.ones((2, 3)), {"limits": (0, 1)}, "> 0"),
         (np.ones((2, 3)), {"limits": (1, np.inf)}, "> 0"),
         (np.ones((2, 3)), {"scale": 0}, "> 0"),
@@ -88,6 +88,7 @@ def test_what_is_infinitely_far_is_far_or_left_out_as_asked(tmp_path):
         (np.ones((2, 3), np.int32), {"limits": (1, 2)}, "uint8, uint16"),
         (np.ones((2, 3)), {"limits": (1, 2), "scale": 1}, "not both"),
         (np.ones((2, 3)), {"kind": "height"}, "disparity"),
+        (np.ones((2, 3)), {"kind": "ray"}, "ray needs the camera"),
     ],
 )
 def test_numbers_that_make_no_depth(tmp_path, array, options, words):
@@ -97,65 +98,75 @@ def test_numbers_that_make_no_depth(tmp_path, array, options, words):
     assert "\n" not in str(caught.value)
 
 
-def test_maps_that_are_almost_grey(tmp_path):
-    """Saved in colour, as by a JPEG; or in two channels alone."""
-    grey = np.repeat(np.arange(0, 240, 20, dtype=np.uint8).reshape(3, 4, 1), 3, 2)
-    for change, expected in (((0, 0, 1), grey[..., 0]), ((-3, 3, 0), grey[..., 0])):
-        write_image(tmp_path / "a.png", (grey.astype(int) + np.array(change)).clip(0, 255).astype(np.uint8))
-        numbers = read_numbers(tmp_path / "a.png")
-        assert np.abs(numbers.values.astype(int) - expected).max() <= 1 and "almost grey" in numbers.notes[0]
-    grey[..., 2] = 255
-    write_image(tmp_path / "a.png", grey)
-    assert np.array_equal(read_numbers(tmp_path / "a.png").values, grey[..., 0])
-    Image.fromarray(grey[..., :2], "LA").save(tmp_path / "a.png")
-    assert np.array_equal(read_numbers(tmp_path / "a.png").values, grey[..., 0])
-
-
-def test_an_archive_of_arrays(tmp_path):
-    path = tmp_path / "a.npz"
-    for names, kind in (
-        ({"depth": Z, "focallength_px": np.array(50.0), "canonical": np.ones((2, 3))}, None),
-        ({"x": Z.T.copy().T}, None),
-        ({"disparity": 1 / Z, "other": Z}, "disparity"),
+def test_a_range_the_other_way_round_is_that_of_a_map_the_other_way_round(tmp_path):
+    """Far first: distances of which bright is near, in 8 and 16 bits and floats; and inverted disparities."""
+    share = np.array([[0, 51 / 255, 1]])
+    for name, stored in (
+        ("a.npy", (share * 255).astype(np.uint8)),
+        ("b.npy", (share * 65535).round().astype(np.uint16)),
     ):
-        np.savez_compressed(path, **names)
-        numbers = read_numbers(path)
-        assert numbers.kind == kind and numbers.focal_px == (50 if "depth" in names else None)
-        assert np.allclose(depth_map(path, numbers).z, Z)
-    np.savez(path, first=Z, second=Z)
-    with pytest.raises(lf.InputError, match="a.npz: expected a depth map .* named depth, .* holds first, second"):
-        read_numbers(path)
-    stored = path.read_bytes()
-    for damaged in (b"", b"hello", stored[:-30], stored[:200], stored.replace(b"(2, 3)", b"(9**9)")):
-        path.write_bytes(damaged)
-        with pytest.raises(lf.InputError, match="a.npz"):
-            read_numbers(path)
+        np.save(tmp_path / name, stored)
+        assert np.allclose(read_depth(tmp_path / name, limits=(6, 2)), [[6, 5.2, 2]], rtol=1e-4)
+        assert np.allclose(read_depth(tmp_path / name, "disparity", limits=(6, 2)), [[2, 1 / (1 / 6 + 0.8 / 3), 6]])
+    np.save(tmp_path / "c.npy", share)
+    assert np.allclose(read_depth(tmp_path / "c.npy", limits=(6, 2)), [[6, 5.2, 2]])
+    hole = read_depth(tmp_path / "a.npy", "disparity", limits=(6, 2), invalid="hole")
+    assert np.isnan(hole).tolist() == [[False, False, True]]
 
 
-def test_an_archive_that_would_fill_the_memory(tmp_path):
-    """A few kilobytes that say they are 16 GB."""
-    header = np.lib.format.header_data_from_array_1_0(np.ones((1, 1)))
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        with archive.open("depth.npy", "w") as file:
-            np.lib.format.write_array_header_1_0(file, {**header, "shape": (1 << 14, 1 << 17)})
-            file.write(bytes(1 << 20))
-    with pytest.raises(lf.InputError, match="'depth.npy' is damaged, too large"):
-        read_numbers(tmp_path / "a.npz")
+@pytest.mark.parametrize(
+    "sky, dtype, scale",
+    [
+        (1e10, np.float32, None),
+        (65504, np.float16, None),
+        (65504, np.float32, None),
+        (3.4e38, np.float32, None),
+        (65.535, np.float32, None),
+        (1e5, np.float64, None),
+        (65535, np.uint16, 0.001),
+        (65535, np.int32, 0.001),
+        (2**31 - 1, np.int32, 0.001),
+    ],
+)
+def test_numbers_that_stand_for_the_sky_are_far(tmp_path, sky, dtype, scale):
+    """At twice the farthest that was measured, or holes, and said."""
+    values = np.array([[1, 1.5, 2, 40, 0]]) * (1 if scale is None else 1000)
+    np.save(tmp_path / "s.npy", np.concatenate([values, np.full((1, 5), sky)]).astype(dtype))
+    z = read_depth(tmp_path / "s.npy", scale=scale)
+    assert np.allclose(z[1], 80) and np.allclose(z[0, :4], [1, 1.5, 2, 40]) and np.isnan(z[0, 4])
+    assert np.isnan(read_depth(tmp_path / "s.npy", scale=scale, invalid="hole")[1]).all()
+    assert "50.0% sky (" in depth_map("s.npy", read_numbers(tmp_path / "s.npy"), scale=scale).said
 
 
-def test_files_that_are_no_depth_map(tmp_path):
-    write_image(tmp_path / "colour.png", np.arange(12, dtype=np.uint8).reshape(2, 2, 3))
-    (tmp_path / "text.png").write_text("hello")
-    (tmp_path / "text.npy").write_text("hello")
-    for name, words in (
-        ("colour.png", "in colour"),
-        ("text.png", "not an image"),
-        ("text.npy", "not a .npy"),
-        ("no.npy", "cannot read"),
-        ("no.png", "cannot read"),
-    ):
-        with pytest.raises(lf.InputError, match=f"{name}.*{words}|{words}.*{name}"):
-            read_depth(tmp_path / name, limits=(1, 2))
+@pytest.mark.parametrize(
+    "values, scale",
+    [
+        (np.linspace(1, 65535, 12).reshape(3, 4).astype(np.uint16), 1e-4),  # a map that fills its range
+        (np.array([[1000, 60000, 65535]], np.uint16), 0.001),  # woods and hills at 60 m
+        (np.array([[51, 102, 255]], np.uint8), 0.01),
+        (np.array([[65504.0, 65535.0]]), None),
+        (np.array([[1e10, 2e10]]), None),
+    ],
+)
+def test_distances_that_may_be_meant_are_no_sky(tmp_path, values, scale):
+    np.save(tmp_path / "s.npy", values)
+    assert np.allclose(read_depth(tmp_path / "s.npy", scale=scale), values * (scale or 1), rtol=1e-6)
+
+
+def test_marks_of_what_was_not_measured_are_holes_beside_shares(tmp_path):
+    np.save(tmp_path / "s.npy", np.array([[0.0, 0.5, 1.0, -9999.0, np.nan]]))
+    assert np.array_equal(read_depth(tmp_path / "s.npy", limits=(1, 2)), [[1, 1.5, 2, np.nan, np.nan]], equal_nan=True)
+
+
+def test_distances_along_the_rays_are_those_of_a_flat_wall(tmp_path):
+    """A wall at 2 across the axis, by the camera of the photo; also in a map of half its size."""
+    focal, centre, size = (50.0, 40.0), (30.0, 22.0), (40, 60)
+    for shape in (size, (20, 30)):
+        np.save(tmp_path / "r.npy", 2 * ray_lengths(shape, size, focal, centre))
+        z = read_depth(tmp_path / "r.npy", "ray", rays=lambda shape: ray_lengths(shape, size, focal, centre))
+        assert z.shape == shape and np.allclose(z, 2)
+    corner = ray_lengths(size, size, focal, centre)[0, 0]
+    assert corner == pytest.approx(np.sqrt(1 + (29.5 / 50) ** 2 + (21.5 / 40) ** 2))
 
 
 # The command
@@ -220,7 +231,7 @@ def test_a_mask_cuts_the_scene(folder, capsys):
     "line, words",
     [
         ("encode photo.png --depth mm.png", "whole numbers"),
-        ("encode photo.png --depth small.npy", "size 60 x 40, got 7 x 5"),
+        ("encode photo.png --depth small.npy", "size 60 x 40, or of its shape, got 7 x 5"),
         ("encode s.ply --depth depth.exr", "--depth is for photos"),
         ("encode s.ply --remove-background", "--remove-background is for photos"),
         ("encode photo.png --depth-range 1,2", "no --depth"),
@@ -230,7 +241,7 @@ def test_a_mask_cuts_the_scene(folder, capsys):
         ("encode photo.png --depth depth.exr --fov 50 --intrinsics 1,1,1,1", "place of --fov"),
         ("encode photo.png --depth depth.exr --intrinsics -1,1,1,1", "--intrinsics: .* > 0 px"),
         ("encode photo.png --depth mm.png --depth-scale 1 --depth-range 1,2", "place of --depth-range"),
-        ("encode photo.png --depth mm.png --depth-range 2,1", "near < far"),
+        ("encode photo.png --depth mm.png --depth-range 2,2", "near < far"),
         ("encode photo.png --depth mm.png --depth-range 2", "2 numbers"),
         ("encode photo.png --depth photo.png", "in colour"),
         ("encode photo.png --depth depth.exr --intrinsics 50,50,100,20", "principal point 100,20 is outside"),

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.depth_map import depth_beside, depth_of_file, has_depth
+from lightfield_gs.commands.options.depth_map import (
+    depth_beside,
+    depth_of_file,
+    depth_within,
+    has_depth,
+    is_depth_inside,
+)
 from lightfield_gs.commands.options.detail import detail_given, detail_words
 from lightfield_gs.commands.options.estimated import AUTO, depth_by_network, is_estimated
 from lightfield_gs.commands.options.network import network_of
@@ -20,10 +29,14 @@ from lightfield_gs.commands.options.placing import place_photo
 from lightfield_gs.photo.side_by_side import depth_side, halves
 
 if TYPE_CHECKING:
+    from lightfield_gs.io.images import Picture
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
     from lightfield_gs.scene.gaussians import Gaussians
+
+
+_MOST_BESIDE = 200  # files in the folder of a photo up to which a depth map is looked for: each of a batch does so
 
 
 @dataclass
@@ -39,6 +52,12 @@ class ReadPhoto:
     depth: DepthMap | None = None
     refused: InputError | None = None
     notes: list[str] = field(default_factory=list)
+
+
+def quilt_in_name(path: Path) -> re.Match[str] | None:
+    """The columns and rows that the name of a picture says, where it is that of a quilt:
+    <name>_qs<columns>x<rows>a<aspect>."""
+    return re.search(r"_qs(\d+)x(\d+)a\d", path.stem)
 
 
 def read_photo(args: argparse.Namespace) -> ReadPhoto:
@@ -63,7 +82,7 @@ def _read_object(args: argparse.Namespace) -> ReadPhoto:
 
     picture = read_picture(args.input)
     side = depth_side(picture.pixels)
-    hint = f"its {side} half is grey, as a photo's depth map beside it would be: --rgbd {side} takes it so"
+    notes = _other_ways(args, picture, side)
     try:
         photo = photo_of(
             args.input,
@@ -73,13 +92,49 @@ def _read_object(args: argparse.Namespace) -> ReadPhoto:
             map_orientation=args.map_orientation,
         )
     except InputError as error:
-        if side is not None:
-            raise InputError(f"{error}; {hint}") from None
+        ways = [words.removeprefix(f"{args.input}: ") for words in notes]
+        if not isinstance(error, NoCutOut):
+            raise InputError("; ".join([str(error), *ways[: side is not None]])) from None
+        refused = NoCutOut("; ".join([str(error), *ways]))
         of_network = (args.checkpoint, args.detail, args.detail_budget)
-        if not isinstance(error, NoCutOut) or any(value is not None for value in of_network):
-            raise
-        return _read_whole_instead(args, error)
-    return ReadPhoto(photo, notes=[f"{args.input}: {hint}"] if side else [])
+        if side is not None or any(value is not None for value in of_network):
+            raise refused from None
+        return _read_whole_instead(args, refused)
+    return ReadPhoto(photo, notes=notes)
+
+
+def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) -> list[str]:
+    """Lines on what a picture may be beside a photo, and what its file holds and others beside it, that is not used;
+    side: the half that looks like a depth map, which comes first."""
+    from lightfield_gs.io.depth_names import depth_maps_beside
+    from lightfield_gs.photo.inside import notes_inside
+
+    notes = []
+    if side is not None:
+        notes.append(
+            f"{args.input}: its {side} half is grey, as a photo's depth map beside it would be: --rgbd {side} takes it "
+            "so"
+        )
+    notes += _notes_on_eyes(args, picture)
+    notes += notes_inside(args.input, is_depth_used=False)
+    some = [path.name for path in islice(args.input.parent.iterdir(), _MOST_BESIDE)]
+    beside = depth_maps_beside(some) if len(some) < _MOST_BESIDE else {}
+    if maps := beside.get(args.input.name):
+        notes.append(f"{args.input}: {maps[0]} beside it looks like its depth map: --depth takes it")
+    return notes
+
+
+def _notes_on_eyes(args: argparse.Namespace, picture: Picture) -> list[str]:
+    """A line on a picture that looks like a stereo pair."""
+    from lightfield_gs.photo.stereo_pair import stereo_layout
+
+    layout = None if quilt_in_name(args.input) else stereo_layout(picture.pixels)
+    if layout is None:
+        return []
+    return [
+        f"{args.input}: it looks like a stereo pair, two eyes' pictures {layout}, and is taken for one photo; give one "
+        "of them alone"
+    ]
 
 
 def _scene_of_object(
@@ -134,17 +189,20 @@ def _tried(refused: InputError | None) -> Iterator[None]:
 def _read_whole(args: argparse.Namespace) -> ReadPhoto:
     """All that a photo shows, with its depth map unless that is estimated."""
     from lightfield_gs.io.images import read_picture
+    from lightfield_gs.photo.inside import notes_inside
     from lightfield_gs.photo.load import photo_of
-    from lightfield_gs.photo.rgbd import check_depth_size
+    from lightfield_gs.photo.rgbd import check_photo_size
 
     picture = read_picture(args.input)
-    side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels)
-    if side is None and args.depth is None:
+    is_inside = is_depth_inside(args)
+    side = None if args.depth is not None or is_inside else args.rgbd or depth_side(picture.pixels, is_named=True)
+    if side is None and args.depth is None and not is_inside:
         raise InputError(
-            f"{args.input}: its name says that its depth map is in it, and none of its halves is grey; "
-            "say which it is with --rgbd, or rename it"
+            f"{args.input}: its name says that its depth map is in it, and none of its halves is grey beside one in "
+            "colour; say which it is with --rgbd, or rename it"
         )
     colour = picture if side is None else replace(picture, pixels=halves(args.input, picture.pixels, side)[0])
+    check_photo_size(str(args.input), *colour.pixels.shape[:2])
     photo = photo_of(
         args.input,
         colour,
@@ -153,11 +211,15 @@ def _read_whole(args: argparse.Namespace) -> ReadPhoto:
         whole=True,
         map_orientation=args.map_orientation,
     )
+    notes = notes_inside(args.input, is_depth_used=is_inside or not is_estimated(args))
+    notes += [] if side else _notes_on_eyes(args, colour)
     if is_estimated(args):
-        return ReadPhoto(photo, is_whole=True)
-    depth = depth_of_file(args, photo) if side is None else depth_beside(args, picture, side)
-    check_depth_size(str(args.depth), depth.z, photo.pixels)
-    return ReadPhoto(photo, is_whole=True, depth=depth)
+        return ReadPhoto(photo, is_whole=True, notes=notes)
+    if is_inside:
+        depth = depth_within(args, photo)
+    else:
+        depth = depth_of_file(args, photo) if side is None else depth_beside(args, picture, side)
+    return ReadPhoto(photo, is_whole=True, depth=depth, notes=notes)
 
 
 def _scene_of_whole(
@@ -180,7 +242,7 @@ def _scene_of_whole(
     margin, placed = place_photo(args, panel, image, torch.from_numpy(depth.z), *known)
     gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
     watch.lap("depth")
-    _say(args, photo, [depth.said, camera, *placed], depth.notes + notes)
+    _say(args, photo, [depth.said, camera, *placed], source.notes + depth.notes + notes)
     return gaussians
 
 

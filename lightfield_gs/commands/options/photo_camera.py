@@ -18,12 +18,21 @@ def camera_of_photo(args: argparse.Namespace, height: int, width: int, focal_px:
 
     if args.intrinsics is not None:
         return args.intrinsics[:2], args.intrinsics[2:], *_checked_intrinsics(args.intrinsics, height, width)
+    # Angles are those of the photo as it is seen, at the height of its pixels
+    wide = args.pixel_aspect or 1.0
+    squeezed = "" if args.pixel_aspect is None else f", its pixels {wide:g} times as wide as high"
     if args.fov is not None:
-        return (focal_length_px(args.fov, height, width),) * 2, None, f"field of view {args.fov:g} degrees", []
+        focal = focal_length_px(args.fov, height, width * wide)
+        return (focal / wide, focal), None, f"field of view {args.fov:g} degrees{squeezed}", []
     if focal_px is not None:
-        _, notes = _checked_intrinsics((focal_px, focal_px, width / 2, height / 2), height, width)
-        return (focal_px,) * 2, None, f"focal length {focal_px:.5g} px, of {args.depth.name}", notes
-    return None, None, f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov)", []
+        focals = focal_px / wide, focal_px
+        _, notes = _checked_intrinsics((*focals, width / 2, height / 2), height, width)
+        return focals, None, f"focal length {focal_px:.5g} px, of {args.depth.name}{squeezed}", notes
+    said = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
+    if args.pixel_aspect is None:
+        return None, None, said, []
+    focal = focal_length_px(FIELD_OF_VIEW_DEG, height, width * wide)
+    return (focal / wide, focal), None, said, []
 
 
 def _checked_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) -> tuple[str, list[str]]:

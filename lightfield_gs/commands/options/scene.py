@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.depth_map import add_depth, has_depth
 from lightfield_gs.commands.options.detail import add_detail
 from lightfield_gs.commands.options.estimated import depth_file, is_estimated
-from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, read_photo
+from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
@@ -36,7 +35,16 @@ _PHOTO_OPTIONS = (
     "detail",
     "detail_budget",
 )
-_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics", "fit")
+_DEPTH_OPTIONS = (
+    "depth_kind",
+    "depth_range",
+    "depth_scale",
+    "depth_invalid",
+    "pixel_aspect",
+    "fov",
+    "intrinsics",
+    "fit",
+)
 
 
 def add_scene(
@@ -85,6 +93,8 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if args.depth is not None:
         _refuse(args, ("rgbd",), "takes the place of --depth")
     if is_estimated(args):
+        if args.depth_kind == "ray":
+            raise InputError("--depth-kind: ray is for a depth map in a file; --depth auto estimates none of that kind")
         _refuse(args, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
     else:
         _refuse(args, ("depth_model",), "is for --depth auto")
@@ -94,7 +104,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
         raise InputError(
             f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and {args.intrinsics[1]:g}"
         )
-    for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics")):
+    for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics"), ("pixel_aspect", "intrinsics")):
         if getattr(args, one) is not None:
             _refuse(args, (other,), f"takes the place of {_option(one)}")
 
@@ -153,8 +163,8 @@ def load_scene(
 
 
 def _note_quilt(path: Path) -> None:
-    """Says so where a photo's name is that of a quilt: <name>_qs<columns>x<rows>a<aspect>."""
-    if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
+    """Says so where a photo's name is that of a quilt."""
+    if name := quilt_in_name(path):
         note(
             f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
             "photo; `lightfield-gs weave` takes its views"

@@ -36,13 +36,23 @@ from lightfield_gs.scene.files import SceneFile
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import CameraPath
 from lightfield_gs.video.make import Shots as FrameScenes
-from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence
+from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, pictures_and_maps
 from lightfield_gs.video.turntable import MOST_FRAMES, turntable
 
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is; of a folder of frames, they belong to its job
 _OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov", "fit")
-_MORE_OF_PICTURES = ("intrinsics", "remove_background", "reframe", "focus", "depth_amount", "cone", "zoom", "pan")
+_MORE_OF_PICTURES = (
+    "intrinsics",
+    "pixel_aspect",
+    "remove_background",
+    "reframe",
+    "focus",
+    "depth_amount",
+    "cone",
+    "zoom",
+    "pan",
+)
 
 
 @dataclass
@@ -124,6 +134,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         if getattr(args, name) is not None:
             raise InputError(f"--{name} is for one scene, and {args.input} is a sequence; leave out one of them")
     pictures = open_sequence(args.input)
+    paired = [] if args.rgbd is not None else _take_pairs(args, pictures)
     beside = {name: _beside(args, name, pictures.count) for name in ("depth", "mask")}
     folder = stack.enter_context(scratch_folder())
     count = min(pictures.count, args.frames or pictures.count)
@@ -149,7 +160,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     if is_estimated(first):  # also where no object is cut out
         args.depth = first.depth
-    said = settle_drawing(args, None)
+    said = [*paired, *settle_drawing(args, None)]
     said += [note for part in (pictures, *beside.values()) if part is not None for note in part.notes]
     rig, how = frame_scene(first, panel, given, gaussians, None)
 
@@ -180,6 +191,18 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     return Shots(
         count, fps, False, take, lambda number: None if args.reframe else rig, job, [*said, *how, f"framing: {words}"]
     )
+
+
+def _take_pairs(args: argparse.Namespace, pictures: Sequence) -> list[str]:
+    """Has args.depth be the depth maps beside the pictures in their folder, unless others are given; a line on it."""
+    maps = pictures_and_maps(args.input)[1] if pictures.files else []
+    if not maps:
+        return []
+    first = f"{pictures.files[0].name} with {maps[0].name}"
+    if args.depth is not None:
+        return [f"{args.input}: its depth maps ({maps[0].name}, ...) are left out, as --depth gives others"]
+    args.depth = args.input
+    return [f"{args.input}: {pictures.count} pictures, each with the depth map beside it ({first})"]
 
 
 def _beside(args: argparse.Namespace, name: str, count: int) -> Sequence | None:
