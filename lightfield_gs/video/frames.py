@@ -89,7 +89,7 @@ def decoded(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
 
     Args:
         path: the video.
-        maps: it holds depths: of more than 8 bits they are uint16 [H, W], as stored where they are grey of 16 bits,
+        maps: it holds depths: of more than 8 bits they are uint16 [H, W, 1], as stored where they are grey of 16 bits,
             else scaled to 0..65535; their colours are not converted.
     """
     with _opened(path) as (container, stream):
@@ -97,7 +97,7 @@ def decoded(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
         aspect = _pixel_aspect(stream)
         for frame in _frames(container, stream):
             if maps and frame.format.components[0].bits > 8:
-                pixels = _scaled(frame, aspect, "gray16le")
+                pixels = _scaled(frame, aspect, "gray16le")[..., None]
             elif not maps and (curve in (_PQ, _HLG) or primaries in _TO_BT709):
                 pixels = _to_srgb(_scaled(frame, aspect, "rgb48le"), curve, primaries)
             else:

@@ -231,6 +231,20 @@ def test_a_video_with_depth_beside_it(folder, capsys):
     assert (frame("frames", 1) == frame("files", 1)).all()
 
 
+@pytest.mark.parametrize("black", [0, 2])
+def test_the_half_of_depths_is_that_of_the_first_picture_that_shows_it(folder, capsys, black):
+    """Videos fade in from black and out to it."""
+    pictures = write_rgbd()
+    write_image(f"both/{black + 9}_rgbd.png", 0 * pictures[black])
+    out = run(capsys, "video both -o frames --panel p.yaml")
+    shows = 1 if black == 0 else 0
+    assert f"depth: the right half of each picture, as picture {shows} shows it (assumed; --rgbd)" in out
+    run(capsys, f"encode both/{shows + 9}_rgbd.png -o shown.png --panel p.yaml --rgbd right")
+    assert (
+        frame("frames", black).max() < 10 and (frame("frames", shows) == read_image("shown.png", as_stored=True)).all()
+    )
+
+
 @pytest.mark.parametrize(
     "line, words",
     [

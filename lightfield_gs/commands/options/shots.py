@@ -29,8 +29,10 @@ from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.images import read_picture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.side_by_side import depth_side, is_named_so
 from lightfield_gs.scene.axes import stated_up, upright
 from lightfield_gs.scene.files import SceneFile
 from lightfield_gs.scene.gaussians import Gaussians
@@ -138,6 +140,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     beside = {name: _beside(args, name, pictures.count) for name in ("depth", "mask")}
     folder = stack.enter_context(scratch_folder())
     count = min(pictures.count, args.frames or pictures.count)
+    shown, halved = _settle_half(args, pictures, count, folder)
     given = read_given(args, panel)
 
     def scenes(numbers: list[int]) -> Iterator[tuple[int, argparse.Namespace]]:
@@ -153,14 +156,14 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     def loaded(own: argparse.Namespace) -> Gaussians:
         return load_scene(own, device, Stopwatch(0.0), panel)[0]
 
-    _, first = next(scenes([0]))
+    _, first = next(scenes([shown]))
     check_scene_options(first)
     gaussians, file = load_scene(first, device, watch, panel)
     if file is not None:
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     if is_estimated(first):  # also where no object is cut out
         args.depth = first.depth
-    said = [*paired, *settle_drawing(args, None)]
+    said = [*paired, *halved, *settle_drawing(args, None)]
     said += [note for part in (pictures, *beside.values()) if part is not None for note in part.notes]
     rig, how = frame_scene(first, panel, given, gaussians, None)
 
@@ -186,7 +189,8 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         **({"depth_model": depth_model(args)} if is_estimated(args) else {}),
         "checkpoint": args.checkpoint and sha256_of(args.checkpoint),
     }
-    words = "each by itself" if args.reframe else f"all as {first.input.name}, the first (each by itself: --reframe)"
+    example = f"{first.input.name}, {f'frame {shown}' if shown else 'the first'}"
+    words = "each by itself" if args.reframe else f"all as {example} (each by itself: --reframe)"
     watch.lap("first picture")
     return Shots(
         count, fps, False, take, lambda number: None if args.reframe else rig, job, [*said, *how, f"framing: {words}"]
@@ -203,6 +207,19 @@ def _take_pairs(args: argparse.Namespace, pictures: Sequence) -> list[str]:
         return [f"{args.input}: its depth maps ({maps[0].name}, ...) are left out, as --depth gives others"]
     args.depth = args.input
     return [f"{args.input}: {pictures.count} pictures, each with the depth map beside it ({first})"]
+
+
+def _settle_half(args: argparse.Namespace, pictures: Sequence, count: int, folder: Path) -> tuple[int, list[str]]:
+    """Sets args.rgbd for pictures that have their depth maps beside them by their names: the half is that of the first
+    picture that shows it, for others may be black. Returns the number of that picture, else 0, and a line on it."""
+    named_ones = pictures.files or (pictures.path,)
+    if args.rgbd is not None or args.depth is not None or not all(map(is_named_so, named_ones)):
+        return 0, []
+    for number, path in pictures.pictures(list(range(count)), _made(folder / "half")):
+        if (side := depth_side(read_picture(path).pixels, is_named=True)) is not None:
+            args.rgbd = side
+            return number, [f"depth: the {side} half of each picture, as picture {number} shows it (assumed; --rgbd)"]
+    return 0, []
 
 
 def _beside(args: argparse.Namespace, name: str, count: int) -> Sequence | None:
