@@ -24,8 +24,9 @@ from lightfield_gs.rasterizer.stats import Stats
 
 # Pairs that are reserved beyond those of the last frame, as a share of them: for one rig, and for rigs that change
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0
-# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered
-COLOUR_ORDERS = (2, 4, 8, 12, 16)
+# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered. At the highest
+# order colours for which it is not good enough are exact
+COLOUR_ORDERS = (2, 4, 8)
 _LEAST_PAIRS = 1 << 12
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # pairs are numbered with 32 bits
 _MOST_KNOWN = 64  # kinds of frames that are remembered
@@ -60,7 +61,8 @@ class Frame:
             lens=job.native.lens,
             capacity=capacity,
             quality=quality.native,
-            tolerance=_colour_tolerances(quality)[1],
+            colour_error=_colour_tolerances(quality)[0],
+            left_out=_colour_tolerances(quality)[1],
             shared_memory=shared_memory_limit(),
         )
         if kernel is not None:
@@ -100,8 +102,8 @@ class Frame:
             self.composite(background, out)
 
     def state(self) -> dict[str, Any]:
-        """What the frame found out: pairs, drawn, colour_error, kernel, exact, curved, pruned, lattice_tiles,
-        refused_tiles, tried_tiles. Waits for the device."""
+        """What the frame found out: pairs, drawn, colour_error, kernel, exact, bent_colours, curved, pruned,
+        lattice_tiles, refused_tiles, tried_tiles. Waits for the device."""
         return _state_of(self.state_bytes().cpu())
 
     def state_bytes(self) -> Tensor:
@@ -225,7 +227,7 @@ class Frames:
             affordable = _free_bytes(self.device) // (2 * _PAIR_BYTES)
             enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
-        if state["colour_error"] > _colour_tolerances(self.quality)[0]:
+        if state["colour_error"] > sum(_colour_tolerances(self.quality)):
             self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
         return before != (self.capacity, self.colour_order)
 

@@ -7,6 +7,7 @@
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lens_optics.cuh"
 #include "cuda/frame/pixel/pixel_fit.cuh"
+#include "math/colour_circle.h"
 
 namespace lfgs::cuda {
 
@@ -79,7 +80,7 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
 }
 
 // Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
-// colour polynomial and the end of samples that become opaque; with compensation with the share of opacity.
+// colour polynomial, or the colour on its circle, and the end of samples that become opaque; with compensation with the share of opacity.
 template <class C>
 struct CarefulHit {
   const LensFrame& frame;
@@ -95,7 +96,7 @@ struct CarefulHit {
         compensation(C::Compensated ? frame.splats.compensations[id] : Compensation<float>{}),
         order(C::Harmonics ? frame.splats.orders[id] : 0),
         powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
-        highest(by_place<C::Cells>(frame.optics, powers[order])),
+        highest(by_place<C::Cells>(frame.optics, powers[max(order, 0)])),
         background(background) {}
 
   __device__ void add(float x, float y, float s, int k, float& T, float& colour) const {
@@ -105,6 +106,10 @@ struct CarefulHit {
     if constexpr (C::Compensated) power += log2_share(compensation, s, S);
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
+    if (C::Harmonics && order == kCircleOrder) {
+      const CirclePoint<float> point(powers[kPlaceTerm].w, powers[kDistanceTerm].w, s);
+      c = point.colour([&](int m) { return part(by_place<C::Cells>(frame.optics, powers[m]), k); });
+    }
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
     // A sample that should have ended before takes no more, see ended()
     const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
