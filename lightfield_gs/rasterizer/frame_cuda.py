@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
@@ -28,6 +29,7 @@ _SLACK, _MOVING_SLACK = 1 / 16, 1.0
 # order colours for which it is not good enough are exact
 COLOUR_ORDERS = (2, 4, 8)
 _LEAST_PAIRS = 1 << 12
+_SHOWN = 1 / 255  # what an error must exceed to be said
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # pairs are numbered with 32 bits
 _MOST_KNOWN = 64  # kinds of frames that are remembered
 # An environment variable for tests and measurements: the kernels of frames draw as on a device of less shared memory
@@ -141,7 +143,8 @@ class Frames:
     Their colour polynomials have the highest order that a frame so far needed. Where rigs change, colours may therefore
     differ from those of `frames_of` by the errors of both, each at most twice the tolerance: once for what the order
     cannot express, once for the powers left out. A frame that needs a higher order than those before is still drawn
-    with theirs, and only the next one with its own.
+    with theirs, and only the next one with its own; the next one says so where that was off by more than 1/255. Where
+    frames are counted, it is drawn again.
     """
 
     def __init__(self, job: LensJob, quality: Quality, slack: float = _MOVING_SLACK):
@@ -172,10 +175,13 @@ class Frames:
             with stats.stage("plan"):
                 frame, out = self.frame(job), job.image(as_bytes) if out is None else out
             frame.draw(job.background, out, stats)
+            while stats.device is not None and self._needs_order(state := frame.state()):
+                frame = self._frame(job, cast(int, self.capacity))
+                frame.draw(job.background, out, stats)
             if not torch.cuda.is_current_stream_capturing():  # a user's graph may outlive `host`, and still write there
                 self.note(frame)
             if stats.device is not None:
-                stats.count_frame(frame.state(), frame.work)
+                stats.count_frame(state, frame.work)
         return out
 
     def frame(self, job: LensJob) -> Frame:
@@ -202,7 +208,14 @@ class Frames:
         if self.noted is None or not self.noted.query():
             return False
         self.noted = None
-        return self._needs(_state_of(self.host))
+        state = _state_of(self.host)
+        error, allowed = state["colour_error"], sum(_colour_tolerances(self.quality))
+        if error > max(_SHOWN, allowed) and self.colour_order < self.orders[-1]:
+            assume(
+                f"colours of the frame before are off by up to {255 * error:.1f}/255: its Gaussians are nearer to the "
+                "cameras than those of the frames before it. Frames from now on are right; draw that one again"
+            )
+        return self._needs(state)
 
     def _learn(self, job: LensJob) -> None:
         """Finds out how many pairs a first frame has and which order its colours need, without drawing it."""
@@ -227,9 +240,15 @@ class Frames:
             affordable = _free_bytes(self.device) // (2 * _PAIR_BYTES)
             enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
-        if state["colour_error"] > sum(_colour_tolerances(self.quality)):
-            self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
+        self._needs_order(state)
         return before != (self.capacity, self.colour_order)
+
+    def _needs_order(self, state: dict[str, Any]) -> bool:
+        """Raises the order of colours if a frame of this state lacked one; returns whether it did."""
+        before = self.colour_order
+        if state["colour_error"] > sum(_colour_tolerances(self.quality)):
+            self.colour_order = next((o for o in self.orders if o > before), before)
+        return self.colour_order > before
 
     def _frame(self, job: LensJob, capacity: int) -> Frame:
         return Frame(job, self.quality, self.colour_order, capacity, self.kernel)

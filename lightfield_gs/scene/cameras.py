@@ -159,7 +159,8 @@ def about_cameras(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, 
     """The same means [..., N, 3] and cameras, from the middle of the cameras where they stand far from the origin.
 
     There float32 has too few digits for poses, whose translation is as large as the distance of the origin: at 1e5 a
-    pixel is off by a third. So the middle is taken off in float64, from poses and from means. Gradients pass through.
+    pixel is off by a third. So the middle is taken off in float64, from poses and from means. Gradients pass
+    through: those of poses are right for all motions of a camera, which keep its rotation a rotation.
     Not where nothing is lost: for means of float64, and for cameras within 64 units of the origin, or within 64 times
     their extent; and not for cameras on a CUDA device, whose values would have to be waited for.
     """
