@@ -36,8 +36,8 @@ py::dict frame_state(Address address) {
   out["pairs"] = state.pairs;
   out["drawn"] = state.drawn;
   out["colour_error"] = std::bit_cast<float>(state.colour_error);
-  out["kernel"] = state.choice().kernel;
-  out["exact"] = state.choice().careful < 0;
+  out["kernel"] = state.choice.kernel;
+  out["exact"] = state.choice.careful < 0;
   out["bent_colours"] = state.bent_colours;
   out["curved"] = state.curved;
   out["lattice_tiles"] = state.lattice_tiles;

@@ -40,6 +40,13 @@ struct ColourCircle {
   R place, distance;           // in units of s
   R unit;                      // length of such a unit
 
+  template <class S>
+  LFGS_HD explicit ColourCircle(const ColourCircle<S>& other)
+      : along(other.along),
+        foot(other.foot),
+        place(R(other.place)),
+        distance(R(other.distance)),
+        unit(R(other.unit)) {}
   LFGS_HD ColourCircle(const View<R>& rig, const glm::vec<3, R>& mean) {
     const glm::vec<3, R> right = rig.right(), to_mean = mean - rig.centre();
     const R length = glm::length(right);
@@ -65,8 +72,10 @@ struct CircleNode {
   R sine, cosine, weights[kCircleTerms];
 
   LFGS_HD explicit CircleNode(int j) {
-    const R angle = R(2 * kPi / kCircleTerms) * R(j);
-    sine = std::sin(angle), cosine = std::cos(angle);
+    constexpr double kSines[] = {0, 0.7818314824680298, 0.9749279121818236, 0.4338837391175581};
+    constexpr double kCosines[] = {1, 0.6234898018587336, -0.2225209339563144, -0.9009688679024191};
+    const int mirrored = j <= kCircleTerms / 2 ? j : kCircleTerms - j;
+    sine = R(j == mirrored ? kSines[mirrored] : -kSines[mirrored]), cosine = R(kCosines[mirrored]);
     // Fourier coefficients, and sines and cosines of multiples as polynomials in t and h
     const R c2 = 1 - 2 * sine * sine, c3 = cosine * (1 - 4 * sine * sine), s2 = 2 * sine * cosine;
     const R s3 = sine * (3 - 4 * sine * sine), each = R(2) / kCircleTerms;

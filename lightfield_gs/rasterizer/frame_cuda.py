@@ -36,17 +36,20 @@ _MOST_KNOWN = 64  # kinds of frames that are remembered
 SHARED_MEMORY_LIMIT = "LFGS_SHARED_MEMORY_LIMIT"
 # How far the polynomials of colours may err in exact frames, whose other errors leave less room than on the CPU. The
 # first bounds what the frame's order cannot express, the second what each splat's polynomial leaves out to be shorter.
-# The latter adds up over all splats of a sample.
-_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT = 2e-5, 5e-6
+# The latter adds up over all splats of a sample. At the highest order, a bound of the third makes a colour exact: it is
+# some ten times what few splats really err.
+_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT, _COLOUR_MOST = 2e-5, 5e-6, 1e-4
 
 
-def _colour_tolerances(quality: Quality) -> tuple[float, float]:
-    """The two tolerances of colours, of the frame's order and of what each splat leaves out.
+def _colour_tolerances(quality: Quality) -> tuple[float, float, float]:
+    """The tolerances of colours: of the frame's order, of what each splat leaves out, and of the highest order.
 
     Kernels that draw colours as lines or parabolas leave out as much again, so the latter is half of what is allowed.
     """
     exact = quality.colour_error == EXACT.colour_error
-    return (_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT) if exact else (quality.colour_error, quality.colour_error / 2)
+    if exact:
+        return _COLOUR_TOLERANCE, _COLOUR_LEFT_OUT, _COLOUR_MOST
+    return quality.colour_error, quality.colour_error / 2, quality.colour_error
 
 
 class Frame:
@@ -55,6 +58,7 @@ class Frame:
     def __init__(self, job: LensJob, quality: Quality, colour_order: int, capacity: int, kernel: str | None = None):
         """capacity: pairs that there is room for. kernel: one of _core.cuda.FRAME_KERNELS (None: chosen by cost)."""
         self.scene = scene = job.scene
+        _, left_out, most = _colour_tolerances(quality)
         self.native = _core.cuda.LensFrame(
             gaussians=scene.count,
             sh_degree=scene.degree,
@@ -63,8 +67,8 @@ class Frame:
             lens=job.native.lens,
             capacity=capacity,
             quality=quality.native,
-            colour_error=_colour_tolerances(quality)[0],
-            left_out=_colour_tolerances(quality)[1],
+            colour_error=most,
+            left_out=left_out,
             shared_memory=shared_memory_limit(),
         )
         if kernel is not None:
@@ -209,7 +213,7 @@ class Frames:
             return False
         self.noted = None
         state = _state_of(self.host)
-        error, allowed = state["colour_error"], sum(_colour_tolerances(self.quality))
+        error, allowed = state["colour_error"], sum(_colour_tolerances(self.quality)[:2])
         if error > max(_SHOWN, allowed) and self.colour_order < self.orders[-1]:
             assume(
                 f"colours of the frame before are off by up to {255 * error:.1f}/255: its Gaussians are nearer to the "
@@ -246,7 +250,7 @@ class Frames:
     def _needs_order(self, state: dict[str, Any]) -> bool:
         """Raises the order of colours if a frame of this state lacked one; returns whether it did."""
         before = self.colour_order
-        if state["colour_error"] > sum(_colour_tolerances(self.quality)):
+        if state["colour_error"] > sum(_colour_tolerances(self.quality)[:2]):
             self.colour_order = next((o for o in self.orders if o > before), before)
         return self.colour_order > before
 

@@ -40,7 +40,8 @@ struct FrameState {
   unsigned long_lists;       // number of lists of more than kShortList splats
   unsigned bent_colours;     // number of splats whose colours vary too much for kOrdinal
   unsigned colour_error;     // bits of a float: a bound of the error of colour polynomials
-  KernelChoice choices[2];   // of all kernels, and without kOrdinal
+  KernelChoice choice;       // what draws the frame
+  KernelChoice by_pixels;    // what draws it if kOrdinal must not
   float curved;              // share of the splats whose error is beyond `straight`
   int lattices;              // whether any are laid
   unsigned next_tile[5];     // next piece of work of each composite kernel, see WorkQueue
@@ -52,9 +53,6 @@ struct FrameState {
   unsigned sampled;                           // number of splats in the sums below (a part of all, for speed)
   unsigned blocks_summed;                     // blocks of project that have added to the sums
   unsigned long long sums[15];                // see FrameSum, in fixed point
-
-  // What draws the frame. Known once project has ended.
-  LFGS_HD const KernelChoice& choice() const { return choices[bent_colours ? 1 : 0]; }
 };
 
 constexpr int kMostOrdinals = 32;
@@ -147,7 +145,7 @@ struct LensFrame {
   size_t place(void* work);
   // On the device only: the tiles of the kernel chosen; whether there are more pairs than the lists hold.
   LFGS_HD const Tiling& tiling() const { return ordinal_chosen() ? ordinal : pixel; }
-  LFGS_HD bool ordinal_chosen() const { return state->choice().kernel == int(LensKernel::kOrdinal); }
+  LFGS_HD bool ordinal_chosen() const { return state->choice.kernel == int(LensKernel::kOrdinal); }
   LFGS_HD bool overfull() const { return state->pairs > static_cast<unsigned long long>(capacity); }
   LFGS_HD bool has_ordinal() const { return ordinal_layout != OrdinalLayout::kNone; }
   int64_t most_lists() const { return std::max(pixel.tiles(), has_ordinal() ? ordinal.tiles() : 0); }

@@ -243,15 +243,14 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
                                         ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate
                                         : INFINITY;
 
-  // Write the choice, and what it is without the ordinal kernel: blocks of project that are still to end may find a
-  // colour that this kernel cannot draw
+  // Write the choice, and what it would be without the ordinal kernel, see settle_kernel()
   const ShapeLimits limits = shape_limits(exact ? kLevels - 1 : level);
   static_assert(int(LensKernel::kOrdinal) == int(LensKernel::kCount) - 1);
-  for (int without = 0; without < 2; ++without) {
+  for (const bool without : {false, true}) {
     int best = int(LensKernel::kPixelQuadratic);
-    for (int k = 0; k < int(LensKernel::kCount) - without; ++k)
+    for (int k = 0; k < int(LensKernel::kCount) - int(without); ++k)
       if (cost[k] < cost[best]) best = k;
-    KernelChoice& choice = state.choices[without];
+    KernelChoice& choice = without ? state.by_pixels : state.choice;
     choice.kernel = frame.forced >= 0 ? frame.forced : best;
     const bool straight = choice.kernel == int(LensKernel::kPixel) || choice.kernel == int(LensKernel::kPixelSmall);
     choice.straight = limits.straight;

@@ -86,6 +86,12 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   }
 }
 
+// Has the frame drawn by pixels if a colour was found that the ordinal kernel would draw too wrong. After project: blocks
+// may find one when the kernel has been chosen already.
+__global__ void settle_kernel(FrameState* state) {
+  if (state->bent_colours) state->choice = state->by_pixels;
+}
+
 }  // namespace
 
 void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream) {
@@ -100,9 +106,10 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
   check(cudaMemsetAsync(reinterpret_cast<char*>(frame.state) + first, 0, end - first, cudaStream_t(stream)),
         "project: clear the state");
 
-  // The kernel must be the one for which the lists were made
+  // Where lists are kept, the kernel must be the one for which they were made
+  const bool settles = frame.splats.orders && frame.has_ordinal() && frame.forced < 0;
   LensFrame own = frame;
-  if (keep_lists || !frame.has_ordinal() || frame.forced >= 0) own.ordinal_error = 0;
+  if (keep_lists || !settles) own.ordinal_error = 0;
 
   const BasisTable basis{ColourBasis(frame.splats.colour_order)};
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // without Gaussians, one chooses
@@ -111,6 +118,9 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
         <<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, own, Rig(frame.rig), basis);
   });
   check_launch("frame_project");
+  if (!settles) return;
+  settle_kernel<<<1, 1, 0, cudaStream_t(stream)>>>(frame.state);
+  check_launch("frame_project: settle");
 }
 
 }  // namespace lfgs::cuda

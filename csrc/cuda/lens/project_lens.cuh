@@ -35,13 +35,13 @@ __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const
 }
 
 // The colour of a Gaussian on its circle, with what that is made of read anew: few Gaussians need it, and the others
-// should not keep registers for it. In double, since the mean is near the cameras.
+// should not keep registers for it. The circle is found in double, since the mean is near the cameras.
 struct CircleOfGaussian {
-  ColourCircle<double> circle;
-  glm::dvec3 terms[kCircleTerms];
+  ColourCircle<float> circle;
+  glm::vec3 terms[kCircleTerms];
 
   __device__ CircleOfGaussian(const Gaussians<const float>& g, const View<double>& rig, int64_t i)
-      : circle(rig, glm::dvec3(shape_of(g, i).mean)) {
+      : circle(ColourCircle<double>(rig, glm::dvec3(shape_of(g, i).mean))) {
     circle_colour(g.sh_degree, g.sh + 3 * g.sh_count() * i, circle, terms);
   }
 };
@@ -54,9 +54,9 @@ __device__ inline __noinline__ void store_on_circle(const Gaussians<const float>
   const CircleOfGaussian colour(gaussians, rig, i);
   float4* terms = reinterpret_cast<float4*>(out.colours) + i * (out.colour_order + 1);
   for (int m = 0; m < kCircleTerms; ++m) {
-    const glm::vec3 term(colour.terms[m]);
-    const double fourth = m == kPlaceTerm ? colour.circle.place : m == kDistanceTerm ? colour.circle.distance : 0;
-    terms[m] = make_float4(term.x, term.y, term.z, m == 0 ? kNoOrder : float(fourth));
+    const glm::vec3& term = colour.terms[m];
+    const float fourth = m == kPlaceTerm ? colour.circle.place : m == kDistanceTerm ? colour.circle.distance : 0;
+    terms[m] = make_float4(term.x, term.y, term.z, m == 0 ? kNoOrder : fourth);
   }
   out.orders[i] = kCircleOrder;
 }
@@ -70,7 +70,8 @@ struct ColourLimits {
 // Stores the colour polynomial of one drawn splat: from its values at the nodes come Chebyshev coefficients, and from
 // these the powers of s that it needs; powers up to the second are always written, as zeros where it has none. The
 // fourth number of the first power repeats the order, so that a kernel that reads colours does not wait for it. Where
-// that would err too much, the colour is stored on its circle. watch(circle, amplitudes) is told of every colour.
+// that would err too much, the colour is stored on its circle. watch(circle, amplitudes) is told
+// of every colour of an order above 2, since parabolas need no watching.
 template <int Order, class Watch>
 __device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean, const Rig& rigs,
                                      const BasisTable& basis, const ColourLimits& limits, int64_t i,
@@ -82,11 +83,12 @@ __device__ inline void store_colours(const Gaussians<const float>& gaussians, co
   float sh[3 * kMaxShCount];  // read once, in registers
   read_harmonics(gaussians, i, sh);
   float left = 0;
-  if (rig.sweep > 0) {
+  if constexpr (Order == 2) {
+    left = parabola_error(sh, mean, rig);
+  } else if (rig.sweep > 0) {
     const ColourCircle<float> circle(rig, mean);
     const glm::vec3 amplitudes = circle_amplitudes<float>(3, sh);
-    left = Order == 2 ? parabola_error(sh, mean, rig)
-                      : circle_tail(Order, amplitudes, circle.place, circle.distance);
+    left = circle_tail(Order, amplitudes, circle.place, circle.distance);
     watch(circle, amplitudes);
     if (Order >= kLeastCircleOrder && left > limits.interpolated) return store_on_circle(gaussians, rigs.exact, i, out);
   }
@@ -142,7 +144,7 @@ __device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& me
 
 // Projects, culls and stores splat i, and returns it; reach_y < 0 says that it is not drawn. Where `depths` is not
 // null, the depth goes there, and its place in the splat receives what rounding took from u0 and v0, see
-// whole_splat_about(). watch(splat, circle, amplitudes) is told of every colour that varies over the rig.
+// whole_splat_about(). watch(splat, circle, amplitudes) is told of every colour of an order above 2.
 template <int Order, bool kCompensated, class Watch>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, const ColourLimits& limits,

@@ -193,10 +193,9 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   const uint32_t id = staged.ids[inside ? lane : 0];
   Splat<float> splat = whole_splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
-  const KernelChoice& choice = frame.state->choice();
-  const bool curved = C::Quadratic && error.linear > choice.straight;
+  const bool curved = C::Quadratic && error.linear > frame.state->choice.straight;
   bool careful = (!C::Half && splat.log2_opacity >= kCarefulOpacity) ||
-                 (curved ? error.quadratic : error.linear) > choice.careful;
+                 (curved ? error.quadratic : error.linear) > frame.state->choice.careful;
   if constexpr (C::Compensated) {
     const float3 share = share_fit(frame.splats.compensations[id], splat);
     careful = careful || !(share.x <= 0.5f);

@@ -79,6 +79,12 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
   return C::Harmonics ? fmaf(-s, slope, step) : step;
 }
 
+// The part in a channel of a colour on a circle. A function of its own, so that the kernels keep their registers.
+__device__ inline __noinline__ float circle_part(const float4* terms, int channel, float s) {
+  const CirclePoint<float> point(terms[kPlaceTerm].w, terms[kDistanceTerm].w, s);
+  return point.colour([&](int m) { return reinterpret_cast<const float*>(terms + m)[channel]; });
+}
+
 // Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
 // colour polynomial, or the colour on its circle, and the end of samples that become opaque; with compensation with the share of opacity.
 template <class C>
@@ -106,10 +112,7 @@ struct CarefulHit {
     if constexpr (C::Compensated) power += log2_share(compensation, s, S);
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
-    if (C::Harmonics && order == kCircleOrder) {
-      const CirclePoint<float> point(powers[kPlaceTerm].w, powers[kDistanceTerm].w, s);
-      c = point.colour([&](int m) { return part(by_place<C::Cells>(frame.optics, powers[m]), k); });
-    }
+    if (C::Harmonics && order == kCircleOrder) c = circle_part(powers, frame.optics.channels[k], s);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
     // A sample that should have ended before takes no more, see ended()
     const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
