@@ -29,6 +29,7 @@ DRAWN = (
     "settings",
     "parabolas",
     "harmonics",
+    "near",
     "antialiased",
 )
 
@@ -138,6 +139,14 @@ def test_parabolas_of_colours_are_within_their_bound(drawn):
         assert (parabola["image"] - finer["image"]).abs().max() < bounds[-1] + 1e-5, kernel
     # The bound is of third order in the cone
     assert bounds[0] == bounds[1] and 0 < 7 * bounds[0] < bounds[2] == bounds[3] < 9 * bounds[0] < 1e-2
+
+
+def test_colours_near_the_cameras_are_exact(drawn):
+    for nearest, found in zip(cases.NEAR, drawn("near"), strict=True):
+        expected = encode(*cases.near(nearest), "sorted", background=cases.BACKGROUND, output="float32")
+        assert (found["image"] - expected).abs().max() < 0.5 / 255, nearest
+        # By ordinals colours would be parabolas within each
+        assert found["kernel"] != "ordinal" and found["bent_colours"] > 0 and found["colour_error"] < 2e-4
 
 
 def test_harmonics_of_a_wide_cone_keep_80_db(drawn):

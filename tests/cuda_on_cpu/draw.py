@@ -263,6 +263,8 @@ def main(what: str) -> object:
         return {name: png_cases.compressed(name) for name in png_cases.IMAGES}
     if what == "settings":
         return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
+    if what == "near":
+        return [drawn(*cases.near(nearest), "integer", None, EXACT, 1.01) for nearest in cases.NEAR]
     if what == "parabolas":
         return [parabolas(*case) for case in cases.PARABOLAS]
     if what == "shapes":

@@ -107,7 +107,7 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
         "project: clear the state");
 
   // Where lists are kept, the kernel must be the one for which they were made
-  const bool settles = frame.splats.orders && frame.has_ordinal() && frame.forced < 0;
+  const bool settles = frame.splats.colour_order > 2 && frame.has_ordinal() && frame.forced < 0;
   LensFrame own = frame;
   if (keep_lists || !settles) own.ordinal_error = 0;
 
