@@ -1,5 +1,5 @@
-// The colour of a Gaussian as seen from everywhere along a rig, exactly. Cameras on a line see a mean from directions on
-// a great circle, on which harmonics to degree 3 are a trigonometric polynomial of degree 3. With the angle that the
+// The colour of a Gaussian as seen from everywhere along a rig, exactly. Cameras on a line see a mean from directions
+// on a great circle, on which harmonics to degree 3 are a trigonometric polynomial of degree 3. With the angle that the
 // camera at s stands from the foot of the perpendicular from the mean to the line, where `place` is that foot's s and
 // `distance` the mean's distance from the line, both in units of s:
 //   t = sin = (s - place) / r,   h = cos = distance / r,   r^2 = (s - place)^2 + distance^2,

@@ -125,10 +125,10 @@ void plan_sorted_fill(const ViewMap& map, const SubpixelTile& tile, const int32_
 template <class T>
 void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
 
-// The rig is a View with a sweep, the lens tells the size of the panel. Where a polynomial of the order might err by more
-// than the tolerance, the colour is on a circle if there is room for one. In float a splat's order is the smallest whose
-// dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Returns a bound of the error of the
-// colours.
+// The rig is a View with a sweep, the lens tells the size of the panel. Where a polynomial of the order might err by
+// more than the tolerance, the colour is on a circle if there is room for one. In float a splat's order is the smallest
+// whose dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Returns a bound of the error
+// of the colours.
 template <class T>
 double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                     const Quality& quality, double tolerance, const Splats<T>& out, int threads);

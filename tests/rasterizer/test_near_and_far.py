@@ -13,12 +13,7 @@ ZERO_DEPTH = 2.0
 
 def panel_of(cone_deg, width_px=96, height_px=8, views=48):
     return Panel(
-        width_px=width_px,
-        height_px=height_px,
-        views=views,
-        line_number=9.848,
-        slant_tan=1 / 6,
-        cone_deg=cone_deg,
+        width_px=width_px, height_px=height_px, views=views, line_number=9.848, slant_tan=1 / 6, cone_deg=cone_deg
     )
 
 

@@ -97,8 +97,8 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   }
 }
 
-// Calls visit with the order of a colour polynomial, as a constant where it is small. Else it is -1: also of a colour on
-// a circle.
+// Calls visit with the order of a colour polynomial, as a constant where it is small. Else it is -1: also of a colour
+// on a circle.
 template <class Visit>
 void with_order(int order, const Visit& visit) {
   switch (order) {
@@ -278,7 +278,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
       const CirclePoints<Tag<T>> point(d, colour, s);
       for (int k = 0; k < 3; ++k) {
         V term = in_channel(k), with_h = hn::Mul(term, point.h);
-        for (int m = 0; m < 4; ++m, term = hn::Mul(term, point.t)) g_colour[3 * m + k] = hn::Add(g_colour[3 * m + k], term);
+        for (int m = 0; m < 4; ++m, term = hn::Mul(term, point.t))
+          g_colour[3 * m + k] = hn::Add(g_colour[3 * m + k], term);
         for (int m = 4; m < 7; ++m, with_h = hn::Mul(with_h, point.t))
           g_colour[3 * m + k] = hn::Add(g_colour[3 * m + k], with_h);
       }

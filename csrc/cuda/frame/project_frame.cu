@@ -86,8 +86,8 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   }
 }
 
-// Has the frame drawn by pixels if a colour was found that the ordinal kernel would draw too wrong. After project: blocks
-// may find one when the kernel has been chosen already.
+// Has the frame drawn by pixels if a colour was found that the ordinal kernel would draw too wrong. After project:
+// blocks may find one when the kernel has been chosen already.
 __global__ void settle_kernel(FrameState* state) {
   if (state->bent_colours) state->choice = state->by_pixels;
 }

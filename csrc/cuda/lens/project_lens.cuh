@@ -48,8 +48,8 @@ struct CircleOfGaussian {
 
 // Stores the colour of one drawn splat on its circle. The fourth number of the first term takes the place of the order:
 // it is larger than any order, so that a kernel that knows only polynomials passes it over.
-__device__ inline __noinline__ void store_on_circle(const Gaussians<const float> gaussians, const View<double>& rig, int64_t i,
-                                             const Splats<float> out) {
+__device__ inline __noinline__ void store_on_circle(const Gaussians<const float> gaussians, const View<double>& rig,
+                                                    int64_t i, const Splats<float> out) {
   constexpr float kNoOrder = 1000;
   const CircleOfGaussian colour(gaussians, rig, i);
   float4* terms = reinterpret_cast<float4*>(out.colours) + i * (out.colour_order + 1);

@@ -86,7 +86,8 @@ __device__ inline __noinline__ float circle_part(const float4* terms, int channe
 }
 
 // Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
-// colour polynomial, or the colour on its circle, and the end of samples that become opaque; with compensation with the share of opacity.
+// colour polynomial, or the colour on its circle, and the end of samples that become opaque; with compensation with the
+// share of opacity.
 template <class C>
 struct CarefulHit {
   const LensFrame& frame;
