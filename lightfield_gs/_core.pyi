@@ -502,7 +502,8 @@ class _Cuda:
             lens: Lens,
             capacity: int,
             quality: Quality,
-            tolerance: float,
+            colour_error: float,
+            left_out: float,
             shared_memory: int,
         ) -> None: ...
         def bytes(self) -> int: ...

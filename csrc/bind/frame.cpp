@@ -36,8 +36,9 @@ py::dict frame_state(Address address) {
   out["pairs"] = state.pairs;
   out["drawn"] = state.drawn;
   out["colour_error"] = std::bit_cast<float>(state.colour_error);
-  out["kernel"] = state.kernel;
-  out["exact"] = state.careful < 0;
+  out["kernel"] = state.choice.kernel;
+  out["exact"] = state.choice.careful < 0;
+  out["bent_colours"] = state.bent_colours;
   out["curved"] = state.curved;
   out["lattice_tiles"] = state.lattice_tiles;
   out["refused_tiles"] = state.refused_tiles;
@@ -74,9 +75,11 @@ void bind_frame(py::module_ cuda) {
   cuda.attr("FRAME_KERNELS") =
       std::vector<std::string>{"pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal"};
   py::class_<LensFrame>(cuda, "LensFrame")
-      .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double, int64_t>(),
+      .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double, double,
+                    int64_t>(),
            py::kw_only(), py::arg("gaussians"), py::arg("sh_degree"), py::arg("colour_order"), py::arg("rig"),
-           py::arg("lens"), py::arg("capacity"), py::arg("quality"), py::arg("tolerance"), py::arg("shared_memory"))
+           py::arg("lens"), py::arg("capacity"), py::arg("quality"), py::arg("colour_error"), py::arg("left_out"),
+           py::arg("shared_memory"))
       .def("bytes", [](LensFrame frame) { return frame.place(nullptr); })
       .def(
           "place", [](LensFrame& frame, Address work) { return frame.place(at<void>(work)); }, py::arg("work"))

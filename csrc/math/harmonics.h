@@ -61,13 +61,11 @@ LFGS_HD glm::vec<3, R> sh_basis_adjoint(int degree, const glm::vec<3, R>& d, con
   return out;
 }
 
-// The colour seen from `eye`, 0.5 + sum of harmonics, before it is clamped at zero; sh is [K, 3].
+// The colour seen in the unit direction d, 0.5 + sum of harmonics, before it is clamped at zero; sh is [K, 3].
 template <class R, class T>
-LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye) {
+LFGS_HD glm::vec<3, R> sh_colour_towards(int degree, const T* sh, const glm::vec<3, R>& d) {
   R basis[kMaxShCount];
-  glm::vec<3, R> to_mean = mean - eye;
-  R length = glm::length(to_mean);
-  sh_basis(degree, length > 0 ? to_mean / length : glm::vec<3, R>(0, 0, 1), basis);
+  sh_basis(degree, d, basis);
   glm::vec<3, R> colour(R(0.5));
   LFGS_UNROLL
   for (int k = 0; k < kMaxShCount; ++k) {  // to a fixed end, so that a compiler may unroll it
@@ -77,16 +75,20 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
   return colour;
 }
 
+// The same, seen from `eye`.
+template <class R, class T>
+LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye) {
+  const glm::vec<3, R> to_mean = mean - eye;
+  const R length = glm::length(to_mean);
+  return sh_colour_towards(degree, sh, length > 0 ? to_mean / length : glm::vec<3, R>(0, 0, 1));
+}
+
 // Writes the gradients of the coefficients to g_sh, which may be sh itself, or adds them if kAdd. Returns the gradient
-// of the mean; that of the eye is minus this.
+// of the direction d.
 template <bool kAdd = true, class R, class T, class G>
-LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye,
-                                         const glm::vec<3, R>& g_colour, G* g_sh) {
+LFGS_HD glm::vec<3, R> sh_colour_towards_adjoint(int degree, const T* sh, const glm::vec<3, R>& d,
+                                                 const glm::vec<3, R>& g_colour, G* g_sh) {
   R basis[kMaxShCount], g_basis[kMaxShCount] = {};
-  glm::vec<3, R> to_mean = mean - eye;
-  R length = glm::length(to_mean);
-  bool defined = length > 0;
-  glm::vec<3, R> d = defined ? to_mean / length : glm::vec<3, R>(0, 0, 1);
   sh_basis(degree, d, basis);
   // To a fixed end, so that a compiler may unroll it and keep the bases in registers
   const int count = (degree + 1) * (degree + 1);
@@ -99,9 +101,19 @@ LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec
       g_sh[3 * k + c] = kAdd ? g_sh[3 * k + c] + gradient : gradient;
     }
   }
-  if (!defined) return glm::vec<3, R>(0);
-  glm::vec<3, R> g_d = sh_basis_adjoint(degree, d, g_basis);
-  return (g_d - glm::dot(g_d, d) * d) / length;
+  return sh_basis_adjoint(degree, d, g_basis);
+}
+
+// The same for the colour seen from `eye`. Returns the gradient of the mean; that of the eye is minus this.
+template <bool kAdd = true, class R, class T, class G>
+LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye,
+                                         const glm::vec<3, R>& g_colour, G* g_sh) {
+  const glm::vec<3, R> to_mean = mean - eye;
+  const R length = glm::length(to_mean);
+  const bool defined = length > 0;
+  const glm::vec<3, R> d = defined ? to_mean / length : glm::vec<3, R>(0, 0, 1);
+  const glm::vec<3, R> g_d = sh_colour_towards_adjoint<kAdd>(degree, sh, d, g_colour, g_sh);
+  return defined ? (g_d - glm::dot(g_d, d) * d) / length : glm::vec<3, R>(0);
 }
 
 }  // namespace lfgs

@@ -26,11 +26,10 @@ struct View {
   LFGS_HD bool compensated() const { return antialiased || aperture > 0; }
 
   LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
+  // The view x-axis, on which the cameras of a rig stand.
+  LFGS_HD glm::vec<3, R> right() const { return {rotation[0][0], rotation[1][0], rotation[2][0]}; }
   // Where the camera at the normalized offset s of a rig stands.
-  LFGS_HD glm::vec<3, R> eye_at(R s) const {
-    const glm::vec<3, R> right(rotation[0][0], rotation[1][0], rotation[2][0]);
-    return centre() + s * sweep * right;
-  }
+  LFGS_HD glm::vec<3, R> eye_at(R s) const { return centre() + s * sweep * right(); }
 };
 
 // world_to_camera: 16 numbers, row-major; intrinsics: fx, fy, cx, cy; limits: x_low, x_high, y_low, y_high, offset.

@@ -95,8 +95,8 @@ struct Splats {
   int64_t images = 0, count = 0;
   int colour_order = 0;                      // polynomial order of the colours in s; 0 for dense
   Splat<T>* splats = nullptr;                // [I, N]
-  T* colours = nullptr;                      // [I, N, order + 1, kColourStride]
-  int32_t* orders = nullptr;                 // [I, N] order that a splat needs, <= colour_order; null for dense
+  T* colours = nullptr;                      // [I, N, order + 1, kColourStride]; see also math/colour_circle.h
+  int32_t* orders = nullptr;                 // [I, N] of each, <= colour_order; or kCircleOrder; null for dense
   Compensation<T>* compensations = nullptr;  // [N] if opacities are compensated; null else and for dense
 };
 
@@ -125,9 +125,10 @@ void plan_sorted_fill(const ViewMap& map, const SubpixelTile& tile, const int32_
 template <class T>
 void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
 
-// The rig is a View with a sweep, the lens tells the size of the panel. Returns the largest estimated error of a colour
-// polynomial. In float a splat's order is the smallest whose dropped Chebyshev coefficients sum to <= tolerance; in
-// double nothing is dropped.
+// The rig is a View with a sweep, the lens tells the size of the panel. Where a polynomial of the order might err by
+// more than the tolerance, the colour is on a circle if there is room for one. In float a splat's order is the smallest
+// whose dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Returns a bound of the error
+// of the colours.
 template <class T>
 double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                     const Quality& quality, double tolerance, const Splats<T>& out, int threads);

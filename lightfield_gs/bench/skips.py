@@ -26,7 +26,7 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.frame_cuda import Frames
 from lightfield_gs.rasterizer.lens import draw_lens
-from lightfield_gs.rasterizer.lens_job import COLOUR_ORDERS, LensJob
+from lightfield_gs.rasterizer.lens_job import COLOUR_ORDER, LensJob
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
@@ -198,8 +198,8 @@ def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
 
 
 def _colour_orders(subject: Subject) -> Skip:
-    """Polynomials of the order that each Gaussian needs, and of the highest for all."""
-    scene, note = subject.gaussians, "without: all Gaussians at the highest order"
+    """Polynomials of the order that each Gaussian needs, and exact colours for all."""
+    scene, note = subject.gaussians, "without: the colours of all Gaussians are exact"
     if scene.sh_degree == 0:
         scene = with_harmonics(scene.to("cpu"), _HARMONICS).to(scene.device)
         note += f"; the scene has no harmonics, these are random ones of degree {_HARMONICS}"
@@ -216,14 +216,13 @@ def _colour_orders(subject: Subject) -> Skip:
 
 
 def _colours(subject: Subject, quality: Quality) -> Draw:
-    """Draws with polynomials up to one order, whatever their error."""
-    order, background = COLOUR_ORDERS[0], background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
+    """Draws with polynomials up to one order, and exactly where their error is beyond what the quality allows."""
+    background = background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
     job = LensJob(subject.gaussians.fields().values(), background, lens_view(subject.panel, subject.rig))
     if subject.gaussians.means.is_cuda:
         frames = Frames(job, quality)
-        frames.orders, frames.colour_order = (order,), order
+        frames.orders, frames.colour_order = (COLOUR_ORDER,), COLOUR_ORDER
         return partial(frames.draw, job, True)
-    job.colour_orders = (order,)
     return partial(draw_lens, job, True, quality)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -35,7 +36,7 @@ from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.dense_job import PINHOLE
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.cameras import Cameras, about_cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -128,6 +129,8 @@ def encode(
     else:
         with counters.stage("plan"):
             seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)
+        means, seen = about_cameras(gaussians.means, seen)
+        gaussians = replace(gaussians, means=means)
         aperture = PINHOLE if rig is None else view_aperture(panel, rig, view_filter)
         image = encode_sorted(
             gaussians, seen, plan, memory_budget, colour, as_bytes, threads, counters, antialiased, aperture

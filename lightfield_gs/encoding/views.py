@@ -19,7 +19,7 @@ from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.dense_job import Aperture
 from lightfield_gs.rasterizer.dense_parts import dense_in_parts
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.cameras import Cameras, about_cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -57,9 +57,11 @@ def draw_cameras(
 ) -> Tensor:
     """Image [1, K, H, W, 3] of one scene before cameras [K], unchecked and without gradients. background: what
     broadcasts to [1, K, 3]."""
+    means, cameras = about_cameras(gaussians.means, cameras)
     cameras = cameras.to(gaussians.means)
+    _, *others = gaussians.fields().values()
     return dense_in_parts(
-        [field.unsqueeze(0) for field in gaussians.fields().values()],
+        [field.unsqueeze(0) for field in (means, *others)],
         background.expand(1, cameras.count, 3),
         [t[None] for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())],
         cast(int, cameras.width_px),

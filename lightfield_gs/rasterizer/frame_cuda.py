@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
@@ -24,26 +25,31 @@ from lightfield_gs.rasterizer.stats import Stats
 
 # Pairs that are reserved beyond those of the last frame, as a share of them: for one rig, and for rigs that change
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0
-# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered
-COLOUR_ORDERS = (2, 4, 8, 12, 16)
+# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered. At the highest
+# order colours for which it is not good enough are exact
+COLOUR_ORDERS = (2, 4, 8)
 _LEAST_PAIRS = 1 << 12
+_SHOWN = 1 / 255  # what an error must exceed to be said
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # pairs are numbered with 32 bits
 _MOST_KNOWN = 64  # kinds of frames that are remembered
 # An environment variable for tests and measurements: the kernels of frames draw as on a device of less shared memory
 SHARED_MEMORY_LIMIT = "LFGS_SHARED_MEMORY_LIMIT"
 # How far the polynomials of colours may err in exact frames, whose other errors leave less room than on the CPU. The
 # first bounds what the frame's order cannot express, the second what each splat's polynomial leaves out to be shorter.
-# The latter adds up over all splats of a sample.
-_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT = 2e-5, 5e-6
+# The latter adds up over all splats of a sample. At the highest order, a bound of the third makes a colour exact: it is
+# some ten times what few splats really err.
+_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT, _COLOUR_MOST = 2e-5, 5e-6, 1e-4
 
 
-def _colour_tolerances(quality: Quality) -> tuple[float, float]:
-    """The two tolerances of colours, of the frame's order and of what each splat leaves out.
+def _colour_tolerances(quality: Quality) -> tuple[float, float, float]:
+    """The tolerances of colours: of the frame's order, of what each splat leaves out, and of the highest order.
 
     Kernels that draw colours as lines or parabolas leave out as much again, so the latter is half of what is allowed.
     """
     exact = quality.colour_error == EXACT.colour_error
-    return (_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT) if exact else (quality.colour_error, quality.colour_error / 2)
+    if exact:
+        return _COLOUR_TOLERANCE, _COLOUR_LEFT_OUT, _COLOUR_MOST
+    return quality.colour_error, quality.colour_error / 2, quality.colour_error
 
 
 class Frame:
@@ -52,6 +58,7 @@ class Frame:
     def __init__(self, job: LensJob, quality: Quality, colour_order: int, capacity: int, kernel: str | None = None):
         """capacity: pairs that there is room for. kernel: one of _core.cuda.FRAME_KERNELS (None: chosen by cost)."""
         self.scene = scene = job.scene
+        _, left_out, most = _colour_tolerances(quality)
         self.native = _core.cuda.LensFrame(
             gaussians=scene.count,
             sh_degree=scene.degree,
@@ -60,7 +67,8 @@ class Frame:
             lens=job.native.lens,
             capacity=capacity,
             quality=quality.native,
-            tolerance=_colour_tolerances(quality)[1],
+            colour_error=most,
+            left_out=left_out,
             shared_memory=shared_memory_limit(),
         )
         if kernel is not None:
@@ -100,8 +108,8 @@ class Frame:
             self.composite(background, out)
 
     def state(self) -> dict[str, Any]:
-        """What the frame found out: pairs, drawn, colour_error, kernel, exact, curved, pruned, lattice_tiles,
-        refused_tiles, tried_tiles. Waits for the device."""
+        """What the frame found out: pairs, drawn, colour_error, kernel, exact, bent_colours, curved, pruned,
+        lattice_tiles, refused_tiles, tried_tiles. Waits for the device."""
         return _state_of(self.state_bytes().cpu())
 
     def state_bytes(self) -> Tensor:
@@ -139,7 +147,8 @@ class Frames:
     Their colour polynomials have the highest order that a frame so far needed. Where rigs change, colours may therefore
     differ from those of `frames_of` by the errors of both, each at most twice the tolerance: once for what the order
     cannot express, once for the powers left out. A frame that needs a higher order than those before is still drawn
-    with theirs, and only the next one with its own.
+    with theirs, and only the next one with its own; the next one says so where that was off by more than 1/255. Where
+    frames are counted, it is drawn again.
     """
 
     def __init__(self, job: LensJob, quality: Quality, slack: float = _MOVING_SLACK):
@@ -170,10 +179,13 @@ class Frames:
             with stats.stage("plan"):
                 frame, out = self.frame(job), job.image(as_bytes) if out is None else out
             frame.draw(job.background, out, stats)
+            while stats.device is not None and self._needs_order(state := frame.state()):
+                frame = self._frame(job, cast(int, self.capacity))
+                frame.draw(job.background, out, stats)
             if not torch.cuda.is_current_stream_capturing():  # a user's graph may outlive `host`, and still write there
                 self.note(frame)
             if stats.device is not None:
-                stats.count_frame(frame.state(), frame.work)
+                stats.count_frame(state, frame.work)
         return out
 
     def frame(self, job: LensJob) -> Frame:
@@ -200,7 +212,14 @@ class Frames:
         if self.noted is None or not self.noted.query():
             return False
         self.noted = None
-        return self._needs(_state_of(self.host))
+        state = _state_of(self.host)
+        error, allowed = state["colour_error"], sum(_colour_tolerances(self.quality)[:2])
+        if error > max(_SHOWN, allowed) and self.colour_order < self.orders[-1]:
+            assume(
+                f"colours of the frame before are off by up to {255 * error:.1f}/255: its Gaussians are nearer to the "
+                "cameras than those of the frames before it. Frames from now on are right; draw that one again"
+            )
+        return self._needs(state)
 
     def _learn(self, job: LensJob) -> None:
         """Finds out how many pairs a first frame has and which order its colours need, without drawing it."""
@@ -225,9 +244,15 @@ class Frames:
             affordable = _free_bytes(self.device) // (2 * _PAIR_BYTES)
             enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
-        if state["colour_error"] > _colour_tolerances(self.quality)[0]:
-            self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
+        self._needs_order(state)
         return before != (self.capacity, self.colour_order)
+
+    def _needs_order(self, state: dict[str, Any]) -> bool:
+        """Raises the order of colours if a frame of this state lacked one; returns whether it did."""
+        before = self.colour_order
+        if state["colour_error"] > sum(_colour_tolerances(self.quality)[:2]):
+            self.colour_order = next((o for o in self.orders if o > before), before)
+        return self.colour_order > before
 
     def _frame(self, job: LensJob, capacity: int) -> Frame:
         return Frame(job, self.quality, self.colour_order, capacity, self.kernel)

@@ -16,7 +16,7 @@ from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_spl
 from lightfield_gs.rasterizer.dense_job import DenseImages
 from lightfield_gs.rasterizer.dense_parts import dense_in_parts, divide_by_alpha
 from lightfield_gs.rasterizer.screen import radii_px
-from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.cameras import Cameras, about_cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -169,16 +169,18 @@ def render(
             "or use torch.no_grad()"
         )
     like, batched = gaussians.means, gaussians.is_batched
-    views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
-    if cameras.world_to_camera.dim() == 3:
-        views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
-    elif not batched:
+    together = cameras.world_to_camera.dim() == 3
+    if not together and not batched:
         raise InputError(
             f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
             f"cameras {list(cameras.world_to_camera.shape)}"
         )
+    means, cameras = about_cameras(like, cameras)
+    views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+    if together:
+        views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    fields = tuple(gaussians.fields().values())
+    fields = (means, *tuple(gaussians.fields().values())[1:])
     options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)

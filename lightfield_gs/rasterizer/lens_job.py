@@ -14,7 +14,8 @@ from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import Workspace
 from lightfield_gs.rasterizer.workspaces import workspace_of
 
-COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
+# Orders of the polynomials for colours that vary over a rig. float64 takes the higher one: it is there to be exact
+COLOUR_ORDER, EXACT_COLOUR_ORDER = 8, 16
 
 
 class LensJob:
@@ -30,10 +31,8 @@ class LensJob:
         self.view, self.antialiased, self.native = view, antialiased, view.native(antialiased)
         self.compensated = antialiased or view.aperture > 0  # whether opacities are lowered for what widens footprints
         self.width, self.height = view.lens.width_px, view.lens.height_px
-        # The order of colours is raised until the polynomials are good enough. float64 always takes the highest one:
-        # it is there to be exact.
         exact = background.dtype == torch.float64
-        self.colour_orders = (0,) if self.scene.degree == 0 else COLOUR_ORDERS[-1:] if exact else COLOUR_ORDERS
+        self.colour_order = 0 if self.scene.degree == 0 else EXACT_COLOUR_ORDER if exact else COLOUR_ORDER
 
     def image(self, as_bytes: bool = False) -> Tensor:
         """Memory for the image [H, W, 3], of the scene's dtype or, with as_bytes, uint8."""
@@ -43,20 +42,17 @@ class LensJob:
         """The workspace after all stages up to the composite."""
         with self.scene.guard:
             with stats.stage("project"):
-                for order in self.colour_orders:
-                    work = workspace_of(
-                        self.scene,
-                        1,
-                        self.width,
-                        self.height,
-                        stats,
-                        threads,
-                        lens=True,
-                        colour_order=order,
-                        compensated=self.compensated,
-                    )
-                    stats.colour_error = work.project_lens(self.native, quality)
-                    if stats.colour_error <= quality.colour_error:
-                        break
+                work = workspace_of(
+                    self.scene,
+                    1,
+                    self.width,
+                    self.height,
+                    stats,
+                    threads,
+                    lens=True,
+                    colour_order=self.colour_order,
+                    compensated=self.compensated,
+                )
+                stats.colour_error = work.project_lens(self.native, quality)
             work.order_and_bin()
         return work

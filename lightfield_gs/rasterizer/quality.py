@@ -23,7 +23,9 @@ class Quality:
         are left alone, and opacities rise by as much less: the same cut costs about 6 dB less.
     transmittance_stop: 1e-4..0.5; a sample ends before its transmittance would fall below, and the Gaussian that ends
         it takes what light is left: an error of at most the stop. Pays where scenes are deep and opaque.
-    colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image.
+    colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image: what
+        interpolation may err, and as much again for powers that are left out. Where no polynomial is so good, which is
+        near the cameras, colours are exact. 0: all colours are exact.
     lattice_error: 0..1; where the light field is smooth it is evaluated on a coarse lattice in (x, y, view) only, and
         interpolated. As a check the middle of every cell is evaluated too. Nodes are moved by two thirds of the errors
         round them (on CUDA only if those are too large), so that bends err to both sides. A lattice is good enough if

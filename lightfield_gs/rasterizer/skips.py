@@ -27,10 +27,11 @@ def culled(gaussians: Gaussians, world_to_camera: np.ndarray, drawn: int, pruned
 
 def of_lens(counters: _core.Counters, orders: Tensor, splats: Tensor, most: int) -> dict[str, Any]:
     """Tiles, lattices and samples of a composite; splats [1, N, ...] by the polynomial orders [1, N] of their colours,
-    0..most."""
-    drawn = splats[..., _core.SPLAT_REACH_INDEX] >= 0  # what is not drawn has a negative reach
+    0..most, or -1 where no polynomial is good enough."""
+    drawn = orders[splats[..., _core.SPLAT_REACH_INDEX] >= 0]  # what is not drawn has a negative reach
     return {
-        "colour_orders": torch.bincount(orders[drawn], minlength=most + 1).tolist(),
+        "colour_orders": torch.bincount(drawn[drawn >= 0], minlength=most + 1).tolist(),
+        "colours_exact": int((drawn < 0).sum()),
         "tiles": {"empty": counters.empty_tiles, "lattice": counters.lattice_tiles, "drawn": counters.tiles},
         "lattices": {"fit": counters.lattices, "split": counters.split_lattices, "refused": counters.refused_lattices},
         "samples_stopped": counters.stopped_samples,
@@ -55,6 +56,7 @@ def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
         out.append(
             "colours by polynomial order over the views: "
             + ", ".join(f"{order}: {n}" for order, n in enumerate(orders) if n)
+            + (f", near the cameras exact: {exact}" if (exact := skipped["colours_exact"]) else "")
         )
     if tiles := skipped.get("tiles"):
         how = {"empty": "empty", "lattice": "from lattices", "drawn": "drawn"}

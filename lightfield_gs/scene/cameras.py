@@ -156,6 +156,36 @@ class Cameras:
         )
 
 
+_FAR = 64  # from so many units on, and so many times the cameras' own extent, is their place taken off
+
+
+def about_cameras(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Cameras]:
+    """The same means [..., N, 3] and cameras, from the middle of the cameras where they stand far from the origin.
+
+    There float32 has too few digits for poses, whose translation is as large as the distance of the origin: at 1e5 a
+    pixel is off by a third. So the middle is taken off in float64, from poses and from means. Gradients pass
+    through: those of poses are right for all motions of a camera, which keep its rotation a rotation.
+    Not where nothing is lost: for means of float64, and for cameras within 64 units of the origin, or within 64 times
+    their extent; and not for cameras on a CUDA device, whose values would have to be waited for.
+    """
+    poses = cameras.world_to_camera
+    if means.dtype == torch.float64 or poses.is_cuda:
+        return means, cameras
+    with torch.no_grad():
+        exact = poses.double()
+        centres = -(exact[..., :3, :3].mT @ exact[..., :3, 3:]).squeeze(-1)
+        middle = centres.mean(-2, keepdim=True)
+        extent = (centres - middle).norm(dim=-1).amax(-1)
+        far = middle.norm(dim=-1).squeeze(-1) > _FAR * extent.clamp_min(1)
+        if not bool(far.any()):
+            return means, cameras
+        origin = torch.where(far[..., None, None], middle, 0.0)  # [..., 1, 3]
+    moved = poses.double()
+    places = moved[..., :3, 3:] + moved[..., :3, :3] @ origin.unsqueeze(-1)
+    moved = torch.cat([torch.cat([moved[..., :3, :3], places], -1), moved[..., 3:, :]], -2)
+    return (means.double() - origin.to(means.device)).to(means.dtype), replace(cameras, world_to_camera=moved)
+
+
 @lru_cache(maxsize=64)
 def _edges(width_px: int, height_px: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
     """Where the Jacobian's limits lie in the image, pixels: before the first and behind the last column, then row,

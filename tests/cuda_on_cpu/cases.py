@@ -225,6 +225,25 @@ VIEW_FILTER = 12.0
 FILTERED = [ANTIALIASED[0], ANTIALIASED[2], ANTIALIASED[4]]
 
 
+NEAR = (0.05, 0.2)  # depths of the nearest, by that of the zero plane
+
+
+def near(nearest: float) -> tuple[Gaussians, Panel, Rig]:
+    """A third of the Gaussians stands near the cameras, so that their colours vary fast over the rig."""
+    random, depth, count = np.random.default_rng(2), 2.0, 60
+    z = np.r_[random.uniform(nearest, 2 * nearest, count // 3), random.uniform(0.8, 1.2, 2 * count // 3)] * depth
+    fields = (
+        np.c_[random.uniform(-0.5, 0.5, count) * z, random.uniform(-0.25, 0.25, count) * z, z],
+        random.normal(size=(count, 4)),
+        np.full((count, 3), 0.04) * z[:, None],
+        random.uniform(0.4, 1, count),
+        random.normal(size=(count, 16, 3)) * 0.2,
+    )
+    panel = Panel(width_px=64, height_px=32, views=96, line_number=9.848, slant_tan=1 / 6, cone_deg=53)
+    rig = Rig(np.eye(4), (64.0, 64.0), (32.0, 16.0), depth)
+    return Gaussians(*(torch.tensor(field, dtype=torch.float32) for field in fields)), panel, rig
+
+
 def fine(degree: int) -> Gaussians:
     """Specks, lines and discs, most of them thinner than a pixel."""
     scene = scene_of(degree)

@@ -97,7 +97,7 @@ def compact() -> list[dict[str, object]]:
 
 
 def harmonic_piece() -> dict[str, object]:
-    return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
+    return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=8)
 
 
 def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
@@ -110,7 +110,7 @@ def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
     )
     frame = lightfield_gs._core.cuda.LensFrame(
         gaussians=gaussians, sh_degree=degree, colour_order=order, rig=job.native.rig, lens=job.native.lens,
-        capacity=pairs, quality=EXACT.native, tolerance=1e-5, shared_memory=0,
+        capacity=pairs, quality=EXACT.native, colour_error=1e-5, left_out=1e-5, shared_memory=0,
     )  # fmt: skip
     return frame.bytes()
 
@@ -126,7 +126,7 @@ def chosen(scene, panel, rig) -> str:
 def settings(kernel: str) -> list[dict[str, object]]:
     """A frame with harmonics: as it is, with more places, as bytes, with polynomials of another order."""
     panel, scene = cases.panel_of("default"), cases.scene_of(3)
-    options = (1.0, torch.float32, 8), (2.0, torch.float32, 8), (1.0, torch.uint8, 8), (1.0, torch.float32, 12)
+    options = (1.0, torch.float32, 8), (2.0, torch.float32, 8), (1.0, torch.uint8, 8), (1.0, torch.float32, 4)
     return [drawn(scene, panel, cases.rig_of(panel), "integer", kernel, EXACT, *option) for option in options]
 
 
@@ -263,6 +263,8 @@ def main(what: str) -> object:
         return {name: png_cases.compressed(name) for name in png_cases.IMAGES}
     if what == "settings":
         return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
+    if what == "near":
+        return [drawn(*cases.near(nearest), "integer", None, EXACT, 1.01) for nearest in cases.NEAR]
     if what == "parabolas":
         return [parabolas(*case) for case in cases.PARABOLAS]
     if what == "shapes":

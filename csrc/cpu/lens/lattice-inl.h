@@ -16,6 +16,7 @@
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
+#include "math/colour_circle.h"
 #include "math/footprint.h"
 #include "math/lattice_plan.h"
 #include "math/quality.h"
@@ -70,8 +71,8 @@ class LatticeNodes {
     return hn::AllTrue(d, hn::Eq(most, hn::Zero(d)));
   }
 
-  // Blends a splat whose centre is (u, v) from the plan's origin. colours: [order + 1, kColourStride]; compensation:
-  // null, or that of a compensated splat.
+  // Blends a splat whose centre is (u, v) from the plan's origin. colours: [order + 1, kColourStride], or on a circle;
+  // compensation: null, or that of a compensated splat.
   HWY_NOINLINE void add(const Splat<float>& splat, const Compensation<float>* compensation, float u, float v,
                         const float* colours, int order, const Quality& quality, const float* background) {
     int first, last;
@@ -138,12 +139,23 @@ class LatticeNodes {
 
   // The colour of a splat at the offsets of the planes from first to last.
   HWY_INLINE void colours_on_planes(const float* colours, int order, int first, int last) {
+    if (HWY_UNLIKELY(order == kCircleOrder)) return circle_on_planes(colours, first, last);
     const hn::CappedTag<float, 4> d4;
     for (int k = first; k <= last; ++k) {
       const auto s = hn::Set(d4, s_.data[k * plan_.down]);
       auto value = hn::LoadU(d4, colours + order * kColourStride);
       for (int p = order - 1; p >= 0; --p) value = hn::MulAdd(value, s, hn::LoadU(d4, colours + p * kColourStride));
       hn::StoreU(hn::Max(value, hn::Zero(d4)), d4, &splat_colours_.data[kColourStride * k]);
+    }
+  }
+
+  HWY_NOINLINE void circle_on_planes(const float* colours, int first, int last) {
+    const float place = colours[kPlaceTerm * kColourStride + 3], distance = colours[kDistanceTerm * kColourStride + 3];
+    for (int k = first; k <= last; ++k) {
+      const CirclePoint<float> point(place, distance, s_.data[k * plan_.down]);
+      float* to = &splat_colours_.data[kColourStride * k];
+      for (int c = 0; c < 3; ++c)
+        to[c] = std::max(point.colour([&](int m) { return colours[m * kColourStride + c]; }), 0.f);
     }
   }
 

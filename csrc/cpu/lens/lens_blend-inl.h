@@ -97,7 +97,8 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   }
 }
 
-// Calls visit with the order of a colour polynomial, as a constant where it is small (else -1).
+// Calls visit with the order of a colour polynomial, as a constant where it is small. Else it is -1: also of a colour
+// on a circle.
 template <class Visit>
 void with_order(int order, const Visit& visit) {
   switch (order) {
@@ -225,12 +226,12 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   const Splat<T>& splat = job.splats.splats[id];
   const ExactFootprint<T> footprint(splat, T(kLog2MinAlpha));
   const T* colour = colour_of(job.splats, id);
-  const int order = job.splats.orders[id];
+  const int order = job.splats.orders[id], terms = colour_terms(order);
   SplatSums<Tag<T>> sums(d);
   [[maybe_unused]] ShareSums<Tag<T>> share_sums(d);
   [[maybe_unused]] const Share<T> share(kCompensated ? job.splats.compensations[id] : Compensation<T>{});
-  V g_colour[3 * (kMaxColourOrder + 1)];
-  for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
+  V g_colour[3 * (kMaxColourOrder + 1)], g_along = hn::Zero(d), g_across = hn::Zero(d);
+  for (int k = 0; k < 3 * terms; ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
   auto reverse = [&](uint16_t sample, const RowVectors<Tag<T>>& rows, V dy) {
     // Alpha again, and the transmittance before the splat
@@ -269,9 +270,25 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     // Colour coefficients, where the clamp at zero does not hold. Projection clamps colours of order 0, and its reverse
     // masks their gradients.
     V g_c = hn::Mul(g, weight);
-    if (order > 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
+    if (order != 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
+    auto in_channel = [&](int k) {
+      return hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
+    };
+    if (HWY_UNLIKELY(order == kCircleOrder)) {
+      const CirclePoints<Tag<T>> point(d, colour, s);
+      for (int k = 0; k < 3; ++k) {
+        V term = in_channel(k), with_h = hn::Mul(term, point.h);
+        for (int m = 0; m < 4; ++m, term = hn::Mul(term, point.t))
+          g_colour[3 * m + k] = hn::Add(g_colour[3 * m + k], term);
+        for (int m = 4; m < 7; ++m, with_h = hn::Mul(with_h, point.t))
+          g_colour[3 * m + k] = hn::Add(g_colour[3 * m + k], with_h);
+      }
+      const V g_angle = hn::Mul(g_c, hn::Mul(point.slope(d, colour, channel), point.h));
+      g_along = hn::MulAdd(g_angle, point.h, g_along), g_across = hn::MulAdd(g_angle, point.t, g_across);
+      return;
+    }
     for (int k = 0; k < 3; ++k) {
-      V term = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
+      V term = in_channel(k);
       for (int p = 0; p <= order; ++p, term = hn::Mul(term, s))
         g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
     }
@@ -285,7 +302,9 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   if (!touched) return;
   sums.Reduce(d, splat, out.splat());
   if constexpr (kCompensated) share_sums.Reduce(d, out.splat(), out.compensation());
-  for (int k = 0; k < 3 * (order + 1); ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
+  auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
+  for (int k = 0; k < 3 * terms; ++k) out.colours()[k] += sum(g_colour[k]);
+  if (order == kCircleOrder) out.colours()[kAlongSum] += sum(g_along), out.colours()[kAcrossSum] += sum(g_across);
 }
 
 // Loads what the reverse reads at every sample: the gradient of its colour and, as math/over-inl.h needs it, the total,

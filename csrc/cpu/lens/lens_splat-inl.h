@@ -15,6 +15,7 @@
 #include "cpu/lens/tile_splats.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
+#include "math/colour_circle.h"
 #include "math/quality.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -23,11 +24,40 @@ namespace HWY_NAMESPACE {
 
 constexpr double kMostRoughError = 0.005;  // of S^(-1/2) in rough footprints, relative; others: kMostRootError
 
-// A splat's colour polynomial, [order + 1, kColourStride].
+// A splat's colour: its polynomial, [order + 1, kColourStride], or its terms on a circle, see math/colour_circle.h.
 template <class T>
 const T* colour_of(const Splats<T>& splats, int32_t id) {
   return splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
 }
+
+// The angles at which the cameras of samples see a splat whose colour is on a circle, see math/colour_circle.h.
+template <class D>
+struct CirclePoints {
+  using V = hn::Vec<D>;
+  V t, h;
+
+  HWY_INLINE CirclePoints(D d, const hn::TFromD<D>* colour, V s) {
+    const V distance = hn::Set(d, colour[kDistanceTerm * kColourStride + 3]);
+    const V u = hn::Sub(s, hn::Set(d, colour[kPlaceTerm * kColourStride + 3]));
+    const V r = hn::Sqrt(hn::MulAdd(u, u, hn::Mul(distance, distance)));
+    t = hn::Div(u, r), h = hn::Div(distance, r);
+  }
+  // The colour, before it is clamped at zero.
+  HWY_INLINE V colour(D d, const hn::TFromD<D>* colour, hn::Vec<hn::RebindToSigned<D>> channel) const {
+    auto term = [&](int m) { return Lookup(d, colour + m * kColourStride, channel); };
+    const V even = hn::MulAdd(hn::MulAdd(hn::MulAdd(term(3), t, term(2)), t, term(1)), t, term(0));
+    return hn::MulAdd(hn::MulAdd(hn::MulAdd(term(6), t, term(5)), t, term(4)), h, even);
+  }
+  // Its derivative by the angle.
+  HWY_INLINE V slope(D d, const hn::TFromD<D>* colour, hn::Vec<hn::RebindToSigned<D>> channel) const {
+    auto term = [&](int m) { return Lookup(d, colour + m * kColourStride, channel); };
+    auto times = [&](double k, V v) { return hn::Mul(hn::Set(d, hn::TFromD<D>(k)), v); };
+    const V of_t = hn::MulAdd(hn::MulAdd(times(3, term(3)), t, times(2, term(2))), t, term(1));
+    const V of_h = hn::MulAdd(hn::MulAdd(times(2, term(6)), t, term(5)), h, of_t);
+    const V odd = hn::MulAdd(hn::MulAdd(term(6), t, term(5)), t, term(4));
+    return hn::NegMulAdd(t, odd, hn::Mul(h, of_h));
+  }
+};
 
 // The colour of a splat at the samples' offsets. kOrder is its order where that is known at compile time, or -1: then
 // it is `order`.
@@ -35,6 +65,9 @@ template <int kOrder, class D>
 HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::Vec<hn::RebindToSigned<D>> channel,
                                hn::Vec<D> s) {
   if constexpr (kOrder == 0) return Lookup(d, colour, channel);
+  if constexpr (kOrder < 0)
+    if (HWY_UNLIKELY(order == kCircleOrder))
+      return hn::Max(CirclePoints<D>(d, colour, s).colour(d, colour, channel), hn::Zero(d));
   const int n = kOrder < 0 ? order : kOrder;
   auto c = Lookup(d, colour + n * kColourStride, channel);
   for (int p = n - 1; p >= 0; --p) c = hn::MulAdd(c, s, Lookup(d, colour + p * kColourStride, channel));

@@ -1,10 +1,11 @@
 // Stage project for the panel, and its reverse: Gaussians and the rig to splats, whose colours are polynomials in the
-// offset; and gradients of pairs to those of Gaussians.
+// offset, or near the cameras on circles; and gradients of pairs to those of Gaussians.
 #include <algorithm>
 #include <vector>
 
 #include "base/parallel.h"
 #include "cpu/gaussian_io.h"
+#include "math/colour_circle.h"
 #include "math/colour_polynomial.h"
 #include "math/harmonics.h"
 #include "stages/stages.h"
@@ -13,12 +14,32 @@ namespace lfgs {
 
 using glm::dvec3;
 
+namespace {
+
+constexpr double kDoubleColourError = 1e-12;
+
+// Stores the colour of a splat on its circle.
+template <class T>
+void store_on_circle(int degree, const T* sh, const ColourCircle<double>& circle, T* colours) {
+  dvec3 terms[kCircleTerms];
+  circle_colour(degree, sh, circle, terms);
+  for (int m = 0; m < kCircleTerms; ++m)
+    for (int c = 0; c < 3; ++c) colours[m * kColourStride + c] = T(terms[m][c]);
+  colours[kPlaceTerm * kColourStride + 3] = T(circle.place);
+  colours[kDistanceTerm * kColourStride + 3] = T(circle.distance);
+}
+
+}  // namespace
+
 template <class T>
 double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                     const Quality& quality, double tolerance, const Splats<T>& out, int threads) {
   const int64_t n = gaussians.count;
   const int order = out.colour_order, nodes = order + 1;
   const ColourBasis basis(order);
+  // Most that interpolation may err. In double, the exact twin, nothing is given up.
+  const double most = sizeof(T) == 4 ? tolerance : std::min(tolerance, kDoubleColourError);
+  const bool varies = order > 0 && rig.sweep > 0;
   const double least_light = quality.least_light(lens.width_px, lens.height_px, n);
   std::vector<double> worst(std::max(threads, 1), 0.0);
   parallel_for_chunks(n, kGrain, threads, [&](int64_t begin, int64_t end, int worker) {
@@ -38,21 +59,34 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
       if (out.compensations) out.compensations[i] = {T(compensation.D0), T(compensation.D1), T(compensation.D2)};
       if (splat.reach_y < 0) continue;
 
-      // The colour polynomial; its last two coefficients tell its error
+      // The colour on its circle, where a polynomial would err too much
       const T* sh = gaussians.sh + 3 * gaussians.sh_count() * i;
+      T* colours = out.colours + i * nodes * kColourStride;
+      double error = 0;
+      if (varies) {
+        const ColourCircle<double> circle(rig, shape.mean);
+        error = circle_tail(order, circle_amplitudes<double>(gaussians.sh_degree, sh), circle.place, circle.distance);
+        if (error > most && order >= kLeastCircleOrder) {
+          out.orders[i] = kCircleOrder;
+          store_on_circle(gaussians.sh_degree, sh, circle, colours);
+          continue;
+        }
+      }
+
+      // The colour polynomial
       auto value = [&](double s) { return sh_colour<double>(gaussians.sh_degree, sh, shape.mean, rig.eye_at(s)); };
       chebyshev_of_values(basis, nodes, value, chebyshev.data());
       auto size = [&](int k) {
         return std::max({std::abs(chebyshev[k].x), std::abs(chebyshev[k].y), std::abs(chebyshev[k].z)});
       };
-      if (order >= 2) worst[worker] = std::max(worst[worker], size(order) + size(order - 1));
 
-      // Drop the orders that this splat does not need. In double, the exact twin, nothing is dropped.
+      // Drop the orders that this splat does not need. In double nothing is dropped.
       int kept = order;
+      double dropped = 0;
       if (sizeof(T) == 4)
-        for (double dropped = 0; kept > 0 && (dropped += size(kept)) <= tolerance;) --kept;
+        for (; kept > 0 && dropped + size(kept) <= tolerance; --kept) dropped += size(kept);
+      worst[worker] = std::max(worst[worker], error + dropped);
       out.orders[i] = kept;
-      T* colours = out.colours + i * nodes * kColourStride;
       for (int p = 0; p <= kept; ++p) {
         const dvec3 power = power_of_chebyshev(basis, nodes, p, kept, p, kept + 1, chebyshev.data());
         for (int c = 0; c < 3; ++c) colours[p * kColourStride + c] = T(kept ? power[c] : std::max(0.0, power[c]));
@@ -97,6 +131,12 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
       // The gradient of the colours, back to harmonics and mean
       const T* colours = splats.colours + i * nodes * kColourStride;
       const int64_t first = 3 * gaussians.sh_count() * i;
+      if (splats.orders[i] == kCircleOrder) {
+        g.mean += circle_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, ColourCircle(rig, shape.mean),
+                                        g_pair.colours(), out.sh + first);
+        add_gradient(shape, g, out, i);
+        continue;
+      }
       auto to_harmonics = [&](double s, const dvec3& g_value) {
         g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.eye_at(s), g_value,
                                     out.sh + first);

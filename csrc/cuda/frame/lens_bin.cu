@@ -18,13 +18,11 @@ namespace {
 constexpr int kThreads = 256, kMostLanes = 8;
 constexpr int64_t kCrowd = 1 << 18;  // so many threads fill the device
 
-__device__ bool ordinal_chosen(const LensFrame& frame) { return frame.state->kernel == int(LensKernel::kOrdinal); }
-
 // How many lanes share a splat. With tiles of lenses there is more to share, since every group of ordinals has a run of
 // tiles of its own; a small splat in tiles of pixels has only one or two runs. Where splats are few, more lanes share
 // each, so that the device is busy.
 __device__ int lanes_of(const LensFrame& frame) {
-  int lanes = ordinal_chosen(frame) ? 4 : 1;
+  int lanes = frame.ordinal_chosen() ? 4 : 1;
   while (lanes < kMostLanes && frame.splats.count * lanes < kCrowd) lanes *= 2;
   return lanes;
 }
@@ -34,7 +32,7 @@ __device__ int lanes_of(const LensFrame& frame) {
 // and lists of neighbouring tiles in the run are `groups` numbers apart.
 template <class Visit>
 __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, int lanes, const Visit& visit) {
-  const bool by_lens = ordinal_chosen(frame);
+  const bool by_lens = frame.ordinal_chosen();
   const Tiling& tiling = frame.tiling();
   const float height = float(tiling.height);
   const int first = max(0, int(floorf((s.v0 - s.reach_y + 0.5f) / height)));

@@ -14,6 +14,8 @@
 namespace lfgs::cuda {
 namespace {
 
+// Error of a colour that is a parabola within an ordinal, times the splat's opacity: half of 1/255.
+constexpr double kOrdinalColourError = 2e-3;
 constexpr int64_t kMostTiles = int64_t(1) << 31;
 
 // By how many sub-pixels the lenses lean over the height of the panel; and the smallest D - origin on the panel, which
@@ -49,6 +51,7 @@ Ordinals ordinals_of(const Lens& lens) {
     out.view[t] = float(view);
     out.centre[t] = float(lens.s_start() + lens.s_step() * view);
     out.half[t] = float(std::fabs(lens.s_step()) * (high - low) / 2);
+    out.widest = std::max(out.widest, out.half[t]);
   }
 
   // Constants of the fits in v. Where an ordinal sees one view only, nothing varies within it
@@ -119,14 +122,17 @@ Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
 }  // namespace
 
 LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
-                     int64_t capacity_, const Quality& quality, double tolerance_, int64_t shared_memory)
+                     int64_t capacity_, const Quality& quality, double colour_error_, double left_out_,
+                     int64_t shared_memory)
     : rig(rig_),
       optics(optics_of(lens)),
       pixel(pixel_tiling(lens)),
       ordinal(ordinal_tiling(lens, optics)),
       sh_degree(sh_degree_),
       capacity(capacity_),
-      tolerance(float(tolerance_)),
+      colour_error(float(colour_error_)),
+      left_out(float(left_out_)),
+      ordinal_error(float(std::max(colour_error_, kOrdinalColourError))),
       cut(float(quality.log2_cut)),
       stop(float(quality.stop)),
       hit_cut(float(quality.hit_cut())),

@@ -24,16 +24,24 @@ enum class OrdinalLayout : int { kNone, kCompact, kFull };
 
 constexpr int kMostProbeRows = 256;  // enough for 65,536 rows of pixels, see kProbeRows
 
+// The kernel that draws a frame, and how.
+struct KernelChoice {
+  int kernel;              // LensKernel
+  float straight, careful;  // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
+};
+
 // What one frame found out: written on the device, read by the host when it likes. The first four numbers come from
-// bin, the rest from project and composite; project clears all, or all but the first four.
+// bin, the next from the project before that, the rest from project and composite. Project clears all, or all but
+// the first five.
 struct FrameState {
   unsigned long long pairs;  // (tile, splat) pairs; when more than the capacity, composite walks all splats
   unsigned drawn;            // number of splats drawn
   unsigned next_splat;       // next free place of the list of all splats
   unsigned long_lists;       // number of lists of more than kShortList splats
-  unsigned colour_error;     // bits of a float: largest estimated error of a colour polynomial
-  int kernel;                // LensKernel chosen
-  float straight, careful;   // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
+  unsigned bent_colours;     // number of splats whose colours vary too much for kOrdinal
+  unsigned colour_error;     // bits of a float: a bound of the error of colour polynomials
+  KernelChoice choice;       // what draws the frame
+  KernelChoice by_pixels;    // what draws it if kOrdinal must not
   float curved;              // share of the splats whose error is beyond `straight`
   int lattices;              // whether any are laid
   unsigned next_tile[5];     // next piece of work of each composite kernel, see WorkQueue
@@ -61,6 +69,7 @@ struct Ordinals {
   float view_unit;  // a power of 2. v = (camera coordinate - view) view_unit is at most about 1
   float cubic;      // the line `cubic` v is the one nearest to v^3 within an ordinal
   float reach;      // largest |v|
+  float widest;     // largest half range of offsets
   float most_bend;  // where no s2 is larger, no splat is careful for its shape; see kLeastBend
   LFGS_HD int columns() const { return groups * per_group; }  // ordinals, and what fills the last group
 };
@@ -101,7 +110,9 @@ struct LensFrame {
   int forced = -1;  // the LensKernel to use; -1: the frame chooses by cost
   int sh_degree = 0;
   int64_t capacity = 0;     // the most pairs that the lists hold
-  float tolerance = 0;      // error allowed of colour polynomials
+  float colour_error = 0;   // error allowed of colours that are interpolated over the rig
+  float left_out = 0;       // error allowed of what is left out of colour polynomials
+  float ordinal_error = 0;  // error allowed of colours that are parabolas within an ordinal; 0: not looked at
   float cut = 0, stop = 0;  // of Quality: log2 of the opacity cut, transmittance at which a sample may end
   float hit_cut = 0;        // log2 of the alpha from which a splat that reaches a patch counts at a sample
   float least_light = 0;    // splats of less light are pruned, see light_of()
@@ -129,11 +140,12 @@ struct LensFrame {
   // shared_memory: bytes of it that a block may take at most; 0: what the device has. Throws Error when the sizes do
   // not fit 32 bits.
   LensFrame(int64_t gaussians, int sh_degree, int colour_order, const View<double>& rig, const Lens& lens,
-            int64_t capacity, const Quality& quality, double tolerance, int64_t shared_memory);
+            int64_t capacity, const Quality& quality, double colour_error, double left_out, int64_t shared_memory);
   // Lays the parts out in `work` (null: only counts); returns the bytes.
   size_t place(void* work);
   // On the device only: the tiles of the kernel chosen; whether there are more pairs than the lists hold.
-  LFGS_HD const Tiling& tiling() const { return state->kernel == int(LensKernel::kOrdinal) ? ordinal : pixel; }
+  LFGS_HD const Tiling& tiling() const { return ordinal_chosen() ? ordinal : pixel; }
+  LFGS_HD bool ordinal_chosen() const { return state->choice.kernel == int(LensKernel::kOrdinal); }
   LFGS_HD bool overfull() const { return state->pairs > static_cast<unsigned long long>(capacity); }
   LFGS_HD bool has_ordinal() const { return ordinal_layout != OrdinalLayout::kNone; }
   int64_t most_lists() const { return std::max(pixel.tiles(), has_ordinal() ? ordinal.tiles() : 0); }

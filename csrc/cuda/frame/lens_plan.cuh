@@ -243,17 +243,22 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
                                         ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate
                                         : INFINITY;
 
-  // Write the choice
-  int best = int(LensKernel::kPixelQuadratic);
-  for (int k = 0; k < int(LensKernel::kCount); ++k)
-    if (cost[k] < cost[best]) best = k;
-  state.kernel = frame.forced >= 0 ? frame.forced : best;
-  const bool straight = state.kernel == int(LensKernel::kPixel) || state.kernel == int(LensKernel::kPixelSmall);
+  // Write the choice, and what it would be without the ordinal kernel, see settle_kernel()
   const ShapeLimits limits = shape_limits(exact ? kLevels - 1 : level);
-  state.straight = limits.straight, state.curved = curved;
+  static_assert(int(LensKernel::kOrdinal) == int(LensKernel::kCount) - 1);
+  for (const bool without : {false, true}) {
+    int best = int(LensKernel::kPixelQuadratic);
+    for (int k = 0; k < int(LensKernel::kCount) - int(without); ++k)
+      if (cost[k] < cost[best]) best = k;
+    KernelChoice& choice = without ? state.by_pixels : state.choice;
+    choice.kernel = frame.forced >= 0 ? frame.forced : best;
+    const bool straight = choice.kernel == int(LensKernel::kPixel) || choice.kernel == int(LensKernel::kPixelSmall);
+    choice.straight = limits.straight;
+    choice.careful = straight ? most_linear_error(frame) : exact ? -1 : limits.careful;
+  }
+  state.curved = curved;
   const float each_splat = sampled > 0 ? 1 / (kSumUnit * sampled) : 0.f;
   state.lattices = lattices_may_pay(frame, sums[kHalfWidth] * each_splat, sums[kHalfHeight] * each_splat);
-  state.careful = straight ? most_linear_error(frame) : exact ? -1 : limits.careful;
 }
 
 }  // namespace lfgs::cuda

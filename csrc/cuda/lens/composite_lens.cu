@@ -8,6 +8,7 @@
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"
 #include "cuda/stages/stages.h"
+#include "math/colour_circle.h"
 #include "math/colour_polynomial.h"
 #include "math/footprint.h"
 
@@ -73,11 +74,46 @@ struct Place {
   }
 };
 
-// Colour of a splat at a sample: the polynomial of its channel, clamped at zero.
+// Where the camera of a sample sees a splat whose colour is on a circle.
+__device__ inline CirclePoint<float> circle_point(const float* colour, const Sample& sample) {
+  return {__ldg(colour + kPlaceTerm * kColourStride + 3), __ldg(colour + kDistanceTerm * kColourStride + 3), sample.s};
+}
+
+// Colour of a splat at a sample: the polynomial of its channel, or what is on its circle, clamped at zero.
 __device__ inline float colour_at(const float* colour, int order, const Sample& sample) {
+  if (order == kCircleOrder) {
+    auto term = [&](int m) { return __ldg(colour + m * kColourStride + sample.channel); };
+    return fmaxf(circle_point(colour, sample).colour(term), 0.f);
+  }
   float c = __ldg(colour + order * kColourStride + sample.channel);
   for (int p = order - 1; p >= 0; --p) c = fmaf(c, sample.s, __ldg(colour + p * kColourStride + sample.channel));
   return fmaxf(c, 0.f);
+}
+
+// The sums of a colour on a circle over a warp, see kAlongSum; g has the gradients of the colours of a lane's samples.
+__device__ __noinline__ void circle_sums(const float* colour, const Sample (&samples)[kRows][3],
+                                         const float (&g)[kRows][3], float* out) {
+  const int lane = threadIdx.x % 32;
+  float along = 0, across = 0;
+  for (int c = 0; c < 3; ++c) {
+    const int channel = samples[0][c].channel;
+    float powers[kCircleTerms] = {};
+    for (int r = 0; r < kRows; ++r) {
+      const CirclePoint<float> point = circle_point(colour, samples[r][c]);
+      const float slope = point.slope([&](int m) { return __ldg(colour + m * kColourStride + channel); });
+      const float g_angle = g[r][c] * slope * point.h;
+      along += g_angle * point.h, across += g_angle * point.t;
+      float even = g[r][c], odd = even * point.h;
+      for (int m = 0; m < 4; ++m, even *= point.t) powers[m] += even;
+      for (int m = 4; m < kCircleTerms; ++m, odd *= point.t) powers[m] += odd;
+    }
+    for (int m = 0; m < kCircleTerms; ++m) {
+      const float sum = warp_sum(powers[m]);
+      if (lane == 0) out[3 * m + channel] = sum;
+    }
+  }
+  along = warp_sum(along), across = warp_sum(across);
+  if (lane == 0) out[kAlongSum] = along, out[kAcrossSum] = across;
 }
 
 // Draws a tile, a block each. The block stages splats in batches; every warp goes through a batch on its own, and
@@ -257,6 +293,7 @@ __global__ void __launch_bounds__(kThreads)
         const float D0 = warp_sum(of_D.D0), D1 = warp_sum(of_D.D1), D2 = warp_sum(of_D.D2);
         if (lane == 0) out[sharp] = D0, out[sharp + 1] = D1, out[sharp + 2] = D2;
       }
+      if (order == kCircleOrder) circle_sums(colour, samples, term, out + kLensSums);
       for (int p = 0; p <= order; ++p)
         for (int c = 0; c < 3; ++c) {
           const float sum = warp_sum(term[0][c] + term[1][c]);

@@ -11,6 +11,7 @@
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/halves.cuh"
 #include "cuda/lens/lens_rig.cuh"
+#include "math/colour_circle.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
 #include "stages/stages.h"
@@ -33,36 +34,81 @@ __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const
   return reach > 0 ? kBound * slope * slope * slope * sqrtf(square) : 0.f;
 }
 
+// The colour of a Gaussian on its circle, with what that is made of read anew: few Gaussians need it, and the others
+// should not keep registers for it. The circle is found in double, since the mean is near the cameras.
+struct CircleOfGaussian {
+  ColourCircle<float> circle;
+  glm::vec3 terms[kCircleTerms];
+
+  __device__ CircleOfGaussian(const Gaussians<const float>& g, const View<double>& rig, int64_t i)
+      : circle(ColourCircle<double>(rig, glm::dvec3(shape_of(g, i).mean))) {
+    circle_colour(g.sh_degree, g.sh + 3 * g.sh_count() * i, circle, terms);
+  }
+};
+
+// Stores the colour of one drawn splat on its circle. The fourth number of the first term takes the place of the order:
+// it is larger than any order, so that a kernel that knows only polynomials passes it over.
+__device__ inline __noinline__ void store_on_circle(const Gaussians<const float> gaussians, const View<double>& rig,
+                                                    int64_t i, const Splats<float> out) {
+  constexpr float kNoOrder = 1000;
+  const CircleOfGaussian colour(gaussians, rig, i);
+  float4* terms = reinterpret_cast<float4*>(out.colours) + i * (out.colour_order + 1);
+  for (int m = 0; m < kCircleTerms; ++m) {
+    const glm::vec3& term = colour.terms[m];
+    const float fourth = m == kPlaceTerm ? colour.circle.place : m == kDistanceTerm ? colour.circle.distance : 0;
+    terms[m] = make_float4(term.x, term.y, term.z, m == 0 ? kNoOrder : fourth);
+  }
+  out.orders[i] = kCircleOrder;
+}
+
+// How far a colour may be off: what interpolation may err, beyond which the colour is on a circle if there is room for
+// one; and what may be left out then to have fewer powers.
+struct ColourLimits {
+  float interpolated, left_out;
+};
+
 // Stores the colour polynomial of one drawn splat: from its values at the nodes come Chebyshev coefficients, and from
 // these the powers of s that it needs; powers up to the second are always written, as zeros where it has none. The
-// fourth number of the first power repeats the order, so that a kernel that reads colours does not wait for it.
-template <int Order>
-__device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean,
-                                     const View<float>& rig, const BasisTable& basis, float tolerance, int64_t i,
-                                     const Splats<float>& out, unsigned* error) {
+// fourth number of the first power repeats the order, so that a kernel that reads colours does not wait for it. Where
+// that would err too much, the colour is stored on its circle. watch(circle, amplitudes) is told
+// of every colour of an order above 2, since parabolas need no watching.
+template <int Order, class Watch>
+__device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean, const Rig& rigs,
+                                     const BasisTable& basis, const ColourLimits& limits, int64_t i,
+                                     const Splats<float>& out, unsigned* error, const Watch& watch) {
   constexpr int kNodes = Order + 1;
+  const View<float>& rig = rigs.rounded;
 
   // Chebyshev coefficients
   float sh[3 * kMaxShCount];  // read once, in registers
   read_harmonics(gaussians, i, sh);
+  float left = 0;
+  if constexpr (Order == 2) {
+    left = parabola_error(sh, mean, rig);
+  } else if (rig.sweep > 0) {
+    const ColourCircle<float> circle(rig, mean);
+    const glm::vec3 amplitudes = circle_amplitudes<float>(3, sh);
+    left = circle_tail(Order, amplitudes, circle.place, circle.distance);
+    watch(circle, amplitudes);
+    if (Order >= kLeastCircleOrder && left > limits.interpolated) return store_on_circle(gaussians, rigs.exact, i, out);
+  }
   glm::vec3 chebyshev[kNodes];
   auto value = [&](float s) { return sh_colour<float>(3, sh, mean, rig.eye_at(s)); };
   chebyshev_of_values(basis, kNodes, value, chebyshev);
   auto size = [&](int k) { return fmaxf(fabsf(chebyshev[k].x), fmaxf(fabsf(chebyshev[k].y), fabsf(chebyshev[k].z))); };
 
-  // The estimated error, of which the frame keeps the largest. It is positive, so its bits order like the numbers
-  const float left = Order == 2 ? parabola_error(sh, mean, rig) : size(Order) + size(Order - 1);
-  const unsigned bits = __float_as_uint(left);
-  if (bits > *static_cast<volatile unsigned*>(error)) atomicMax(error, bits);
-
   // Drop as many of the last coefficients as the tolerance allows
   int kept = Order;
-  float dropped = 0;
+  float dropped = 0, left_out = 0;
 #pragma unroll
   for (int k = Order; k > 0; --k) {
     dropped += size(k);
-    kept = dropped <= tolerance && kept == k ? k - 1 : kept;
+    if (dropped <= limits.left_out && kept == k) kept = k - 1, left_out = dropped;
   }
+
+  // The bound of the error, of which the frame keeps the largest. It is positive, so its bits order like the numbers
+  const unsigned bits = __float_as_uint(left + left_out);
+  if (bits > *static_cast<volatile unsigned*>(error)) atomicMax(error, bits);
 
   // Store the powers
   out.orders[i] = kept;
@@ -98,12 +144,12 @@ __device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& me
 
 // Projects, culls and stores splat i, and returns it; reach_y < 0 says that it is not drawn. Where `depths` is not
 // null, the depth goes there, and its place in the splat receives what rounding took from u0 and v0, see
-// whole_splat_about().
-template <int Order, bool kCompensated>
+// whole_splat_about(). watch(splat, circle, amplitudes) is told of every colour of an order above 2.
+template <int Order, bool kCompensated, class Watch>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
-                                    int64_t height_px, const BasisTable& basis, float tolerance, float cut,
-                                    bool by_patches, float least_light, int64_t i, const Splats<float>& out,
-                                    uint32_t* depths, unsigned* error) {
+                                    int64_t height_px, const BasisTable& basis, const ColourLimits& limits,
+                                    float cut, bool by_patches, float least_light, int64_t i, const Splats<float>& out,
+                                    uint32_t* depths, unsigned* error, const Watch& watch) {
   const View<float>& rig = rigs.rounded;
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat;
@@ -128,7 +174,8 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   if constexpr (Order == 0)
     store_colour(gaussians, i, out);
   else
-    store_colours<Order>(gaussians, shape.mean, rig, basis, tolerance, i, out, error);
+    store_colours<Order>(gaussians, shape.mean, rigs, basis, limits, i, out, error,
+                         [&](const auto& circle, const auto& amplitudes) { watch(splat, circle, amplitudes); });
   return splat;
 }
 
@@ -148,12 +195,8 @@ void with_order(int order, bool compensated, const Run& run) {
       return with(std::integral_constant<int, 4>());
     case 8:
       return with(std::integral_constant<int, 8>());
-    case 12:
-      return with(std::integral_constant<int, 12>());
-    case 16:
-      return with(std::integral_constant<int, 16>());
   }
-  throw Error("colour order on CUDA must be 0, 2, 4, 8, 12 or 16, not " + std::to_string(order));
+  throw Error("colour order on CUDA must be 0, 2, 4 or 8, not " + std::to_string(order));
 }
 
 }  // namespace lfgs::cuda

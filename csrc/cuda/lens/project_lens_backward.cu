@@ -5,6 +5,7 @@
 #include "cuda/common/widened.cuh"
 #include "cuda/lens/lens_rig.cuh"
 #include "cuda/stages/stages.h"
+#include "math/colour_circle.h"
 #include "math/gradient_sums.h"
 #include "math/harmonics.h"
 
@@ -53,6 +54,11 @@ __global__ void __launch_bounds__(kThreads)
   // The adjoint of the colours, which also depend on the mean
   const float* colours = splats.colours + i * nodes * kColourStride;
   const int64_t first = 3 * gaussians.sh_count() * i;
+  if (kept == kCircleOrder) {
+    const ColourCircle<double> circle(rig.exact, exact.mean);
+    g.mean += circle_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, circle, sum + kLensSums, out.sh + first);
+    return store_gradient(shape, g, out, i);
+  }
   vec3 g_chebyshev[kMaxColourOrder + 1];
   auto to_harmonics = [&](float s, const vec3& g_value) {
     g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.rounded.eye_at(s), g_value,

@@ -7,6 +7,7 @@
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lattice.cuh"
 #include "cuda/frame/lens_plan.cuh"
+#include "math/colour_circle.h"
 
 namespace lfgs::cuda {
 
@@ -23,7 +24,12 @@ struct List {
     const float4 S = reinterpret_cast<const float4*>(splats.splats + id)[1];
     const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
     const int order = splats.orders ? splats.orders[id] : 0;
-    float4 c = powers[order];
+    float4 c = powers[max(order, 0)];
+    if (order == kCircleOrder) {
+      const CirclePoint<float> point(powers[kPlaceTerm].w, powers[kDistanceTerm].w, s);
+      c.x = point.colour([&](int m) { return powers[m].x; }), c.y = point.colour([&](int m) { return powers[m].y; });
+      c.z = point.colour([&](int m) { return powers[m].z; });
+    }
     for (int p = order - 1; p >= 0; --p) {
       const float4 power = powers[p];
       c.x = fmaf(c.x, s, power.x), c.y = fmaf(c.y, s, power.y), c.z = fmaf(c.z, s, power.z);

@@ -139,7 +139,7 @@ __global__ void __launch_bounds__(kThreads, 2)
     composite_ordinal_kernel(const __grid_constant__ LensFrame frame, int row_bytes, const float* background,
                              Out* out) {
 #if __CUDA_ARCH__ >= 800
-  if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
+  if (!frame.ordinal_chosen()) return;
   extern __shared__ __align__(16) char shared[];
   Memory<Layout>& memory = *reinterpret_cast<Memory<Layout>*>(shared);
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));

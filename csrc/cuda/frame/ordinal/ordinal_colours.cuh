@@ -5,6 +5,7 @@
 #include "cuda/frame/ordinal/ordinal_operands.cuh"
 #include "cuda/frame/ordinal/ordinal_share.cuh"
 #include "cuda/frame/root_series.cuh"
+#include "math/colour_circle.h"
 
 namespace lfgs::cuda {
 namespace {
@@ -15,7 +16,7 @@ namespace {
 constexpr int kShare = 3, kColourThreads = 128;
 __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const __grid_constant__ LensFrame frame) {
 #if __CUDA_ARCH__ >= 800
-  if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
+  if (!frame.ordinal_chosen()) return;
   const Ordinals& ordinals = frame.optics.ordinals;
   const Splats<float>& splats = frame.splats;
   const int columns = ordinals.columns(), items = columns / kShare;
@@ -33,6 +34,22 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
     for (int n = 0; n < 3; ++n) {
       const int ordinal = min(first + o, ordinals.count - 1);
       s[o][n] = fmaf(float(n - 1) * kParabolaPlace, ordinals.half[ordinal], ordinals.centre[ordinal]);
+    }
+
+  // On a circle
+  if (order == kCircleOrder)
+    for (int m = 0; m < kCircleTerms; ++m) {
+      const float4 term = by_place(frame.optics, powers[m]);
+#pragma unroll
+      for (int o = 0; o < kShare; ++o)
+#pragma unroll
+        for (int n = 0; n < 3; ++n) {
+          const CirclePoint<float> point(powers[kPlaceTerm].w, powers[kDistanceTerm].w, s[o][n]);
+          const float basis = point.colour([&](int other) { return other == m ? 1.f : 0.f; });
+          float (&value)[3] = values[o][n];
+          value[0] = fmaf(basis, term.x, value[0]), value[1] = fmaf(basis, term.y, value[1]);
+          value[2] = fmaf(basis, term.z, value[2]);
+        }
     }
 
   // Horner's rule, from the highest power of s down
@@ -81,7 +98,7 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 // LensFrame::ordinal_shares, as ShareFit has it. A thread makes one.
 __global__ void __launch_bounds__(kColourThreads) ordinal_shares_kernel(const __grid_constant__ LensFrame frame) {
 #if __CUDA_ARCH__ >= 800
-  if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
+  if (!frame.ordinal_chosen()) return;
   const Ordinals& ordinals = frame.optics.ordinals;
   const int columns = ordinals.columns();
   const int64_t at = int64_t(blockIdx.x) * kColourThreads + threadIdx.x, id = at / columns;

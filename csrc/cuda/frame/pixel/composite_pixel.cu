@@ -142,9 +142,9 @@ __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
   using Straight = Config<straight, Harmonics, lane_rows, Cells>;
   using Quadratic = Config<Evaluation::kQuadratic, Harmonics, lane_rows, Cells>;
   __shared__ Staged<Harmonics> staged[kWarps];
-  if (frame.state->kernel == int(Straight::kernel))
+  if (frame.state->choice.kernel == int(Straight::kernel))
     draw_patches<Straight>(frame, background, out, staged);
-  else if (frame.state->kernel == int(Quadratic::kernel))
+  else if (frame.state->choice.kernel == int(Quadratic::kernel))
     draw_patches<Quadratic>(frame, background, out, staged);
 }
 
@@ -154,7 +154,7 @@ __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     composite_compensated_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   using Compensated = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true, true>;
   __shared__ StagedOf<Compensated> staged[kWarps];
-  if (frame.state->kernel == int(Compensated::kernel)) draw_patches<Compensated>(frame, background, out, staged);
+  if (frame.state->choice.kernel == int(Compensated::kernel)) draw_patches<Compensated>(frame, background, out, staged);
 }
 
 template <Evaluation straight, int lane_rows, bool Harmonics, class Out>

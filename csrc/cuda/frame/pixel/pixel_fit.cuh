@@ -135,7 +135,7 @@ __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) 
   const float4 c3 = order >= 3 ? powers[3] : none, c4 = order >= 4 ? powers[4] : none;
 
   // Whether it needs a bend, and whether what is left out after that is small enough
-  const float most = fmaxf(kStraightColour, frame.tolerance), beyond = largest(c3) + largest(c4);
+  const float most = fmaxf(kStraightColour, frame.left_out), beyond = largest(c3) + largest(c4);
   const bool bent = largest(c2) + beyond > most;
   bool good = (!bent || (Bends && beyond <= most)) && order <= kMostOrder;
 
@@ -193,9 +193,9 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   const uint32_t id = staged.ids[inside ? lane : 0];
   Splat<float> splat = whole_splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
-  const bool curved = C::Quadratic && error.linear > frame.state->straight;
+  const bool curved = C::Quadratic && error.linear > frame.state->choice.straight;
   bool careful = (!C::Half && splat.log2_opacity >= kCarefulOpacity) ||
-                 (curved ? error.quadratic : error.linear) > frame.state->careful;
+                 (curved ? error.quadratic : error.linear) > frame.state->choice.careful;
   if constexpr (C::Compensated) {
     const float3 share = share_fit(frame.splats.compensations[id], splat);
     careful = careful || !(share.x <= 0.5f);

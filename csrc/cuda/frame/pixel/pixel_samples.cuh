@@ -7,6 +7,7 @@
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lens_optics.cuh"
 #include "cuda/frame/pixel/pixel_fit.cuh"
+#include "math/colour_circle.h"
 
 namespace lfgs::cuda {
 
@@ -78,8 +79,15 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
   return C::Harmonics ? fmaf(-s, slope, step) : step;
 }
 
+// The part in a channel of a colour on a circle. A function of its own, so that the kernels keep their registers.
+__device__ inline __noinline__ float circle_part(const float4* terms, int channel, float s) {
+  const CirclePoint<float> point(terms[kPlaceTerm].w, terms[kDistanceTerm].w, s);
+  return point.colour([&](int m) { return reinterpret_cast<const float*>(terms + m)[channel]; });
+}
+
 // Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
-// colour polynomial and the end of samples that become opaque; with compensation with the share of opacity.
+// colour polynomial, or the colour on its circle, and the end of samples that become opaque; with compensation with the
+// share of opacity.
 template <class C>
 struct CarefulHit {
   const LensFrame& frame;
@@ -95,7 +103,7 @@ struct CarefulHit {
         compensation(C::Compensated ? frame.splats.compensations[id] : Compensation<float>{}),
         order(C::Harmonics ? frame.splats.orders[id] : 0),
         powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
-        highest(by_place<C::Cells>(frame.optics, powers[order])),
+        highest(by_place<C::Cells>(frame.optics, powers[max(order, 0)])),
         background(background) {}
 
   __device__ void add(float x, float y, float s, int k, float& T, float& colour) const {
@@ -105,6 +113,7 @@ struct CarefulHit {
     if constexpr (C::Compensated) power += log2_share(compensation, s, S);
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
+    if (C::Harmonics && order == kCircleOrder) c = circle_part(powers, frame.optics.channels[k], s);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
     // A sample that should have ended before takes no more, see ended()
     const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
