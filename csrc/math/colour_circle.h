@@ -42,11 +42,7 @@ struct ColourCircle {
 
   template <class S>
   LFGS_HD explicit ColourCircle(const ColourCircle<S>& other)
-      : along(other.along),
-        foot(other.foot),
-        place(R(other.place)),
-        distance(R(other.distance)),
-        unit(R(other.unit)) {}
+      : along(other.along), foot(other.foot), place(R(other.place)), distance(R(other.distance)), unit(R(other.unit)) {}
   LFGS_HD ColourCircle(const View<R>& rig, const glm::vec<3, R>& mean) {
     const glm::vec<3, R> right = rig.right(), to_mean = mean - rig.centre();
     const R length = glm::length(right);

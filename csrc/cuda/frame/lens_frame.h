@@ -26,7 +26,7 @@ constexpr int kMostProbeRows = 256;  // enough for 65,536 rows of pixels, see kP
 
 // The kernel that draws a frame, and how.
 struct KernelChoice {
-  int kernel;              // LensKernel
+  int kernel;               // LensKernel
   float straight, careful;  // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
 };
 

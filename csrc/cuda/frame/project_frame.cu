@@ -69,10 +69,9 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   splat.reach_y = -1;
   if (i < gaussians.count) {
     const OrdinalWatch watch{frame, gaussians, rig.exact, i};
-    splat = store_splat<Order, kCompensated>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
-                                             {frame.colour_error, frame.left_out}, frame.cut, frame.in_half,
-                                             frame.least_light, i, frame.splats, frame.depths,
-                                             &frame.state->colour_error, watch);
+    splat = store_splat<Order, kCompensated>(
+        gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis, {frame.colour_error, frame.left_out},
+        frame.cut, frame.in_half, frame.least_light, i, frame.splats, frame.depths, &frame.state->colour_error, watch);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
   }
   const unsigned stride = sample_stride(gaussians.count);

@@ -147,8 +147,8 @@ __device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& me
 // whole_splat_about(). watch(splat, circle, amplitudes) is told of every colour of an order above 2.
 template <int Order, bool kCompensated, class Watch>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
-                                    int64_t height_px, const BasisTable& basis, const ColourLimits& limits,
-                                    float cut, bool by_patches, float least_light, int64_t i, const Splats<float>& out,
+                                    int64_t height_px, const BasisTable& basis, const ColourLimits& limits, float cut,
+                                    bool by_patches, float least_light, int64_t i, const Splats<float>& out,
                                     uint32_t* depths, unsigned* error, const Watch& watch) {
   const View<float>& rig = rigs.rounded;
   const Shape<float> shape = shape_of(gaussians, i);
