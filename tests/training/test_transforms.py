@@ -164,7 +164,7 @@ FAULTS = {
     "ragged matrix": (_set_frame(transform_matrix=[[1, 2], [3]]), r"frames\[2\].transform_matrix: bad pose"),
     "words in matrix": (_set_frame(transform_matrix=[["1"] * 4] * 4), r"frames\[2\].transform_matrix: bad pose"),
     "NaN in matrix": (_set_frame(transform_matrix=[[math.nan] * 4] * 4), r"frames\[2\].transform_matrix: bad pose"),
-    "scaled matrix": (_set_frame(transform_matrix=np.diag([2, 2, 2, 1]).tolist()), r"frames\[2\].*no rotation"),
+    "stretched matrix": (_set_frame(transform_matrix=np.diag([2, 1, 2, 1]).tolist()), r"frames\[2\].*no rotation"),
     "mirrored axes": (lambda d: _turn(d, np.diag([-1, 1, 1, 1])), r"frames\[0\].transform_matrix: wrong handedness"),
     "OpenCV axes": (lambda d: _turn(d, OPENGL), "transform_matrix: wrong handedness.*OpenGL axes"),
     "one direction": (_one_direction, "transform_matrix: the 4 cameras look in one direction"),
