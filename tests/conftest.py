@@ -37,7 +37,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """LFGS_SKIPPED=FILE: one line for each test that was skipped, its reason."""
-    if path := os.environ.get("LFGS_SKIPPED"):
+    path = os.environ.get("LFGS_SKIPPED")
+    if path and not hasattr(terminalreporter.config, "workerinput"):  # of all processes, the one that reports
         reasons = [report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.getreports("skipped")]
         with open(path, "a", encoding="utf-8") as lines:
             lines.writelines(f"{reason}\n" for reason in reasons)
