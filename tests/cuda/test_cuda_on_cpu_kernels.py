@@ -11,6 +11,7 @@ from cuda_on_cpu import cases
 from cuda_on_cpu.drawings import EMULATED
 
 from lightfield_gs import encode, reference
+from lightfield_gs.rasterizer import frame_cuda
 
 pytestmark = EMULATED
 
