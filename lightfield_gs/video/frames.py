@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.base.srgb import light_of_srgb, srgb_of_light
 from lightfield_gs.io.images import MAX_PIXELS
 from lightfield_gs.video.av_library import av_library
 
@@ -196,10 +197,8 @@ def _to_srgb(codes: np.ndarray, curve: int, primaries: int) -> np.ndarray:
         power = values ** (1 / m2)
         light = (np.maximum(power - c1, 0) / (c2 - c3 * power)) ** (1 / m1) * (10000 / _WHITE_NITS)
     else:
-        light = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+        light = light_of_srgb(values)
     linear = light.astype(np.float32)[codes]
     if primaries in _TO_BT709:
         linear = linear @ _TO_BT709[primaries].T.astype(np.float32)
-    linear = linear.clip(0, 1)
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return (coded * 255 + 0.5).astype(np.uint8)
+    return (srgb_of_light(linear.clip(0, 1)) * 255 + 0.5).astype(np.uint8)
