@@ -12,6 +12,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, Views, of_other_methods
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.first_derivatives import refuse_tangents
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -35,10 +36,14 @@ def check_options(method: str, views: str, output: str) -> None:
 
 
 def wants_gradients(gaussians: Gaussians, background: Any, output: Output, cameras: Cameras | None = None) -> bool:
-    """Whether the image is to carry a graph: an argument asks for a gradient, and the output is no bytes."""
+    """Whether the image is to carry a graph: an argument asks for a gradient, and the output is no bytes.
+
+    Raises InputError where one is a dual number of forward mode, whose tangent would be lost.
+    """
     tensors = [*gaussians.fields().values(), background]
     if cameras is not None:
-        tensors += [cameras.world_to_camera, cameras.focal_px, cameras.principal_point_px]
+        tensors += [cameras.world_to_camera, cameras.intrinsics(), cameras.limits()]
+    refuse_tangents(*tensors)
     asked = any(isinstance(t, Tensor) and t.requires_grad for t in tensors)
     return torch.is_grad_enabled() and output != "uint8" and asked
 

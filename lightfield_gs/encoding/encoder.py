@@ -111,6 +111,10 @@ class Encoder:
         """How many views wide a box of camera positions each sub-pixel's picture is averaged over."""
         return self._view_filter
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What copies and pickles take with them: all but the memory of the frame before."""
+        return {**self.__dict__, "_frames": None}
+
     def forget(self) -> None:
         """Has the next frame drawn in full, and gives back the memory that was kept for it."""
         self._frames: CpuFrames | CudaFrames | None = None

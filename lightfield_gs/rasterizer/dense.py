@@ -10,12 +10,12 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 from torch.nn import Parameter
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture, DenseImages, DenseJob
 from lightfield_gs.rasterizer.dense_nodes import in_two_nodes
+from lightfield_gs.rasterizer.first_derivatives import differentiable_once
 from lightfield_gs.rasterizer.scene import State
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import Wanted
@@ -252,6 +252,7 @@ def _dense_setup(ctx, inputs, output):
     ctx.set_materialize_grads(False)  # the state has no gradients, and neither have images that the loss does not read
 
 
+@differentiable_once
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
     g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
@@ -270,7 +271,7 @@ def _dense_backward(ctx, *grads):
     return (*out, None, None, None, None, None, g_screen if ctx.screen_numbers else None)
 
 
-render_dense_with_state.register_autograd(once_differentiable(_dense_backward), setup_context=_dense_setup)
+render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_setup)
 
 
 class _RenderDense(torch.autograd.Function):
@@ -287,10 +288,7 @@ class _RenderDense(torch.autograd.Function):
         _dense_setup(ctx, inputs, outputs)
         return outputs
 
-    @staticmethod
-    @once_differentiable
-    def backward(ctx, *grads):
-        return _dense_backward(ctx, *grads)
+    backward = staticmethod(_dense_backward)
 
 
 def _is_for_cuda(means: Tensor) -> bool:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from lightfield_gs.rasterizer.dense_job import DenseArguments, DenseImages, DenseJob
+from lightfield_gs.rasterizer.first_derivatives import differentiable_once
 from lightfield_gs.rasterizer.scene import State
 from lightfield_gs.rasterizer.workspace import Wanted
 
@@ -52,7 +52,7 @@ class _Project(torch.autograd.Function):
         return tuple(state)
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx, sums, *_):
         if sums is None:
             return (None,) * 12
@@ -80,7 +80,7 @@ class _Composite(torch.autograd.Function):
         return images
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx, g_image, g_alpha, g_depth):
         splats, colours, lists, background, image, alpha, depth = ctx.saved_tensors
         job = DenseJob(ctx.arguments, background, state=State(splats, colours, lists))

@@ -15,6 +15,7 @@ from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats, render_scene
 from lightfield_gs.rasterizer.dense_job import DenseImages
 from lightfield_gs.rasterizer.dense_parts import dense_in_parts, divide_by_alpha
+from lightfield_gs.rasterizer.first_derivatives import refuse_tangents
 from lightfield_gs.rasterizer.screen import radii_px
 from lightfield_gs.scene.cameras import Cameras, about_cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -163,10 +164,11 @@ def render(
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         gaussians.validate()  # on CUDA looking at values would wait for the device
-    if torch.is_grad_enabled() and cameras.intrinsics().requires_grad:
+    refuse_tangents(*gaussians.fields().values(), background, cameras.world_to_camera)
+    if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
         raise InputError(
-            "cameras: focal_px and principal_point_px (K) have no gradients, and one of them requires it: detach() it, "
-            "or use torch.no_grad()"
+            "cameras: focal_px and principal_point_px (K) and jacobian_limits have no gradients, and one of them "
+            "requires it: detach() it, or use torch.no_grad()"
         )
     like, batched = gaussians.means, gaussians.is_batched
     together = cameras.world_to_camera.dim() == 3

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
+from lightfield_gs.rasterizer.first_derivatives import differentiable_once
 from lightfield_gs.rasterizer.frame_cuda import frames_of
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.lens_view import LensView
@@ -125,7 +125,7 @@ def _lens_setup(ctx, inputs, output):
     ctx.save_for_backward(*tensors, output)
 
 
-@once_differentiable
+@differentiable_once
 def _lens_backward(ctx, grad):
     *tensors, image = ctx.saved_tensors
     out = torch.ops.lightfield_gs.render_lens_backward(

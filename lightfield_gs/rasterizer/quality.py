@@ -77,6 +77,10 @@ class Quality:
         """Whether nothing is given up."""
         return self == EXACT
 
+    def __getstate__(self) -> dict[str, object]:
+        """What copies and pickles take with them: all but the core's own, which is made again."""
+        return {name: value for name, value in vars(self).items() if name != "native"}
+
     @cached_property
     def native(self) -> _core.Quality:
         return _core.Quality(

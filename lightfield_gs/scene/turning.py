@@ -15,7 +15,7 @@ from lightfield_gs.base.harmonics import SH_COEFFICIENTS, harmonics, rotations, 
 
 Origin = tuple[float, float, float]
 _DIRECTIONS = 64  # more than the 16 harmonics, spread evenly: their values determine the coefficients well
-_TOLERANCE = 1e-4  # of orthonormality, as for the poses of cameras
+_TOLERANCE = 1e-4  # of orthonormality
 
 
 def rotated_fields(

@@ -1,5 +1,9 @@
 """No image comes without its graph, no gradient without a word, where gradients are wanted."""
 
+import copy
+import pickle
+from dataclasses import replace
+
 import pytest
 import torch
 from rasterizer_cases import dense_views, panel, projected, random_scene, rig
@@ -50,12 +54,14 @@ def test_what_has_no_gradients_is_refused():
     assert Encoder(PANEL, rig(PANEL))(scene).dtype == torch.uint8  # bytes have no gradients
 
 
-@pytest.mark.parametrize("what", ["focal_px", "K"])
+@pytest.mark.parametrize("what", ["focal_px", "K", "jacobian_limits"])
 def test_optics_that_ask_for_a_gradient_are_refused(what):
     scene, optics = random_scene(5, 1, seed=3), torch.tensor([[20.0, 20.0]], dtype=torch.float64)
     if what == "K":
         matrix = torch.tensor([[[20.0, 0, 8], [0, 20, 6], [0, 0, 1]]], dtype=torch.float64, requires_grad=True)
         seen = Cameras(cameras().world_to_camera, matrix, width_px=16, height_px=12)
+    elif what == "jacobian_limits":
+        seen = replace(cameras(), jacobian_limits=cameras().limits().requires_grad_())
     else:
         seen = cameras(focal=optics.requires_grad_())
     with pytest.raises(InputError, match="focal_px and principal_point_px .* have no gradients"):
@@ -64,24 +70,60 @@ def test_optics_that_ask_for_a_gradient_are_refused(what):
         render(scene, seen)
 
 
-def test_second_derivatives_are_refused():
+@pytest.mark.parametrize("loss", [torch.sum, lambda image: image.square().sum()], ids=["linear", "square"])
+def test_second_derivatives_are_refused(loss):
     for draw in (
         lambda scene: render(scene, cameras()),
         lambda scene: encode(scene, PANEL, rig(PANEL), output="float64"),
         lambda scene: encode(scene, PANEL, rig(PANEL), "classic", output="float64"),
     ):
         moving = leaves()
-        (gradient,) = torch.autograd.grad(draw(Gaussians(*moving)).square().sum(), moving[0], create_graph=True)
-        with pytest.raises(RuntimeError, match="once_differentiable"):
-            gradient.square().sum().backward()
+        value = loss(draw(Gaussians(*moving)))
+        (gradient,) = torch.autograd.grad(value, moving[0], create_graph=True)
+        penalty = gradient.square().sum()
+        with pytest.raises(InputError, match="differentiable once"):
+            torch.autograd.grad(penalty, moving[0], retain_graph=True, allow_unused=True)
+        with pytest.raises(InputError, match="differentiable once"):
+            (value + penalty).backward()
+
+
+def test_forward_mode_is_refused():
+    scene, (moving, *others) = random_scene(5, 1, seed=3), random_scene(5, 1, seed=3).fields().values()
+    with torch.autograd.forward_ad.dual_level():
+        dual = Gaussians(torch.autograd.forward_ad.make_dual(moving, torch.ones_like(moving)), *others)
+        for draw in (
+            lambda: render(dual, cameras()),
+            lambda: encode(dual, PANEL, rig(PANEL), output="float64"),
+            lambda: encode(dual, PANEL, rig(PANEL), "sorted", output="float64"),
+            lambda: Encoder(PANEL, rig(PANEL), output="float64")(dual),
+        ):
+            with pytest.raises(InputError, match="no derivatives in forward mode"):
+                draw()
+        assert torch.isfinite(render(scene, cameras())).all()
+
+
+def test_an_encoder_is_copied_without_the_frame_before():
+    encoder, scene = Encoder(PANEL, rig(PANEL)), random_scene(5, 1, seed=3)
+    image = encoder(scene)
+    for other in (copy.deepcopy(encoder), pickle.loads(pickle.dumps(encoder))):
+        assert torch.equal(other(scene), image)
+
+
+def test_poses_are_as_exact_as_they_are_written_and_moved():
+    """By hand with three decimals, and by checks of gradients, which move every number of the matrix."""
+    cos, sin = 0.707, 0.707
+    by_hand = torch.tensor([[[cos, 0, sin, 0], [0, 1, 0, 0], [-sin, 0, cos, 4], [0, 0, 0, 1]]], dtype=torch.float64)
+    assert torch.isfinite(render(random_scene(5, 1, seed=3), cameras(by_hand))).all()
+    scene, pose = random_scene(5, 1, seed=3), cameras().world_to_camera.requires_grad_()
+    assert torch.autograd.gradcheck(lambda p: render(scene, cameras(p)), pose, eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
 POSES = {
     "transpose": lambda pose: pose.mT,
     "a rotation times 2": lambda pose: torch.cat([2 * pose[:, :3], pose[:, 3:]], 1),
     "mirrored": lambda pose: pose @ torch.diag(torch.tensor([-1.0, 1, 1, 1], dtype=pose.dtype)),
-    "not orthonormal": lambda pose: pose + 0.1 * torch.eye(4, dtype=pose.dtype).roll(1, 1).triu(),
-    "bottom row": lambda pose: pose + torch.eye(4, dtype=pose.dtype)[3],
+    "not orthonormal.*svd": lambda pose: pose + 0.1 * torch.eye(4, dtype=pose.dtype).roll(1, 1).triu(),
+    "divide the matrix by its last number": lambda pose: pose + torch.eye(4, dtype=pose.dtype)[3],
 }
 
 
