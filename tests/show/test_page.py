@@ -202,6 +202,7 @@ FOREIGN = [
     {"Sec_Fetch_Site": "same-site"},  # another port of this machine
     {"Origin": "http://elsewhere.example"},
     {"Origin": "null"},
+    {"Referer": "http://elsewhere.example/"},  # browsers that send neither of these, as over plain http to a LAN
 ]
 
 
@@ -222,6 +223,7 @@ def test_only_a_post_with_the_token_changes_what_the_panel_shows():
         token = json.loads(get(server, "/scene.json", Sec_Fetch_Site="same-origin")[1])["token"]
         turn, own = "yaw_deg=120", {"Sec_Fetch_Site": "same-origin", "Origin": server.url}
         assert get(server, f"/frame?show=eye&still=1&width=64&{turn}", Sec_Fetch_Site="none")[0] == 200
+        assert get(server, "/panel", Referer=server.url + "/")[0] == 200
         assert get(server, f"/rest?{turn}", X_Token=token)[0] == 405
         assert get(server, "/rest", "POST", turn)[0] == 403
         assert get(server, "/rest", "POST", turn, X_Token=token[:-1])[0] == 403

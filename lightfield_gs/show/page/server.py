@@ -334,8 +334,11 @@ class _Handler(BaseHTTPRequestHandler):
             return text(
                 f"this server is not named so; open {self.server.url}, or start it with --host and the name", 403
             )
-        site, origin = self.headers.get("Sec-Fetch-Site"), self.headers.get("Origin")
-        if site not in (None, "same-origin", "none") or origin is not None and urlsplit(origin).netloc != host:
+        site = self.headers.get("Sec-Fetch-Site")
+        # Browsers send no Sec-Fetch-Site over plain http to other machines: there Referer tells of pictures and links
+        callers = [self.headers.get(name) for name in (("Origin", "Referer") if site is None else ("Origin",))]
+        is_foreign = any(caller and urlsplit(caller).netloc != host for caller in callers)
+        if site not in (None, "same-origin", "none") or is_foreign:
             return text("pages from elsewhere are refused; enter the address in the browser by hand", 403)
         return None
 
