@@ -9,8 +9,8 @@ from lightfield_gs.base.errors import InputError
 
 _START_BYTES = 512
 _LARGE_BYTES = 64 << 20  # smaller files are read in no time, whatever they are
-# What images begin with, those of cameras among them; of TGA, which says nothing, what its kinds have (bytes 1 and 2) and
-# a size
+# What images begin with, those of cameras among them; of TGA, which says nothing, what its kinds have (bytes 1 and 2),
+# and a size
 _IMAGE_STARTS = re.compile(
     rb"\x89PNG|\xff\xd8\xff|v/1\x01|II|MM|GIF8|BM|RIFF|#\?|P[1-7Ff]\s+[#\dA-Z]|SDPX|XPDS|\x80\x2a\x5f\xd7|\xd7\x5f\x2a\x80|8BPS|"
     rb"....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51|DDS |\x01\xda|FOR[48]|SIMPLE|FUJIFILM|FOVb|"
@@ -19,9 +19,7 @@ _IMAGE_STARTS = re.compile(
     re.DOTALL,
 )
 # The kinds of these that are compressed, in which no row of zeros is as long as what is looked at behind their headers
-_COMPRESSED_STARTS = re.compile(
-    rb"\xff\xd8\xff|GIF8|RIFF|....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51", re.DOTALL
-)
+_COMPRESSED_STARTS = re.compile(rb"\xff\xd8\xff|GIF8|RIFF|....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51", re.DOTALL)
 _BEHIND_HEADER, _ROW_BYTES = 4096, 1 << 16
 _POINTER = b"version https://git-lfs.github.com/spec/"
 # Comments may come first; <Error> is what storage servers answer, in XML
