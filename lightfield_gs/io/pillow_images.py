@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 _STARTS = (b"GIF8", b"RIFF", b"\x89PNG", b"II*\0", b"MM\0*", b"\xff\xd8\xff")
-_FORMATS = ("GIF", "WEBP", "PNG", "TIFF", "JPEG", "MPO")
+_FORMATS = ("GIF", "WEBP", "PNG", "TIFF", "JPEG")  # the reader of JPEG finds out what is MPO
 _MOST_PIXELS = 1 << 26  # of a picture inside another
 _SECOND_EYES = ("Multi-Frame Image (Disparity)", "Multi-Frame Image (Multi-Angle)")
 # What Pillow and its plugins raise of damaged files, beside its DecompressionBombError
