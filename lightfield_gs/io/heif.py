@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.pillow_images import pillow_complaints
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -48,20 +48,8 @@ def opened_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator[
     format_name = _reader(path)
     if (size := path.stat().st_size) > _MOST_BYTES:  # it is read as a whole
         raise InputError(f"{path}: expected an AVIF or HEIC of at most {_MOST_BYTES} bytes, got {size}; it is damaged")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # check_size knows better
-            image = Image.open(path, formats=[format_name])
-    except (
-        OSError,
-        ValueError,
-        SyntaxError,
-        RuntimeError,
-        EOFError,
-        MemoryError,
-        Image.DecompressionBombError,
-    ) as error:
-        raise InputError(f"{path} is not an image that can be read: {_one_line(error)}") from error
+    with pillow_complaints(f"{path} is not an image that can be read"):
+        image = Image.open(path, formats=[format_name])
     with image:
         check_size(*image.size)
         yield image
@@ -69,11 +57,9 @@ def opened_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator[
 
 def decoded_heif(path: Path, image: Image.Image) -> tuple[np.ndarray, int, dict[str, Any]]:
     """Pixels [H, W, C] uint8 as stored, Exif orientation and colour of an open image, as Picture has them."""
-    try:
+    with pillow_complaints(f"{path} is damaged or cut"):
         mode = image.mode if image.mode in ("L", "LA", "RGB", "RGBA") else "RGB"
         pixels = np.array(image.convert(mode))
-    except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError) as error:
-        raise InputError(f"{path} is damaged or cut: {_one_line(error)}") from error
     colour: dict[str, Any] = {"format": cast(str, image.format).lower()}  # none only of images that no file holds
     if profile := image.info.get("icc_profile"):
         colour["ICCProfile"] = profile
@@ -84,10 +70,8 @@ def decoded_heif(path: Path, image: Image.Image) -> tuple[np.ndarray, int, dict[
 
 def heif_orientation(path: Path, image: Image.Image) -> int:
     """The Exif orientation 1..8 of an open image: of its pixels as decoded_heif has them. Raises InputError."""
-    try:
+    with pillow_complaints(f"{path} is damaged or cut"):
         orientation = image.getexif().get(_ORIENTATION_TAG, 1)
-    except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError) as error:
-        raise InputError(f"{path} is damaged or cut: {_one_line(error)}") from error
     return orientation if isinstance(orientation, int) else 1
 
 
@@ -110,7 +94,3 @@ def _reader(path: Path) -> str:
         f"{path} is a HEIC image, which takes a package to read: pip install 'lightfield-gs[heif]'; or "
         "convert it to PNG or JPEG"
     )
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -7,6 +7,7 @@ what is longer than 64 KB comes in segments with a GUID, the whole length and th
 from __future__ import annotations
 
 import mmap
+import re
 import struct
 from pathlib import Path
 
@@ -18,7 +19,9 @@ _LONE = (*range(0xD0, 0xD8), 0x01)  # markers without a length
 
 
 def xmp_of_jpeg(path: Path) -> str:
-    """The XMP of a JPEG, with its extension behind it; "" where there is none, and of other files. Raises OSError."""
+    """The XMP of a JPEG, with its extension behind it; "" where there is none, and of other files. Raises OSError.
+
+    Attributes are in double quotes, though files may have single ones, as of exiftool."""
     with open(path, "rb") as file:
         if file.read(2) != b"\xff\xd8":
             return ""
@@ -33,7 +36,8 @@ def xmp_of_jpeg(path: Path) -> str:
                 size += end - start
                 if size > _MOST_BYTES:
                     break
-    return b"\n".join([*packets, b"".join(parts[place] for place in sorted(parts))]).decode(errors="replace")
+    xmp = b"\n".join([*packets, b"".join(parts[place] for place in sorted(parts))]).decode(errors="replace")
+    return re.sub(r"=\s*'([^'\"<>]*)'", r'="\1"', xmp)
 
 
 def _app1_segments(data: mmap.mmap) -> list[tuple[int, int]]:

@@ -9,28 +9,42 @@ from lightfield_gs.base.errors import InputError
 
 _START_BYTES = 512
 _LARGE_BYTES = 64 << 20  # smaller files are read in no time, whatever they are
-# What images begin with, those of cameras among them; of TGA, which says nothing, what its kinds have (bytes 1 and 2)
+# What images begin with, those of cameras among them; of TGA, which says nothing, what its kinds have (bytes 1 and 2),
+# and a size
 _IMAGE_STARTS = re.compile(
-    rb"\x89PNG|\xff\xd8\xff|v/1\x01|II|MM|GIF8|BM|RIFF|#\?|P[1-7Ff]|SDPX|XPDS|\x80\x2a\x5f\xd7|\xd7\x5f\x2a\x80|8BPS|"
+    rb"\x89PNG|\xff\xd8\xff|v/1\x01|II|MM|GIF8|BM|RIFF|#\?|P[1-7Ff]\s+[#\dA-Z]|SDPX|XPDS|\x80\x2a\x5f\xd7|\xd7\x5f\x2a\x80|8BPS|"
     rb"....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51|DDS |\x01\xda|FOR[48]|SIMPLE|FUJIFILM|FOVb|"
-    rb"\x00MRM|\x00\x00[\x01\x02]\x00|\x59\xa6\x6a\x95|\x2f\x08\x67\xab|\x53\x80\xf6\x34|.[\x00\x01][\x01-\x03\x09-\x0b]",
+    rb"\x00MRM|\x59\xa6\x6a\x95|\x2f\x08\x67\xab|\x53\x80\xf6\x34|"
+    rb".(?:\x01[\x01\x09]|[\x00\x01][\x02\x03\x0a\x0b]).{9}(?!\x00\x00)..(?!\x00\x00)..",
     re.DOTALL,
 )
+# The kinds of these that are compressed, in which no row of zeros is as long as what is looked at behind their headers
+_COMPRESSED_STARTS = re.compile(rb"\xff\xd8\xff|GIF8|RIFF|....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51", re.DOTALL)
+_BEHIND_HEADER, _ROW_BYTES = 4096, 1 << 16
 _POINTER = b"version https://git-lfs.github.com/spec/"
 # Comments may come first; <Error> is what storage servers answer, in XML
 _WEB_PAGE = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:.*<)?(?:!doctype html|html[\s>]|error>)", re.IGNORECASE | re.DOTALL)
 
 
 def refuse_large_no_image(path: Path) -> None:
-    """Raises InputError where a large file does not begin as images do: for a reader that would look all through it."""
-    if path.stat().st_size > _LARGE_BYTES and not _IMAGE_STARTS.match(start := _start(path)):
+    """Raises InputError where a large file does not begin as images do, or holds zeros behind its header: for a reader
+    that would look all through it."""
+    if path.stat().st_size <= _LARGE_BYTES:
+        return
+    start = _start(path, _BEHIND_HEADER + _ROW_BYTES)
+    if not _IMAGE_STARTS.match(start):
         refuse_stand_in(path)
         raise InputError(f"{path} is not an image that can be read: no format begins with {start[:8].hex(' ')} (hex)")
+    if _COMPRESSED_STARTS.match(start) and not any(start[_BEHIND_HEADER:]):
+        raise InputError(
+            f"{path} is damaged or cut: zeros stand where its picture should be, as a download leaves them that did "
+            "not end; download it again"
+        )
 
 
-def _start(path: Path) -> bytes:
+def _start(path: Path, size: int = _START_BYTES) -> bytes:
     with open(path, "rb") as file:
-        return file.read(_START_BYTES)
+        return file.read(size)
 
 
 def refuse_stand_in(path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import struct
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,9 +18,23 @@ if TYPE_CHECKING:
     from PIL import Image
 
 _STARTS = (b"GIF8", b"RIFF", b"\x89PNG", b"II*\0", b"MM\0*", b"\xff\xd8\xff")
-_FORMATS = ("GIF", "WEBP", "PNG", "TIFF", "JPEG", "MPO")
+_FORMATS = ("GIF", "WEBP", "PNG", "TIFF", "JPEG")  # the reader of JPEG finds out what is MPO
 _MOST_PIXELS = 1 << 26  # of a picture inside another
 _SECOND_EYES = ("Multi-Frame Image (Disparity)", "Multi-Frame Image (Multi-Angle)")
+# What Pillow and its plugins raise of damaged files, beside its DecompressionBombError
+_RAISED = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    RuntimeError,
+    EOFError,
+    MemoryError,
+    struct.error,
+)
 _MP_ENTRIES = 0xB002  # of the MP Index IFD (CIPA DC-007, Multi-Picture Format)
 
 
@@ -70,22 +85,21 @@ def _opened(source: Path | io.BytesIO, name: str) -> Iterator[Image.Image]:
     """An open image, of whatever is wrong with it an InputError."""
     from PIL import Image
 
+    with pillow_complaints(f"{name} is not an image that can be read"), Image.open(source, formats=_FORMATS) as image:
+        yield image
+
+
+@contextlib.contextmanager
+def pillow_complaints(words: str) -> Iterator[None]:
+    """Makes an InputError, with these words before, of all that Pillow raises of files that are damaged, and leaves out
+    its warnings."""
+    from PIL import Image
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of size and of damaged metadata
-            with Image.open(source, formats=_FORMATS) as image:
-                yield image
-    except (
-        OSError,
-        ValueError,
-        SyntaxError,
-        RuntimeError,
-        EOFError,
-        MemoryError,
-        KeyError,
-        TypeError,
-        Image.DecompressionBombError,
-    ) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{name} is not an image that can be read: {' '.join(str(error).split())[:200]}") from error
+            yield
+    except InputError:
+        raise
+    except (*_RAISED, Image.DecompressionBombError) as error:
+        raise InputError(f"{words}: {' '.join(str(error).split())[:200] or type(error).__name__}") from error

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.photo.strips import strips
 
@@ -96,7 +97,7 @@ def _by_gamma(rgb: np.ndarray, gamma: float) -> Colours:
     values = as_floats(rgb)
     bright = float((values > 1).any(2).mean())
     linear = np.clip(values, 0, 1) ** np.float32(gamma)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - np.float32(0.055))
+    encoded = srgb_of_light(linear)
     notes = [f"is brighter than white on {bright:.1%} of its pixels, which are clipped; expose it less"]
     said = "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, converted to sRGB"
     return Colours(encoded.astype(np.float32), said, notes if bright > _CLIPPED_SHARE else [])

@@ -116,7 +116,7 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
                     "the former is taken"
                 ],
             )
-    raise InputError(f"{path} is in colour; expected a grey depth map, one number a pixel")
+    raise InputError(f"{path} is in colour; expected a grey depth map, one number a pixel, without a colour map")
 
 
 def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:

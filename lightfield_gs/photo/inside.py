@@ -129,7 +129,7 @@ def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
 
 def _of_base64(path: Path, xmp: str, values: dict[str, str]) -> bytes:
     try:
-        return base64.b64decode(re.sub(r"\s+", "", values.get("Data", "")))
+        return base64.b64decode(re.sub(r"&#\w+;|\s+", "", values.get("Data", "")))
     except (binascii.Error, ValueError):
         raise InputError(f"{path}: the depth map in its XMP is damaged; give another with --depth FILE") from None
 

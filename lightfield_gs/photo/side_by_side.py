@@ -13,7 +13,7 @@ from lightfield_gs.base.options import DEPTH_PARTS
 from lightfield_gs.io.images import as_floats
 from lightfield_gs.photo.depth_files import DepthNumbers, grey_numbers
 
-_NAME = re.compile(r"(^|[^a-z0-9])rgbd$", re.IGNORECASE)
+_NAME = re.compile(r"(^|[^a-z0-9])rgbd( ?\(\d+\))?$", re.IGNORECASE)  # (1): as browsers name a second copy
 _SAMPLES = 128  # pixels a side that are looked at: enough to see whether a half is grey
 # How far the channels of a grey half come apart when it is saved as JPEG or as a video: as a share of its range, or of
 # the full scale; and the share of its pixels in which they do not, where something says that it is a map

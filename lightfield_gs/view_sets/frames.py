@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import struct
+import contextlib
 import tempfile
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -15,23 +14,13 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, Picture
+from lightfield_gs.io.not_what_it_says import refuse_large_no_image
+from lightfield_gs.io.pillow_images import pillow_complaints
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.video.sequence import VIDEO_INPUTS, Sequence, open_sequence
 from lightfield_gs.view_sets.colours import ViewColours
 from lightfield_gs.view_sets.joins import goes_back, small
 
-# What Pillow raises of damaged files, beside its DecompressionBombError
-DAMAGED = (
-    OSError,
-    SyntaxError,
-    ValueError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    ArithmeticError,
-    EOFError,
-    struct.error,
-)
 _ANIMATIONS = (".gif", ".webp")
 _ANIMATED_BIT = 2  # of the flags of a WebP's VP8X chunk
 _MOST_TO_AND_FRO = 1000  # frames, up to which it is looked whether they come back
@@ -124,7 +113,8 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
     """Number of frames of an image file, and frames a second; 1, None of what is no animation."""
     from PIL import Image
 
-    try:
+    with contextlib.suppress(InputError), pillow_complaints(str(path)):  # what reads images sees to it
+        refuse_large_no_image(path)
         with path.open("rb") as file:
             start = file.read(32)
         if start[:4] == b"RIFF" and not (start[12:16] == b"VP8X" and start[20] & _ANIMATED_BIT):
@@ -133,24 +123,24 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
             count = getattr(image, "n_frames", 1)
             milliseconds = image.info.get("duration", 0) or _SLOWEST_MS
             return count, Fraction(1000, max(1, round(milliseconds))) if count > 1 else None
-    except (*DAMAGED, Image.DecompressionBombError):
-        return 1, None  # what reads images sees to it
+    return 1, None
 
 
 def _animation(path: Path) -> Iterator[np.ndarray]:
     """The frames of an animated GIF or WebP as they are seen, uint8 [H, W, 3 or 4]. Raises InputError."""
     from PIL import Image, ImageSequence
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(path)
-        with image:
-            if image.width * image.height > MAX_PIXELS:
-                raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {MAX_PIXELS}")
-            for frame in ImageSequence.Iterator(image):
-                yield np.asarray(frame.convert("RGBA"))
-    except (*DAMAGED, Image.DecompressionBombError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} is no animation that can be read: {error}") from error
+    words = f"{path} is no animation that can be read"
+    with pillow_complaints(words):
+        image = Image.open(path)
+    with image:
+        if image.width * image.height > MAX_PIXELS:
+            raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {MAX_PIXELS}")
+        frames = ImageSequence.Iterator(image)
+        while True:
+            with pillow_complaints(words):
+                frame = next(frames, None)
+                pixels = None if frame is None else np.asarray(frame.convert("RGBA"))
+            if pixels is None:
+                return
+            yield pixels

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +13,10 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.not_what_it_says import refuse_large_no_image
+from lightfield_gs.io.pillow_images import pillow_complaints
 from lightfield_gs.panels.quilt import QuiltLayout, check_divides, stated_layout
 from lightfield_gs.view_sets.colours import in_colour
-from lightfield_gs.view_sets.frames import DAMAGED
 from lightfield_gs.view_sets.joins import rows_join_otherwise
 
 _EXIF_TAGS, _USER_COMMENT = 0x8769, 0x9286
@@ -124,13 +125,12 @@ def _comment(path: Path) -> dict[str, Any]:
     """The object that the Exif UserComment of a file holds in JSON; empty where there is none."""
     from PIL import Image
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # only the header is read
-            with Image.open(path) as image:
-                comment = image.getexif().get_ifd(_EXIF_TAGS).get(_USER_COMMENT, b"")
-    except (*DAMAGED, Image.DecompressionBombError):
-        return {}  # other readers see to files that are no images
+    comment: object = b""
+    # Other readers see to files that are no images
+    with contextlib.suppress(InputError), pillow_complaints(str(path)):
+        refuse_large_no_image(path)
+        with Image.open(path) as image:
+            comment = image.getexif().get_ifd(_EXIF_TAGS).get(_USER_COMMENT, b"")
     if isinstance(comment, str):
         comment = comment.encode(errors="replace")
     if not isinstance(comment, bytes) or len(comment) > _MOST_COMMENT_BYTES:

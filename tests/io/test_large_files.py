@@ -59,6 +59,32 @@ def test_a_header_and_nothing_behind_it(tmp_path, suffix, start):
     assert time.process_time() - began < 1 and peak_bytes() - before < 100 << 20
 
 
+@pytest.mark.parametrize(
+    "name, start",
+    [
+        ("a.jpg", b"\xff\xd8\xff\xe0\0\x10JFIF\0\1\1\0\0\1\0\1\0\0"),
+        ("a.mpo", b"\xff\xd8\xff\xe1"),
+        ("a.gif", b"GIF89a\x40\0\x40\0\xf7\0\0" + bytes(range(256)) * 3),
+        ("a.webp", b"RIFF\xff\xff\xff\xffWEBPVP8 "),
+        ("a.jp2", b"\0\0\0\x0cjP  \r\n\x87\n"),
+        ("a.avif", b"\0\0\0\x1cftypavif"),
+        ("a.ppm", b"P6\n"),
+        ("a.ico", b"\0\0\1\0"),
+        ("a.exr", b"\x76\x2f\x31\x01\2\0\0\0"),
+        ("a.tif", b"II*\0\x08\0\0\0"),
+    ],
+)
+def test_an_image_s_start_and_nothing_behind_it(tmp_path, name, start):
+    path = tmp_path / name
+    path.write_bytes(start)
+    with path.open("r+b") as file:
+        file.truncate(4 << 30)
+    before, began = peak_bytes(), time.process_time()
+    with pytest.raises(InputError, match=name):
+        read_image(path)
+    assert time.process_time() - began < 1 and peak_bytes() - before < 100 << 20
+
+
 def test_large_pictures_are_read_as_before(tmp_path):
     """Of every kind of image that may be so large, its start is known."""
     path = tmp_path / "large.pfm"

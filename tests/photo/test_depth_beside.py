@@ -20,7 +20,7 @@ from lightfield_gs.io.pillow_images import pictures_in
 from lightfield_gs.photo.inside import depth_inside, facts_inside, notes_inside
 from lightfield_gs.photo.joint_upsampling import at_size_of_photo
 from lightfield_gs.photo.load import photo_of
-from lightfield_gs.photo.side_by_side import beside_numbers, depth_side
+from lightfield_gs.photo.side_by_side import beside_numbers, depth_side, is_named_so
 from lightfield_gs.photo.stereo_pair import stereo_layout
 from lightfield_gs.show.preview import to_integers
 
@@ -223,6 +223,27 @@ def test_the_depth_map_in_a_photos_xmp_is_read_by_its_formula(folder, capsys, ki
     assert "bright is near" in out and "by its format" not in out
     out, _ = said(capsys, "info a.jpg")
     assert f"depth inside: 48 x 32, GDepth {kind}, near 1.0, far 4.0" in out
+
+
+def test_xmp_as_other_programs_write_it_is_read(tmp_path):
+    """In single quotes, as attributes or as elements (exiftool), and with line ends as entities."""
+    photo, grey = photo_and_map()
+    data = base64.b64encode(stored_map(grey[..., 0], "PNG")).decode()
+    space = GDEPTH.replace('"', "'")
+    facts = {"Format": "RangeInverse", "Near": "1", "Far": "4", "Data": f"{data[:70]}&#xA;{data[70:]}"}
+    elements = "".join(f"<GDepth:{name}>{value}</GDepth:{name}>" for name, value in facts.items())
+    attributes = " ".join(f"GDepth:{name}='{value}'" for name, value in facts.items())
+    for name, more in (("a", f">{elements}</rdf:Description>"), ("b", f" {attributes}/>")):
+        path = tmp_path / f"{name}.jpg"
+        path.write_bytes(jpeg_with(f"<rdf:Description {space}{more}", photo))
+        inside = depth_inside(path)
+        assert inside is not None and (inside.is_inverse, inside.near, inside.far) == (True, 1, 4)
+        assert np.array_equal(inside.numbers(path).values, grey[..., 0])
+
+
+def test_a_second_copy_of_a_download_is_known_by_its_name():
+    assert all(is_named_so(Path(name)) for name in ("a_rgbd.png", "a_rgbd (1).png", "a_RGBD(2).jpg"))
+    assert not any(is_named_so(Path(name)) for name in ("a_rgb (1).png", "argbd.png", "a_rgbd (copy).png"))
 
 
 def test_a_depth_map_inside_is_left_out_where_others_are_asked_for_and_that_is_said(folder, capsys):

@@ -126,45 +126,26 @@ def is_depth_inside(args: argparse.Namespace) -> bool:
 
 def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
     """The map of --depth, at the photo's size. Raises InputError."""
-    from lightfield_gs.photo.depth import depth_map
     from lightfield_gs.photo.depth_files import read_numbers
 
     numbers = read_numbers(args.depth)
-    depth = depth_map(
-        args.depth,
-        numbers,
-        args.depth_kind,
-        scale=args.depth_scale,
-        limits=args.depth_range,
-        invalid=args.depth_invalid or "far",
-        turn=_turn_with(args, photo, args.map_orientation),
-        rays=_rays_of(args, photo.pixels.shape[:2], numbers.focal_px),
-    )
+    turn = _turn_with(args, photo, args.map_orientation)
+    depth = _mapped(args, args.depth, numbers, args.depth_kind, args.depth_range, photo.pixels.shape[:2], turn)
     return _fitted(str(args.depth), replace(depth, said=f"depth by {args.depth.name}: {depth.said}"), photo)
 
 
 def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> DepthMap:
     """The map in the half `side` of the picture, as Looking Glass has it where nothing else is said. Raises
     InputError."""
-    from lightfield_gs.photo.depth import depth_map, nearness
+    from lightfield_gs.photo.depth import nearness
     from lightfield_gs.photo.side_by_side import beside_numbers
 
     numbers = beside_numbers(args.input, picture.pixels, side)
-    limits = args.depth_range
-    if limits is None and args.depth_scale is None:
-        limits = _BESIDE_LIMITS
+    limits = _limits_or(args, _BESIDE_LIMITS)
     # A range that is given the other way round says by itself that bright is near
     is_plain = limits is not None and limits[0] <= limits[1]
     kind = args.depth_kind or (_BESIDE_KIND if is_plain else None)
-    depth = depth_map(
-        args.input,
-        numbers,
-        kind,
-        scale=args.depth_scale,
-        limits=limits,
-        invalid=args.depth_invalid or "far",
-        rays=_rays_of(args, numbers.values.shape[:2], None),
-    )
+    depth = _mapped(args, args.input, numbers, kind, limits, numbers.values.shape[:2])
     assumed = [
         name
         for name, is_assumed in (
@@ -181,30 +162,19 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
 
 def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
     """The map inside the photo's file, as its format has it where nothing else is said. Raises InputError."""
-    from lightfield_gs.photo.depth import depth_map, nearness
+    from lightfield_gs.photo.depth import nearness
     from lightfield_gs.photo.inside import depth_inside
 
     inside = depth_inside(args.input)
     assert inside is not None
-    limits = args.depth_range
-    if limits is None and args.depth_scale is None:
-        limits = (inside.near, inside.far) if inside.near and inside.far else _BESIDE_LIMITS
+    limits = _limits_or(args, (inside.near, inside.far) if inside.near and inside.far else _BESIDE_LIMITS)
     kind = args.depth_kind
     if kind is None and args.depth_scale is None:
         kind = "disparity" if inside.is_inverse else "distance"
         if inside.is_inverse and limits is not None:
             limits = limits[::-1]  # dark is near in both formats
-    numbers = inside.numbers(args.input)
-    depth = depth_map(
-        args.input,
-        numbers,
-        kind,
-        scale=args.depth_scale,
-        limits=limits,
-        invalid=args.depth_invalid or "far",
-        turn=_turn_with(args, photo, args.map_orientation or "stored"),
-        rays=_rays_of(args, photo.pixels.shape[:2], None),
-    )
+    turn = _turn_with(args, photo, args.map_orientation or "stored")
+    depth = _mapped(args, args.input, inside.numbers(args.input), kind, limits, photo.pixels.shape[:2], turn)
     said = f"depth inside it ({inside.name}): {depth.said}"
     if args.depth_kind is None and limits is not None:
         near = nearness(str(kind), limits)
@@ -213,6 +183,35 @@ def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
             said += " by its format (--depth-range FAR,NEAR where it is not)"
             said += "" if inside.near else ", near and far assumed (--depth-range)"
     return _fitted(f"{args.input}: the depth map inside it", replace(depth, said=said), photo)
+
+
+def _limits_or(args: argparse.Namespace, own: tuple[float, float]) -> tuple[float, float] | None:
+    """The limits that options say, or a map's own where they say neither limits nor a scale."""
+    return own if args.depth_range is None and args.depth_scale is None else args.depth_range
+
+
+def _mapped(
+    args: argparse.Namespace,
+    path: Path,
+    numbers: DepthNumbers,
+    kind: str | None,
+    limits: tuple[float, float] | None,
+    size: tuple[int, int],
+    turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None,
+) -> DepthMap:
+    """The map of these numbers, by the options; size: height and width of the photo. Raises InputError."""
+    from lightfield_gs.photo.depth import depth_map
+
+    return depth_map(
+        path,
+        numbers,
+        kind,
+        scale=args.depth_scale,
+        limits=limits,
+        invalid=args.depth_invalid or "far",
+        turn=turn,
+        rays=_rays_of(args, size, numbers.focal_px),
+    )
 
 
 def _turn_with(
