@@ -20,6 +20,7 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.fitting.dropout import former_default
 from lightfield_gs.fitting.fields import Fields
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.tally import Tally
@@ -35,27 +36,30 @@ _WAY_OUT = "give the same again, another --run folder, or --fresh to start over"
 
 @dataclass(frozen=True)
 class Identity:
-    """Which fit a checkpoint is of: its settings, and of the capture what decides the result, each as a digest."""
+    """Which fit a checkpoint is of: its settings, and of the capture what decides the result, each as a digest.
+
+    photographs: how many it is to; in a cone, the sum of their shares.
+    """
 
     settings: dict[str, Any]
     capture: dict[str, str]
+    photographs: float
 
     @classmethod
     def of(
-        cls, settings: FitSettings, capture: Capture, train: Sequence[int], others: Mapping[str, Any] | None = None
+        cls, settings: FitSettings, capture: Capture, train: Sequence[int], shares: Sequence[float] | None = None
     ) -> Identity:
-        """Of a fit to the photographs `train` of a capture. others: what else decides the result, for JSON, by what a
-        message calls it ("other <name>")."""
+        """Of a fit to the photographs `train` of a capture. shares: in how many of the epochs each is, in a cone."""
         parts = {
             "names of photographs": json.dumps(capture.names).encode(),
             "sizes": np.asarray(capture.sizes_px, np.int64).tobytes(),
             "cameras": capture.world_to_camera.tobytes() + capture.intrinsics.tobytes(),
             "points": capture.points.tobytes() + capture.colours.tobytes(),
             "photographs held out": json.dumps(list(train)).encode(),
-            **{name: json.dumps(value).encode() for name, value in (others or {}).items()},
+            "cone": json.dumps(shares).encode(),
         }
         digests = {name: hashlib.sha256(data).hexdigest()[:16] for name, data in parts.items()}
-        return cls(json.loads(json.dumps(asdict(settings))), digests)
+        return cls(json.loads(json.dumps(asdict(settings))), digests, len(train) if shares is None else sum(shares))
 
     def check_file(self, path: Path, fresh: bool) -> None:
         """As check, of a checkpoint where there is one. fresh: it is removed instead."""
@@ -68,6 +72,8 @@ class Identity:
     def check(self, path: Path, stored: Mapping[str, Any]) -> None:
         """Raises InputError that names what differs from a stored one."""
         settings, capture = stored["settings"], stored["capture"]
+        if settings.get("dropout", 0.0) is None:
+            settings = {**settings, "dropout": former_default(self.photographs)}
         changed = [
             f"{field.name} was {shown(settings.get(field.name))} and is {shown(self.settings[field.name])}"
             for field in fields(FitSettings)

@@ -24,6 +24,7 @@ from lightfield_gs.fitting.native import check_tensor, core_of, stream_of
 from lightfield_gs.fitting.settings import FitSettings
 
 _FEW = 12  # photographs, up to which it gained most in what was measured, and a fit speaks of it
+_FORMER_MOST, _FORMER_FEW, _FORMER_MANY = 0.2, 12, 48  # of the default that was: 0.2 up to 12 photographs, 0 from 48 on
 
 
 def words_on_dropout(settings: FitSettings, photographs: int) -> str | None:
@@ -36,6 +37,11 @@ def words_on_dropout(settings: FitSettings, photographs: int) -> str | None:
         f"steps leave out no Gaussians: with {photographs} photographs --dropout 0.2 gains up to 1 dB or loses up to "
         "1.5, by the scene; compare the PSNR of photographs held out"
     )
+
+
+def former_default(photographs: float) -> float:
+    """The share at the end, 0..1, that a fit to so many photographs had where its checkpoint holds null for it."""
+    return _FORMER_MOST * min(1.0, max(0.0, (_FORMER_MANY - photographs) / (_FORMER_MANY - _FORMER_FEW)))
 
 
 def dropout(shares: Tensor, step: Tensor, seed: int, count: int) -> Tensor:

@@ -163,7 +163,7 @@ def _prepared(
     cone, centre and score_cone."""
     display, judged, said = placed(capture, *asked)
     shares = None if display is None else display.shares(train)
-    identity = Identity.of(settings, capture, train, {"cone": shares})
+    identity = Identity.of(settings, capture, train, shares)
     progress = Progress(
         habits.progress and group.is_first, habits.folder if habits.tensorboard and group.is_first else None
     )

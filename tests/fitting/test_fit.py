@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +128,15 @@ def test_a_run_of_other_settings_or_of_another_capture_is_refused(capture, tmp_p
     with pytest.raises(InputError, match="other cameras"):
         lf.fit(moved, folder=folder, **{**QUICK, "steps": 4})
     assert lf.fit(capture, folder=folder, fresh=True, **{**QUICK, "steps": 5}).steps == 5
+
+
+@pytest.mark.parametrize(("photographs", "share"), [(12, 0.2), (30, 0.1), (48, 0.0), (100, 0.0)])
+def test_a_checkpoint_of_the_former_default_of_dropout_is_of_the_share_that_it_stood_for(photographs, share, tmp_path):
+    identity = Identity({**asdict(SETTINGS), "dropout": share}, {}, photographs)
+    stored = {"settings": {**asdict(SETTINGS), "dropout": None}, "capture": {}}
+    identity.check(tmp_path, stored)
+    with pytest.raises(InputError, match=f"dropout was {share} and is 0.3"):
+        replace(identity, settings={**asdict(SETTINGS), "dropout": 0.3}).check(tmp_path, stored)
 
 
 def test_a_file_that_is_no_checkpoint_is_refused(capture, tmp_path):

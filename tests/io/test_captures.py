@@ -183,7 +183,7 @@ def test_masks(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    "name", ["mask/{}.png", "images/mask/{}_mask.png", "images/{}.png.mask.png", "images/{}_mask.png"]
+    "name", ["mask/{}.png", "Masks/{}.png", "images/mask/{}_mask.png", "images/{}.png.mask.png", "images/{}_mask.png"]
 )
 def test_masks_are_no_photographs_wherever_they_lie(tmp_path, name):
     """In the folders that programs write them to, and beside the photographs."""

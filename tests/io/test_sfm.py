@@ -20,13 +20,16 @@ from lightfield_gs.io.captures.sfm import structure_from_motion
 
 
 class _Model:
-    """A reconstruction in which the first `count` photographs are posed."""
+    """A reconstruction in which the first `count` photographs are posed, all in one direction."""
 
-    def __init__(self, count: int):
+    def __init__(self, count: int, focal_px: float = 70.0):
         self.names = [f"{index:03d}.png" for index in range(count)]
-        self.images = {index: SimpleNamespace(name=name) for index, name in enumerate(self.names)}
+        self.images = {
+            index: SimpleNamespace(name=name, has_pose=True, viewing_direction=lambda: np.array([0, 0, 1.0]))
+            for index, name in enumerate(self.names)
+        }
         self.points3D = {1: None}
-        self.cameras = {1: SimpleNamespace(mean_focal_length=lambda: 70.0)}
+        self.cameras = {1: SimpleNamespace(mean_focal_length=lambda: focal_px, width=WIDTH, height=HEIGHT)}
 
     def num_reg_images(self) -> int:
         return len(self.names)
@@ -103,6 +106,21 @@ def test_tries_go_on_until_nearly_all_pose_and_the_best_is_kept(tmp_path, monkey
     assert tries[2].endswith("6 of 6 photographs") and len(tries) == 3
     assert stand_in.given.focal_px == [1.0, 1.2 * WIDTH, 0.75 * WIDTH]
     assert len(read_capture(tmp_path / "new", images=tmp_path / "c/images").names) == 6
+
+
+def test_a_focal_length_that_ran_away_is_not_the_last_word(tmp_path, monkeypatch):
+    """COLMAP begins with 1.2 x the longer side, and photographs whose directions hardly differ do not hold it there."""
+    write_capture(tmp_path / "c", count=6)
+    away = {0: _Model(6, 2.9 * WIDTH)}
+    monkeypatch.setitem(sys.modules, "pycolmap", _stand_in(away, {0: _Model(5)}, {}))
+    told: list[str] = []
+    with pytest.warns(Assumption, match="1 of 6 photographs did not pose"):
+        structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append)
+    assert any(line.endswith("6 of 6 photographs, a focal length of 278 px, 2.9 x the longer side") for line in told)
+    monkeypatch.setitem(sys.modules, "pycolmap", _stand_in(away, {0: _Model(2)}, {}))
+    with pytest.warns(Assumption, match="COLMAP finds a focal length of 278 px, .* which the photographs hardly deter"):
+        structure_from_motion(tmp_path / "c/images", tmp_path / "other")
+    assert len(read_capture(tmp_path / "other", images=tmp_path / "c/images").names) == 6
 
 
 def _photographs(folder: Path, focal_mm: dict[str, int | None]) -> Path:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.masks import mask_beside, mask_named
 from lightfield_gs.io.captures.photo_files import MASK_FOLDERS, PhotoFiles, first_names
 from lightfield_gs.io.captures.shot import Shot, Shots
@@ -25,7 +25,7 @@ def masks_for(
         paths, where = [shot.mask for shot in shots], f"mask_path of {found.source.name}"
     else:
         roots = (folder, found.images.parent, found.images)
-        places = [masks] if masks else [root / name for root in roots for name in MASK_FOLDERS]
+        places = [masks] if masks else [place for root in roots for place in _mask_folders(root)]
         paths, where = _in_folders([place for place in places if place.is_dir()], found.images, shots)
         if masks and not any(paths):
             raise InputError(
@@ -39,6 +39,13 @@ def masks_for(
     if any(alphas):
         assume(f"what is opaque counts in {sum(alphas)} of {len(shots)} photographs that have alpha")
     return paths
+
+
+def _mask_folders(root: Path) -> list[Path]:
+    """The folders of masks in a folder, in any case, in the order of MASK_FOLDERS."""
+    with reading(root):
+        found = sorted(path for path in root.iterdir() if path.name.lower() in MASK_FOLDERS)
+    return sorted(found, key=lambda path: MASK_FOLDERS.index(path.name.lower()))
 
 
 def _in_folders(places: Sequence[Path], images: Path, shots: Sequence[Shot]) -> tuple[list[Path | None], str]:

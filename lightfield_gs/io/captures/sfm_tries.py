@@ -10,10 +10,17 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from lightfield_gs.base.assumptions import assume
 
 Progress = Callable[[str], None]
 _ENOUGH = 0.9  # of the photographs: nothing else is tried then
+# Focal lengths of the photographs' longer side that cameras have: from 9 mm to 144 mm, as of 35 mm film
+_SHORTEST, _LONGEST = 0.25, 4.0
+# The most degrees between directions that tell little of a focal length, which then is within _LARGEST_CHANGE of what
+# COLMAP guesses, of the longer side
+_NARROW_DEG, _GUESS = 10.0, 1.2
 _LARGEST_CHANGE = 2.0  # of a focal length by the last refinement: beyond, the photographs do not determine it
 
 
@@ -43,20 +50,28 @@ TRIES = (Try(), Try(4, 1.5, 1.2), Try(4, 1.5, 0.75), Try(1.5, 0.5, 1.2))
 
 def best_model(pycolmap: ModuleType, database: Path, photographs: Path, count: int, progress: Progress) -> Any:
     """The reconstruction with the most of `count` photographs, whose features match in a database; None where no try
-    finds one. Tries again, each said, until nearly all are posed. Raises what pycolmap raises."""
-    best, chosen, guessed = None, TRIES[0], _without_focal(pycolmap, database)
+    finds one. Tries again, each said, until nearly all are posed with focal lengths that may be; of such models those
+    with half of the photographs or more go before others. Raises what pycolmap raises."""
+    best, chosen, guessed, rank = None, TRIES[0], _without_focal(pycolmap, database), (False, 0)
     for number, settings in enumerate(TRIES, 1):
         if settings.focal not in (None, TRIES[1].focal) and not guessed:
             continue  # Exif has all focal lengths, and nothing else differs
         if settings.focal is not None:
             _begin_with(pycolmap, database, guessed, settings.focal)
         model = _mapped(pycolmap, database, photographs, settings, progress)
-        found = "none posed" if model is None else f"{model.num_reg_images()} of {count} photographs"
-        progress(f"poses, try {number}, {settings.words}: {found}")
-        if model is not None and (best is None or model.num_reg_images() > best.num_reg_images()):
-            best, chosen = model, settings
-        if best is not None and best.num_reg_images() >= _ENOUGH * count:
+        posed = 0 if model is None else model.num_reg_images()
+        wrong = None if model is None else _doubtful_focal(model, guessed)
+        found = f"{posed} of {count} photographs" if posed else "none posed"
+        progress(f"poses, try {number}, {settings.words}: {found}{'' if wrong is None else f', {wrong}'}")
+        if posed and (own := (wrong is None and 2 * posed >= count, posed)) > rank:
+            best, chosen, rank = model, settings, own
+        if rank >= (True, _ENOUGH * count):
             break
+    if best is not None and (wrong := _doubtful_focal(best, guessed)) is not None:
+        assume(
+            f"COLMAP finds {wrong}, which the photographs hardly determine: depths and angles may be wrong; "
+            "photographs that keep their Exif, or from farther apart, are surer"
+        )
     if best is None or chosen.focal is None:
         return best
     best = _refined(pycolmap, best)
@@ -94,6 +109,21 @@ def _without_focal(pycolmap: ModuleType, database: Path) -> list[int]:
     """The cameras whose focal length is COLMAP's guess, for Exif has none."""
     with pycolmap.Database.open(str(database)) as opened:
         return [camera.camera_id for camera in opened.read_all_cameras() if not camera.has_prior_focal_length]
+
+
+def _doubtful_focal(model: Any, guessed: Sequence[int]) -> str | None:
+    """A focal length of a reconstruction, in words, that hardly is the camera's: that of one of the cameras `guessed`,
+    of which nothing is known beforehand; None where all may be."""
+    directions = np.array([image.viewing_direction() for image in model.images.values() if image.has_pose])
+    least = float((directions @ directions.T).min(initial=1.0)) if len(directions) else 1.0
+    low, high = _SHORTEST, _LONGEST
+    if least > np.cos(np.radians(_NARROW_DEG)):
+        low, high = _GUESS / _LARGEST_CHANGE, _GUESS * _LARGEST_CHANGE
+    for number, camera in model.cameras.items():
+        length, side = camera.mean_focal_length(), max(camera.width, camera.height)
+        if number in guessed and not low <= length / side <= high:
+            return f"a focal length of {length:.0f} px, {length / side:.2g} x the longer side"
+    return None
 
 
 def _begin_with(pycolmap: ModuleType, database: Path, cameras: Sequence[int], focal: float) -> None:
