@@ -1,4 +1,4 @@
-"""Pictures that move: videos, and animated GIF and WebP files, frame by frame."""
+"""Pictures that move: videos, and animated GIF, WebP, PNG and AVIF files, frame by frame."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, Picture
+from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
 from lightfield_gs.panels.panel import MAX_VIEWS
-from lightfield_gs.video.sequence import VIDEO_INPUTS, Sequence, open_sequence
+from lightfield_gs.video.sequence import Sequence, open_sequence
 from lightfield_gs.view_sets.colours import ViewColours
 from lightfield_gs.view_sets.joins import goes_back, small
 
@@ -32,7 +33,7 @@ DAMAGED = (
     EOFError,
     struct.error,
 )
-_ANIMATIONS = (".gif", ".webp")
+_ANIMATIONS = (".gif", ".webp", ".png", ".apng", ".avif")
 _ANIMATED_BIT = 2  # of the flags of a WebP's VP8X chunk
 _MOST_TO_AND_FRO = 1000  # frames, up to which it is looked whether they come back
 _SLOWEST_MS = 100  # of a frame whose file says 0, as browsers have it
@@ -129,7 +130,10 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
             start = file.read(32)
         if start[:4] == b"RIFF" and not (start[12:16] == b"VP8X" and start[20] & _ANIMATED_BIT):
             return 1, None
-        with Image.open(path) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # only the header is read
+            image = Image.open(path)
+        with image:
             count = getattr(image, "n_frames", 1)
             milliseconds = image.info.get("duration", 0) or _SLOWEST_MS
             return count, Fraction(1000, max(1, round(milliseconds))) if count > 1 else None
@@ -138,7 +142,7 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
 
 
 def _animation(path: Path) -> Iterator[np.ndarray]:
-    """The frames of an animated GIF or WebP as they are seen, uint8 [H, W, 3 or 4]. Raises InputError."""
+    """The frames of an animation as they are seen, uint8 [H, W, 3 or 4]. Raises InputError."""
     from PIL import Image, ImageSequence
 
     try:
