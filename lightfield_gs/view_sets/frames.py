@@ -54,7 +54,7 @@ class Span:
 
 class Movie:
     """The frames of a video or an animation. fps: frames a second, None where not said. count: of all frames, as the
-    file has it. Raises InputError."""
+    file has it. What is done to the frames of a video is told (Assumption). Raises InputError."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -62,6 +62,8 @@ class Movie:
         if path.suffix.lower() in VIDEO_INPUTS:
             self._video = open_sequence(path)
             self.count, self.fps = self._video.count, self._video.fps
+            for words in self._video.notes:
+                assume(words)
         else:
             self.count, self.fps = _animation_header(path)
 

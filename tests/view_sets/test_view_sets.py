@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -255,6 +256,17 @@ def test_what_holds_no_views_is_refused_with_a_way_out(tmp_path):
     Image.fromarray(camera(0)).save(tmp_path / "pages.tif", save_all=True, append_images=[Image.fromarray(camera(1))])
     with pytest.raises(InputError, match="give its pictures as files in a folder"):
         open_views(tmp_path / "pages.tif", span=Span())
+
+
+def test_what_is_done_to_the_frames_of_a_video_is_told(tmp_path):
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264rgb", rate=10)
+        stream.width, stream.height, stream.pix_fmt, stream.sample_aspect_ratio = 40, 40, "rgb24", Fraction(4, 3)
+        for k in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(camera(k), format="rgb24")))
+        container.mux(stream.encode(None))
+    assert "a.mp4: pixels of 4:3 are made square" in shown(tmp_path / "a.mp4", span=Span())[1]
 
 
 def test_frames_that_come_back_are_noticed(tmp_path):
