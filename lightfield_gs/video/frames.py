@@ -63,25 +63,27 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 def timeline(path: Path) -> Timeline:
     """Which frame of a video is seen when. Nothing is decoded but the first frame. Raises InputError."""
     with _opened(path) as (container, stream):
-        # What the header says of the count is often 0 or wrong. An edit list, as phones trim, discards packets
-        packets = [packet for packet in container.demux(stream) if packet.size > 0 and not packet.is_discard]
+        frame, found, times = None, 0, []
+        for packet in container.demux(stream):
+            frame = frame or next(iter(packet.decode()), None)
+            # What the header says of the count is often 0 or wrong. An edit list, as phones trim, discards packets
+            if packet.size > 0 and not packet.is_discard:
+                found += 1
+                times += [] if packet.pts is None else [float(packet.pts * packet.time_base)]
         rate, base = stream.average_rate, stream.base_rate
-        times = [float(packet.pts * packet.time_base) for packet in packets if packet.pts is not None]
-    if not packets:
+        notes = [] if frame is None else list(_conversions(stream, frame))
+    if not found:
         raise InputError(f"{path}: expected a video, got one without frames")
-    order, fps = tuple(range(len(packets))), Fraction(rate) if rate else None
-    notes = list(_conversions(path))
+    order, fps = tuple(range(found)), Fraction(rate) if rate else None
     gaps = np.diff(np.sort(times))
-    if len(times) == len(packets) > 2 and (step := float(np.median(gaps))) > 0 and gaps.max() > _PAUSE * step:
+    if len(times) == found > 2 and (step := float(np.median(gaps))) > 0 and gaps.max() > _PAUSE * step:
         count = round(float(gaps.sum()) / step) + 1
-        if count <= _MOST_REPEATS * len(packets):
+        if count <= _MOST_REPEATS * found:
             fps = Fraction(base) if base and abs(base * step - 1) < 0.05 else Fraction(1 / step).limit_denominator(1001)
             starts = np.concatenate([[0.0], np.cumsum(gaps)])
             shown = np.searchsorted(starts, (np.arange(count) + 0.5) * step) - 1
             order = tuple(shown.tolist())
-            notes.append(
-                f"its {len(packets)} frames come at unequal times: repeated to {count} at {float(fps):g} a second"
-            )
+            notes.append(f"its {found} frames come at unequal times: repeated to {count} at {float(fps):g} a second")
     return Timeline(order, fps, tuple(f"{path.name}: {note}" for note in notes))
 
 
@@ -142,21 +144,17 @@ def _pulled(graph: Any) -> Iterator[Any]:
             return
 
 
-def _conversions(path: Path) -> Iterator[str]:
+def _conversions(stream: Any, frame: Any) -> Iterator[str]:
     """What is done to the frames of a video, by its first one."""
-    with _opened(path) as (container, stream):
-        curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
-        frame = next(iter(container.decode(stream)), None)
-        if frame is None:
-            return
-        aspect = _pixel_aspect(stream)
-        if aspect != 1:
-            yield f"pixels of {aspect.numerator}:{aspect.denominator} are made square"
-        if frame.interlaced_frame:
-            yield "interlaced fields are made whole frames (yadif)"
-        known = [_NAMES[number] for number in (primaries, curve) if number in _NAMES]
-        if known:
-            yield f"colours of {', '.join(known)} are converted to sRGB, and what is brighter than white is cut"
+    aspect = _pixel_aspect(stream)
+    if aspect != 1:
+        yield f"pixels of {aspect.numerator}:{aspect.denominator} are made square"
+    if frame.interlaced_frame:
+        yield "interlaced fields are made whole frames (yadif)"
+    curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
+    known = [_NAMES[number] for number in (primaries, curve) if number in _NAMES]
+    if known:
+        yield f"colours of {', '.join(known)} are converted to sRGB, and what is brighter than white is cut"
 
 
 def _pixel_aspect(stream: Any) -> Fraction:

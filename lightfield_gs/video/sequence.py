@@ -16,12 +16,9 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import write_image
+from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
 from lightfield_gs.video.frames import decoded, timeline
 
-VIDEO_INPUTS = (
-    *(".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v"),
-    *(".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".wmv", ".3gp", ".ogv", ".flv"),  # of camcorders, older phones, the web
-)
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
 _MAPS = (*PICTURES, ".npy", ".npz")
 

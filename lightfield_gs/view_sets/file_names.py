@@ -20,8 +20,8 @@ Grid = dict[tuple[int, int], Path]  # (row, column) of cameras -> picture
 _NUMBER = re.compile(r"((?<!\d)[+-])?(\d+)(?:\.(\d+))?")
 _WORDS = re.compile(r"[a-z]+")
 _BESIDE = frozenset(
-    "depth depths depthmap disparity disp mask masks matte alpha normal normals segmentation seg confidence conf "
-    "mist objectid objectids thumb thumbnail preview".split()
+    "depth depths depthmap zdepth dmap dpt disparity disp mask masks matte alpha normal normals segmentation seg "
+    "confidence conf flow albedo mist objectid objectids thumb thumbnail preview".split()
 )
 _ACROSS = frozenset("x c col column columns u s".split())
 _DOWN = frozenset("y r row rows v t".split())
@@ -118,10 +118,13 @@ def _of_several_kinds(folder: Path, names: list[_Name], kinds: list[list[_Name]]
     if rival is not None:
         raise InputError(
             f"{folder}: expected pictures of one kind, got {len(most)} named as {most[0].path.name} and {len(rival)} "
-            f"as {rival[0].path.name}; give a folder with the views alone"
+            f"as {rival[0].path.name}; give a folder with the views alone, named alike but for a number"
         )
     ordered = [name.path for name in sorted(names, key=lambda name: name.natural)]
-    assume(f"the views of {folder} are in the order of their names, for no number tells it: {_listed(ordered)}")
+    assume(
+        f"the views of {folder} are in the order of their names, for no number tells it: {_listed(ordered)} "
+        "(else number them)"
+    )
     return ordered
 
 
@@ -133,7 +136,11 @@ def _row(folder: Path, names: list[_Name], varying: list[int]) -> list[Path]:
     even = {k: values for k, values in telling.items() if not _missing(values)[0]}
     if len(varying) == 1 and not telling:
         twice = Counter(found[varying[0]]).most_common(1)[0][0]
-        raise InputError(f"{folder}: expected each view once, number {_written(twice)} comes more than once")
+        alike = [name.path for name, value in zip(names, found[varying[0]]) if value == twice]
+        raise InputError(
+            f"{folder}: expected each view once, number {_written(twice)} comes more than once, as {_listed(alike)}; "
+            "leave one of them"
+        )
     if len(varying) > 1 and not by_name and not even:  # as of times
         ordered = [name.path for name in sorted(names, key=lambda name: name.natural)]
         assume(f"the views of {folder} are in the order of all numbers in their names: {_listed(ordered)}")
@@ -240,7 +247,7 @@ def _grid(folder: Path, names: list[_Name], varying: list[int]) -> Grid | None:
         words = "column and row" if is_swapped else "row and column"
         assume(
             f"the two numbers in names such as {names[0].path.name} in {folder} are {words} of a grid of cameras, from "
-            "the top left"
+            "the top left (else name them as x0_y0)"
         )
         return {place: name.path for place, name in zip(places, names)}
     return None

@@ -30,6 +30,7 @@ _HCI = re.compile(r"input_cam(\d{1,5})", re.IGNORECASE)
 _STANFORD = re.compile(r"out_(\d{1,4})_(\d{1,4})(_.*)?", re.IGNORECASE)
 _CONFIG_BYTES = 1 << 16
 _HCI_SIDE = 9  # cameras a side of the benchmark's light fields
+_MOST_NAMED = 3
 _LEAST_SIDE = 3  # of a grid that is looked for where names tell of none
 Tiles = tuple[int, int]
 
@@ -68,12 +69,15 @@ def folder_views(
     cameras, whose pictures go row by row from the top left. row: the one that is taken (None: the middle one). What is
     assumed is told (Assumption). Raises InputError."""
     try:
-        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file())
+        entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+        names = [entry.name for entry in entries if entry.is_file()]
     except OSError as error:
         raise InputError(f"cannot read {folder}: {error.strerror or error}") from error
     pictures = [folder / name for name in names if name.lower().endswith(_PICTURES) and not name.startswith(".")]
     if not pictures:
-        raise InputError(f"{folder}: expected a picture for each view, found none")
+        inner = [entry.name for entry in entries if entry.is_dir() and not entry.name.startswith(".")][:_MOST_NAMED]
+        way = f"; give the folder in it that has them ({', '.join(inner)})" if inner else f" ({', '.join(_PICTURES)})"
+        raise InputError(f"{folder}: expected a picture for each view, found none{way}")
     paths, said = _found(folder, names, pictures, colours, tiles, row)
     return paths[:: -1 if right_to_left else 1], said
 

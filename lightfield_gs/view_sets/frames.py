@@ -1,4 +1,4 @@
-"""Pictures that move: videos, and animated GIF and WebP files, frame by frame."""
+"""Pictures that move: videos, and animated GIF, WebP, PNG and AVIF files, frame by frame."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, Picture
 from lightfield_gs.io.not_what_it_says import refuse_large_no_image
 from lightfield_gs.io.pillow_images import pillow_complaints
+from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
 from lightfield_gs.panels.panel import MAX_VIEWS
-from lightfield_gs.video.sequence import VIDEO_INPUTS, Sequence, open_sequence
+from lightfield_gs.video.sequence import Sequence, open_sequence
 from lightfield_gs.view_sets.colours import ViewColours
 from lightfield_gs.view_sets.joins import goes_back, small
 
-_ANIMATIONS = (".gif", ".webp")
+_ANIMATIONS = (".gif", ".webp", ".png", ".apng", ".avif")
 _ANIMATED_BIT = 2  # of the flags of a WebP's VP8X chunk
 _MOST_TO_AND_FRO = 1000  # frames, up to which it is looked whether they come back
 _SLOWEST_MS = 100  # of a frame whose file says 0, as browsers have it
@@ -42,7 +43,7 @@ class Span:
 
 class Movie:
     """The frames of a video or an animation. fps: frames a second, None where not said. count: of all frames, as the
-    file has it. Raises InputError."""
+    file has it. What is done to the frames of a video is told (Assumption). Raises InputError."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -50,6 +51,8 @@ class Movie:
         if path.suffix.lower() in VIDEO_INPUTS:
             self._video = open_sequence(path)
             self.count, self.fps = self._video.count, self._video.fps
+            for words in self._video.notes:
+                assume(words)
         else:
             self.count, self.fps = _animation_header(path)
 
@@ -127,7 +130,7 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
 
 
 def _animation(path: Path) -> Iterator[np.ndarray]:
-    """The frames of an animated GIF or WebP as they are seen, uint8 [H, W, 3 or 4]. Raises InputError."""
+    """The frames of an animation as they are seen, uint8 [H, W, 3 or 4]. Raises InputError."""
     from PIL import Image, ImageSequence
 
     words = f"{path} is no animation that can be read"

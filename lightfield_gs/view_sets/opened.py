@@ -97,7 +97,10 @@ def open_views(
     if is_movie(path):
         return _of_movie(path, colours, tiles, span, top_first, right_to_left)
     if span is not None:
-        raise InputError(f"{path}: --frames is about videos and animations, and this is one picture; leave it out")
+        raise InputError(
+            f"{path}: --frames is about videos and animations, and by its name and its start this is none; leave it "
+            "out, or rename or convert it to .mp4, or give its pictures as files in a folder"
+        )
     return _of_quilt(path, colours, tiles, top_first, right_to_left)
 
 

@@ -136,9 +136,11 @@ def _comment(path: Path) -> dict[str, Any]:
     if not isinstance(comment, bytes) or len(comment) > _MOST_COMMENT_BYTES:
         return {}
     code = _COMMENT_CODES.get(comment[:8])
-    text = (comment if code is None else comment[8:]).decode(code or "utf-8", errors="replace")
+    text = comment if code is None else comment[8:]
+    if code == "utf-16" and text[:1] == b"\0":  # of "{", in files of the other byte order
+        code = "utf-16-be"
     try:
-        data = parse_json(text.strip("\0 \r\n"))
+        data = parse_json(text.decode(code or "utf-8", errors="replace").strip("\0 \r\n"))
     except ValueError:
         return {}
     return data if isinstance(data, dict) else {}

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -64,14 +65,14 @@ def test_an_order_that_is_guessed_is_told():
         ([f"view_{k}.png" for k in (-3, -2, -1)], "-3 .. -1 of the views of d are below 0"),
         ([f"IMG_1015{k:02}.png" for k in (1, 5, 9, 30, 44)], "not evenly spaced"),
         (["10_58_59.png", "10_59_03.png", "11_00_01.png"], "in the order of all numbers"),
-        (["left.png", "middle.png", "right.png"], "in the order of their names"),
+        (["left.png", "middle.png", "right.png"], "right.png (else number them)"),
         ([f"IMG_{9 - k}_view_{k}.png" for k in range(4)], "the number after 'view'"),
     ):
         found, told = in_order(*names)
         assert found == names and words in told
     for names, words in (
         ([f"IMG_{9 - k}_{k}.png" for k in range(4)], "two that tell different ones"),
-        (["1.png", "01.png", "2.png"], "number 1 comes more than once"),
+        (["1.png", "01.png", "2.png"], "more than once, as 01.png, 1.png; leave one of them"),
         ([f"{side}_{k}.png" for side in ("left", "right") for k in range(4)], "expected pictures of one kind"),
         (["cover.png", *(f"view_{k}.png" for k in range(4))], "as cover.png"),
         ([f"frame_{j}_view_{k}.png" for j in range(3) for k in range(4)], "3 x 4 pictures by frame and view"),
@@ -179,6 +180,10 @@ def test_exif_says_the_tiles_as_looking_glass_wrote_it(tmp_path):
     picture.save(tmp_path / "a.jpg", exif=exif)
     found = open_views(tmp_path / "a.jpg")
     assert found.views.count == 11 and found.views.layout.columns == 4 and found.aspect == 0.75
+    for order in ("utf-16-le", "utf-16-be"):
+        exif.get_ifd(0x8769)[0x9286] = b"UNICODE\0" + json.dumps(said).encode(order)
+        picture.save(tmp_path / "wide.jpg", exif=exif)
+        assert open_views(tmp_path / "wide.jpg").views.count == 11
     picture.save(tmp_path / "a_qs2x6a1.jpg", exif=exif)
     assert "2 x 6 views as its name says, though its Exif says 4 x 3" in shown(tmp_path / "a_qs2x6a1.jpg")[1]
     exif.get_ifd(0x8769)[0x9286] = b"ASCII\0\0\0" + json.dumps(said | {"LKGRows": 0}).encode()
@@ -215,7 +220,7 @@ def test_colours_become_srgb_as_their_files_say_them(folder, capsys):
     assert np.array_equal(read_image("d.png", True), deep)
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".webp", ".mkv"])
+@pytest.mark.parametrize("suffix", [".gif", ".webp", ".png", ".mkv"])
 def test_frames_are_quilts_or_views(folder, capsys, suffix):
     frames = [np.full((60, 96, 3), 40 * k, np.uint8) for k in range(5)]
     path, tiles = f"m{suffix}", f"t_qs4x3a1.6{suffix}"
@@ -241,6 +246,27 @@ def test_frames_are_quilts_or_views(folder, capsys, suffix):
     assert [int(read_image(f"out/frame-00000{k}.png", True)[30, 48, 0]) for k in range(4)] == [40, 80, 120, 160]
     assert "of which 4 were there" in run(capsys, f"weave {tiles} --frames 1: --panel p.yaml -o out")
     assert "expected .mp4, .mkv, .mov, or a folder" in complaint(capsys, f"weave {tiles} --panel p.yaml -o w.png")
+
+
+def test_what_holds_no_views_is_refused_with_a_way_out(tmp_path):
+    (tmp_path / "set").mkdir()
+    write_views(tmp_path / "set" / "rgb", {f"{k}.png": camera(k) for k in range(2)})
+    with pytest.raises(InputError, match=r"give the folder in it that has them \(rgb\)"):
+        open_views(tmp_path / "set")
+    Image.fromarray(camera(0)).save(tmp_path / "pages.tif", save_all=True, append_images=[Image.fromarray(camera(1))])
+    with pytest.raises(InputError, match="give its pictures as files in a folder"):
+        open_views(tmp_path / "pages.tif", span=Span())
+
+
+def test_what_is_done_to_the_frames_of_a_video_is_told(tmp_path):
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264rgb", rate=10)
+        stream.width, stream.height, stream.pix_fmt, stream.sample_aspect_ratio = 40, 40, "rgb24", Fraction(4, 3)
+        for k in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(camera(k), format="rgb24")))
+        container.mux(stream.encode(None))
+    assert "a.mp4: pixels of 4:3 are made square" in shown(tmp_path / "a.mp4", span=Span())[1]
 
 
 def test_frames_that_come_back_are_noticed(tmp_path):

@@ -11,6 +11,11 @@ from lightfield_gs.base.errors import InputError, reading
 
 SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif", ".exr", ".dng")
+VIDEO_INPUTS = (
+    *(".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v", ".f4v", ".qt", ".asf", ".mxf"),
+    *(".mts", ".m2ts", ".m2t", ".ts", ".mod", ".tod", ".dv", ".vob", ".mpg", ".mpeg", ".m2v"),  # of camcorders and DVDs
+    *(".wmv", ".3gp", ".3g2", ".ogv", ".flv"),  # of older phones and the web
+)
 _START_BYTES = 300
 _MOST_LISTED = 20_000  # entries of a folder
 _EXPORT = "export a .ply, .spz or .sog from the program that wrote it"
@@ -100,11 +105,7 @@ _KINDS = (
     Kind(
         "tiles for a map's viewer", _EXPORT, (".b3dm", ".i3dm", ".pnts", ".cmpt", ".3tz", ".slpk"), (b"b3dm", b"pnts")
     ),
-    Kind(
-        "a video",
-        "lightfield-gs video takes one of photos or RGB-D pictures, weave one of quilts",
-        (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v"),
-    ),
+    Kind("a video", "lightfield-gs video takes one of photos or RGB-D pictures, weave one of quilts", VIDEO_INPUTS),
     Kind(
         "a project of a photogrammetry program",
         "export its cameras for COLMAP beside the photographs, and fit them: lightfield-gs fit",
