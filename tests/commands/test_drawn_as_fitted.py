@@ -96,6 +96,7 @@ def test_a_line_that_is_none_is_refused_and_options_go_before_it(capsys, said):
 MARKED = {  # file: what it holds
     "brush.ply": lambda: ["Exported from Brush", "SplatRenderMode: mip"],
     "postshot.ply": lambda: ["antialiased 1"],
+    "spelled.ply": lambda: ["Antialiasing = yes"],
     "last-word.ply": lambda: ["splatrendermode: default", "Antialiased 1"],
     "packed.ply": lambda: made.compressed_ply().replace(b"comment by hand", b"comment SplatRenderMode: mip"),
     "a.spz": lambda: made.spz(3, flags=1),

@@ -85,6 +85,25 @@ def test_points_without_gaussians_are_named(tmp_path, names, words):
         read_scene(write(tmp_path / "a.ply", names, [dict.fromkeys(names, 0.5)]))
 
 
+@pytest.mark.parametrize("kind, code", [("char", "b"), ("int", "i"), ("uint", "I")])
+@pytest.mark.parametrize("name", ["opacity", "scale_1", "f_dc_0", "f_rest_8"])
+def test_integers_are_no_logits_logarithms_or_coefficients(tmp_path, name, kind, code):
+    names = [*NAMES, *(f"f_rest_{i}" for i in range(9))]
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 1\n"
+    header += "".join(f"property {kind if each == name else 'float'} {each}\n" for each in names) + "end_header\n"
+    row = b"".join(struct.pack("<" + (code if each == name else "f"), 1) for each in names)
+    (tmp_path / "a.ply").write_bytes(header.encode() + row)
+    with pytest.raises(InputError, match=f"expected float or double for {name}, got integers"):
+        read_scene(tmp_path / "a.ply")
+
+
+def test_opacities_of_255_are_noted(tmp_path):
+    rows = [{**VALUES, "x": i, "opacity": 8 * i} for i in range(30)]
+    assert "look like opacities of 0..255" in said(write(tmp_path / "a.ply", rows=rows))
+    assert said(write(tmp_path / "b.ply", rows=[{**row, "opacity": row["opacity"] + 0.5} for row in rows])) == ""
+    assert said(write(tmp_path / "c.ply", rows=[{**row, "opacity": row["opacity"] / 16} for row in rows])) == ""
+
+
 # Gaussians that move
 
 
@@ -127,7 +146,7 @@ def test_motion_may_be_partly_there_and_is_refused_where_it_is_broken(tmp_path):
         read_scene(moving(tmp_path / "b.ply", MOTION[:4]))
     with pytest.raises(InputError, match="motion_1 of Gaussian 0 is nan"):
         read_scene(moving(tmp_path / "c.ply", motion_1=math.nan))
-    with pytest.raises(InputError, match="do not move.*--time"):
+    with pytest.raises(InputError, match="no motion.*--time"):
         read_scene(write(tmp_path / "d.ply"), time=0.5)
     (tmp_path / "e.splat").write_bytes(made.splat())
     with pytest.raises(InputError, match="--time"):
@@ -138,6 +157,21 @@ def test_motion_that_is_not_known_is_said(tmp_path):
     assert "scale_t" in said(write(tmp_path / "a.ply", [*NAMES, "t", "scale_t"], [{**VALUES, "t": 0, "scale_t": 1}]))
     (tmp_path / "deformation.pth").write_bytes(b"")
     assert "deformation.pth beside it moves" in said(write(tmp_path / "b.ply"))
+
+
+def test_a_network_of_motion_in_a_folder_of_its_own_is_said(tmp_path):
+    for name in ("point_cloud/iteration_7", "deform/iteration_7"):
+        (tmp_path / name).mkdir(parents=True)
+    write(tmp_path / "point_cloud/iteration_7/point_cloud.ply")
+    assert "deform.pth" not in said(tmp_path)
+    (tmp_path / "deform/iteration_7/deform.pth").touch()
+    assert "deform.pth beside it moves its Gaussians" in said(tmp_path)
+
+
+def test_a_time_at_which_nothing_shows_is_said(tmp_path):
+    path = moving(tmp_path / "a.ply")
+    assert "none of its Gaussians shows at the time 9" in said(path, time=9.0)
+    assert "none of its" not in said(path, time=0.4)
 
 
 def test_commands_draw_at_the_time_that_is_given(tmp_path, capsys, monkeypatch):
@@ -202,6 +236,11 @@ def test_other_formats_inside_are_read_too(tmp_path):
     (tmp_path / "c.zip").write_bytes(made.zipped({"a.sog": made.zipped(made.sog())}))
     kinds = [read_scene(tmp_path / name).kind for name in ("a.splat.gz", "b.zip", "c.zip")]
     assert kinds == [".splat, 32 bytes a Gaussian", *["SOG version 2, a ZIP"] * 2]
+
+
+def test_an_spz_that_gzip_has_packed_again_is_read(tmp_path):
+    (tmp_path / "a.spz.gz").write_bytes(gzip.compress(made.spz(3)))
+    assert read_scene(tmp_path / "a.spz.gz").gaussians.count == 4
 
 
 def test_what_is_wrong_inside_is_said_of_what_was_given(tmp_path):
@@ -338,6 +377,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+UNREAD |= {
+    "capture.zip": (
+        made.zipped({"images/a.jpg": b"", "images/b.jpg": b"", "sparse/0/points3D.ply": b"ply\n"}),
+        "2 pictures.*lightfield-gs fit",
+    ),
+    "streamed.zip": (made.zipped({"lod-meta.json": b"{}", "0_0/meta.json": b"{}"}), "streamed SOG in a ZIP.*unpack"),
+}
+
+
 @pytest.mark.parametrize("name", UNREAD)
 def test_files_that_are_not_read_are_named_with_a_way_out(name, folder, capsys):
     content, words = UNREAD[name]
@@ -356,7 +404,10 @@ FOLDERS = {
     "trainer": (["cfg_args", "cameras.json"], "trainer.*--save_ply"),
     "nerfstudio": (["config.yml", "nerfstudio_models/step-29999.ckpt"], "ns-export"),
     "photos": (["a.jpg", "b.JPG"], "2 pictures.*fit --sfm"),
-    "lcc": (["meta.lcc", "data.bin"], "LCC"),
+    "unfinished": (["cfg_args", "cameras.json", "input.ply"], "trainer.*--save_ply"),
+    "lcc": (["meta.lcc", "data.bin", "thumb.jpg"], "LCC"),
+    "deeper": (["time_0/a.ply", "time_1/a.ply"], "one of them: deeper/time_0/a.ply"),
+    "sogs": (["time_0/meta.json", "time_1/meta.json"], "one of them: sogs/time_0$"),
     "empty": ([], "it is empty"),
 }
 
@@ -369,7 +420,7 @@ def test_folders_that_are_not_read_are_named_with_a_way_out(name, folder, capsys
         (folder / name / each).parent.mkdir(parents=True, exist_ok=True)
         (folder / name / each).write_bytes(b"ply\n")
     lines = [f"encode {name} -o o.png --panel p.yaml", f"quilt {name} -o q.png", f"prune {name} -o o.ply"]
-    lines += [f"info {name}", *([] if name == "photos" else [f"video {name} -o v --panel p.yaml"])]
+    lines += [f"info {name}", *([] if name in ("photos", "lcc") else [f"video {name} -o v --panel p.yaml"])]
     for line in lines:
         assert re.search(words, complaint(capsys, line)), line
 

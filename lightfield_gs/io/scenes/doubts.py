@@ -13,6 +13,7 @@ _LEAST_COUNT = 20  # Gaussians: fewer say nothing about how they were made
 _SAMPLE = 4096  # Gaussians that medians are taken of
 _LARGE = 0.1  # no usual Gaussian has this share of the scene's extent
 _NEAR_ONE = 0.1  # a median log scale below this, and none below 0: half of the Gaussians between 1 and 1.1 scene units
+_LARGEST_LOGIT = 20  # the sigmoid is 1 in float32 from 17.4 on
 _NO_SIZE = 1e-37  # a size up to this one is that of a point, whose log scale is -inf
 _STEP = 0.5  # centres that are rounded to steps of this share of the usual Gaussian's size tear surfaces
 
@@ -56,6 +57,11 @@ def about_values(log_scales: np.ndarray, logits: np.ndarray | None, means: np.nd
     if logits is None:
         return notes
     low, high = np.nanmin(logits), np.nanmax(logits)
+    if low >= 0 and _LARGEST_LOGIT < high <= 255 and (logits % 1 == 0).all():
+        notes.append(
+            f"all opacities are whole numbers within {low:.3g}..{high:.3g}, which as logits makes no Gaussian fainter "
+            "than 0.5: they look like opacities of 0..255; export the file with their logits"
+        )
     if low >= 0 and 0 < high <= 1:
         notes.append(
             f"all opacities are within {low:.3g}..{high:.3g}, which as logits makes no Gaussian fainter than "

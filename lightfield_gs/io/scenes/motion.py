@@ -21,6 +21,7 @@ _NETWORK = re.compile(r"f_t_\d+")  # features that a network beside the file tur
 _OTHER = re.compile(r"(t|t_scale|scale_t|scaling_t|trbf_\w+|motion_\w+|omega_\w+|rot_r_\d|rotation_r_\d|velocity_\w+)")
 _DEFORMED_BY = ("deformation.pth", "deformation_table.pth", "deform.pth")  # 4D Gaussians and what follows them
 _COLOURS = (-0.1, 1.1)  # colours are fitted without bounds, and few are beyond these
+_FAINTEST = 1 / 255  # what is less opaque than this is not drawn
 _MOST_BEYOND = 0.2  # of colours; of coefficients a third and more are below 0
 
 
@@ -42,7 +43,10 @@ def is_moving(names: Sequence[str]) -> bool:
 
 def still_notes(path: Path, names: Sequence[str]) -> list[str]:
     """A note where properties, or a network beside the file, speak of a motion that is not known."""
-    if beside := [name for name in _DEFORMED_BY if (path.parent / name).is_file()]:
+    beside = [name for name in _DEFORMED_BY if (path.parent / name).is_file()]
+    if path.parent.parent.name == "point_cloud":  # Deformable 3D Gaussians keep it in a folder of its own
+        beside += [found.name for found in path.parents[2].glob("deform/iteration_*/deform.pth")]
+    if beside:
         return [f"{beside[0]} beside it moves its Gaussians: they are drawn as they are stored, without that network"]
     found = [name for name in names if _OTHER.fullmatch(name)]
     if not found or is_moving(names):
@@ -80,6 +84,8 @@ def moved(path: Path, records: np.ndarray, time: float | None) -> Moved:
         f"its Gaussians move and are drawn at the time {at:g}, of about {first:.3g} to {last:.3g} (another: --time; "
         "Python: time)"
     ]
+    if not (shares > _FAINTEST).any():
+        notes.append(f"none of its Gaussians shows at the time {at:g}")
     if any(_NETWORK.fullmatch(name) for name in names):
         notes.append("a network beside the file makes the colours of f_dc and f_t_*: drawn are f_dc alone")
     return Moved(shifts, turns, shares, notes)

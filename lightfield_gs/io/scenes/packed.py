@@ -15,6 +15,7 @@ from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.scenes.bounded import ALWAYS_BYTES, MOST_RATIO, check_promise, gunzip
 from lightfield_gs.io.scenes.sog_files import BAD_ZIP, META
+from lightfield_gs.io.scenes.sog_streamed import LOD_META
 from lightfield_gs.io.scenes.spz_streams import GZIP_MAGIC, MAGIC
 from lightfield_gs.io.scenes.unread import (
     ARCHIVE,
@@ -25,6 +26,7 @@ from lightfield_gs.io.scenes.unread import (
     SCENE_SUFFIXES,
     USD,
     refuse_kind,
+    scenes_among,
 )
 
 ZIP_MAGIC = b"PK\x03\x04"
@@ -100,9 +102,11 @@ def _scene_in_zip(path: Path) -> str | None:
             names = [name for name in archive.namelist() if not _is_hidden(name)]
     except BAD_ZIP:
         return None  # the reader of SOG complains
+    if any(PurePosixPath(name).name == LOD_META for name in names):
+        raise InputError(f"{path} is a streamed SOG in a ZIP; unpack it, and give its {LOD_META}")
     if any(PurePosixPath(name).name == META for name in names):
         return None
-    scenes = [name for name in names if name.lower().endswith(SCENE_SUFFIXES)]
+    scenes = scenes_among(names)
     if trained := [(number, name) for name in scenes if (number := _number(name)) >= 0]:
         return max(trained)[1]
     if len(scenes) > 1:
@@ -161,6 +165,8 @@ def _scene_in_gzip(path: Path, start: bytes) -> str | None:
     it is no scene."""
     if path.suffix.lower() == ".spz" or (inner := gunzip(path, start, _PEEK_BYTES))[:4] == MAGIC:
         return None
+    if inner[:2] == GZIP_MAGIC and path.name.lower().endswith(".spz.gz"):
+        return "scene.spz"
     if inner[257:262] == b"ustar":
         refuse_kind(path, ARCHIVE)
     if inner[:4] in (b"ply\n", b"ply\r"):

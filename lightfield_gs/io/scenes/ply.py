@@ -19,7 +19,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.scenes import doubts, filter_3d, motion
 from lightfield_gs.io.scenes.invalid import check_or_skip
-from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header
+from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header, Property
 from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE
 
 _CENTRE = ("x", "y", "z")
@@ -78,16 +78,30 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
         )
     if missing:
         raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a 3DGS .ply")
-    whole = [column for column in vertex.properties if column.name in required and column.kind in ("i2", "u2")]
-    if whole:
-        raise InputError(
-            f"{path}: expected float or double for {whole[0].name}, got integers of 16 bits, in "
-            f"{len(whole)} of {len(required)} properties; it looks like half floats that were written as "
-            "integers; export it again with float properties"
-        )
     rest = _rest_names(names)
+    _refuse_integers(path, [column for column in vertex.properties if column.name in (*required, *rest)])
     if len(rest) not in _REST_COUNTS or any(name not in names for name in rest):
         raise InputError(f"{path}: {len(rest)} properties f_rest_*; expected f_rest_0 on, 0, 9, 24, 45 or 72 of them")
+
+
+def _refuse_integers(path: Path, columns: list[Property]) -> None:
+    """Raises InputError where logarithms, logits or coefficients are integers; an opacity may have one byte, and
+    coordinates and quaternions may be whole numbers."""
+    whole = [
+        column
+        for column in columns
+        if column.kind in ("i2", "u2")
+        or column.kind[0] in "iu"
+        and column.name not in (*_CENTRE, *_SHAPE[4:])
+        and (column.name, column.kind) != (_SHAPE[0], "u1")
+    ]
+    if not whole:
+        return
+    halves = "; it looks like half floats that were written as integers" if whole[0].kind in ("i2", "u2") else ""
+    raise InputError(
+        f"{path}: expected float or double for {whole[0].name}, got integers of {8 * int(whole[0].kind[1])} bits, in "
+        f"{len(whole)} of {len(columns)} properties{halves}; export it again with float properties"
+    )
 
 
 def _is_harmonic(names: Sequence[str]) -> bool:
@@ -143,7 +157,7 @@ def fields_of(
             fields["opacities"] = (opacities * moved.shares).astype(np.float32)
         decided += moved.notes
     elif time is not None:
-        raise InputError(f"{path}: its Gaussians do not move (trbf_center, motion_0 on); leave out --time")
+        raise InputError(f"{path}: no motion of its Gaussians is known (trbf_center, trbf_scale); leave out --time")
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
     notes = [*decided, *notes, *motion.still_notes(path, names), *([filter_3d.NOTE] if has_filter else [])]
     notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]

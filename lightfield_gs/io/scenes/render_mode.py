@@ -11,14 +11,14 @@ from collections.abc import Iterable
 
 ANTIALIASED, PLAIN = "SplatRenderMode: mip", "SplatRenderMode: default"
 ANTIALIASED_WARNING = "the file says that it was trained with anti-aliasing; draw it with antialiased=True"
-_WORDS = re.compile(r"\s*(?:splatrendermode\s*:\s*(mip|default|2dgs)|antialiased\s*:?\s*([01]|true|false))\s*")
+_WORDS = re.compile(r"(?:splatrendermode[\s:=]+(mip|default|2dgs)|antialias(?:ed|ing)[\s:=]+([01]|true|false|yes|no))")
 
 
 def said_antialiased(comment: str) -> bool | None:
     """Whether one line of a header says that the scene was trained with anti-aliasing; None: it is about another
     thing."""
-    words = _WORDS.fullmatch(comment.lower())
-    return None if words is None else (words[1] or words[2]) in ("mip", "1", "true")
+    words = _WORDS.fullmatch(comment.strip().lower())
+    return None if words is None else (words[1] or words[2]) in ("mip", "1", "true", "yes")
 
 
 def stated_antialiased(comments: Iterable[str]) -> bool | None:

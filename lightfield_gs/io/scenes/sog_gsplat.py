@@ -20,7 +20,7 @@ _Meta = dict[str, Any]
 _MOST = (1 << 31) - 1  # Gaussians
 _COUNTS = (0, 3, 8, 15, 24)  # of coefficients above degree 0, by degree
 _DRAWN = 15  # of them
-KIND = "gsplat's PNG compression, a folder"
+KIND = "gsplat's PNG compression"
 
 
 def is_compressed(meta: _Meta) -> bool:

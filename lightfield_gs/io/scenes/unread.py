@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -16,6 +17,10 @@ VIDEO_INPUTS = (
     *(".mts", ".m2ts", ".m2t", ".ts", ".mod", ".tod", ".dv", ".vob", ".mpg", ".mpeg", ".m2v"),  # of camcorders and DVDs
     *(".wmv", ".3gp", ".3g2", ".ogv", ".flv"),  # of older phones and the web
 )
+_SCENES = (*SCENE_SUFFIXES, "meta.json")
+_OF_CAPTURES = {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}
+_OF_TRAINERS = {"ckpts", "nerfstudio_models", "cfg_args", "checkpoints"}
+_POINTS = ("input.ply", "points3d.ply", "sparse_pc.ply")  # by COLMAP, the trainer of 3DGS and nerfstudio
 _START_BYTES = 300
 _MOST_LISTED = 20_000  # entries of a folder
 _EXPORT = "export a .ply, .spz or .sog from the program that wrote it"
@@ -149,11 +154,18 @@ def refuse_unread(path: Path) -> None:
         refuse_kind(path, known)
 
 
+def scenes_among(names: Sequence[str]) -> list[str]:
+    """The names that end as those of scenes, without the points that a capture or a trainer's folder begins with."""
+    parts = {part.lower() for name in names for part in name.split("/")}
+    starts = _POINTS if parts & (_OF_CAPTURES | _OF_TRAINERS) else ()
+    return [name for name in names if name.lower().endswith(SCENE_SUFFIXES) and not name.lower().endswith(starts)]
+
+
 def _refuse_folder(path: Path) -> None:
     """Raises InputError for a folder, by what is in it."""
     with os.scandir(path) as entries:
         names = sorted(entry.name for entry in islice(entries, _MOST_LISTED) if not entry.name.startswith("."))
-    scenes = [name for name in names if name.lower().endswith(SCENE_SUFFIXES)]
+    scenes = scenes_among(names)
     lower = {name.lower() for name in names}
     if len(scenes) > 1:
         raise InputError(
@@ -162,21 +174,23 @@ def _refuse_folder(path: Path) -> None:
         )
     if scenes:
         raise InputError(f"{path} is a folder with one scene in it; give {path / scenes[0]}")
-    if lower & {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}:
+    if lower & _OF_CAPTURES:
         raise InputError(f"{path} is a capture, photographs with cameras; fit Gaussians to it: lightfield-gs fit")
-    if lower & {"ckpts", "nerfstudio_models", "cfg_args", "checkpoints"} or any(
-        name.endswith(CHECKPOINT.suffixes) for name in lower
-    ):
+    if lower & _OF_TRAINERS or any(name.endswith(CHECKPOINT.suffixes) for name in lower):
         raise InputError(f"{path} is a folder of a trainer without an exported scene; {CHECKPOINT.way_out}")
     pictures = sum(name.endswith(PICTURE_SUFFIXES) for name in lower)
-    if pictures:
+    kinds = [known for name in names if (known := _BY_SUFFIX.get(Path(name).suffix.lower()))]
+    if pictures > len(kinds):
         raise InputError(
             f"{path} is a folder of {pictures} pictures; one is encoded by its own name, all are in a row by "
             "lightfield-gs video, each by itself by batch, and as views of one scene by fit --sfm or weave"
         )
-    kinds = [known for name in names if (known := _BY_SUFFIX.get(Path(name).suffix.lower()))]
     if kinds:
         refuse_kind(f"{path} is a folder, and what it holds", kinds[0])
+    deeper = sorted(islice((each for each in path.glob("*/*") if each.name.lower().endswith(_SCENES)), _MOST_LISTED))
+    if deeper:
+        scene = deeper[0].parent if deeper[0].name.lower() == "meta.json" else deeper[0]
+        raise InputError(f"{path} is a folder, and its scenes are in the folders in it; give one of them: {scene}")
     raise InputError(
         f"{path} is a folder, and no scene is in it ({', '.join(names[:3]) or 'it is empty'}); give a file"
     )
