@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import real_number, whole_number
+from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.captures.app_captures import app_shots
@@ -92,7 +92,7 @@ class Capture:
         elif test_every == "own" and self.held_out:
             test = sorted(self.names.index(name) for name in self.held_out)
             assume(
-                f"{len(test)} of {len(self.names)} photographs are held out, as {self.held_by} says: "
+                f"{counted(len(test), 'photograph', len(self.names), 'are held out')}, as {self.held_by} says: "
                 f"{first_names(self.held_out)}; --test-every N holds out others"
             )
         elif test_every is None:
@@ -143,8 +143,8 @@ def read_capture(
     share = 1.0 if scale is None else real_number("scale", scale, 1e-3, 1)
     longest = None if longest_px is None else whole_number("longest_px", longest_px, _SMALLEST_PX, 1 << 20)
     root = folder.parent if folder.is_file() else folder
-    found = _read_layout(folder, None if images is None else _folder("images", root, images))
-    masks_at = None if masks is None else _folder("masks", root, masks)
+    masks_at = None if masks is None else folder_in("masks", root, masks)
+    found = _read_layout(folder, None if images is None else folder_in("images", root, images), masks_at)
     shots = sorted(found.shots, key=lambda shot: shot.name)
     photographs = photographs_of(found, shots, root, masks_at, share, longest)
     points, colours = usable_points(found)
@@ -166,7 +166,7 @@ def read_capture(
     )
 
 
-def _read_layout(folder: Path, images: Path | None) -> Shots:
+def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots:
     """What the capture says, by what is in its folder; raises InputError."""
     if not folder.exists():
         raise InputError(f"{folder}: no such folder: expected a capture, with sparse/0 or transforms.json")
@@ -175,18 +175,26 @@ def _read_layout(folder: Path, images: Path | None) -> Shots:
     if model is not None:
         if file is not None:
             assume(f"the COLMAP model {model} is read, not {file}: give that file itself to read it")
-        return colmap_shots(folder, images)
+        return colmap_shots(folder, images, masks)
     if (file is None or file == folder) and (found := app_shots(folder, images)) is not None:
         return found
     if file is not None:
         return transforms_shots(file, images, file == folder)
     if folder.is_file():
         raise InputError(f"{folder}: {_what_to_give(folder)}")
+    if (above := _capture_above(folder)) is not None:
+        raise InputError(f"{folder}: is one folder of a capture: give the folder above, {above}")
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
         "sparse or the folder itself, or a transforms.json (one of another name is given itself); photographs alone "
         "need --sfm first, which poses them"
     )
+
+
+def _capture_above(folder: Path) -> Path | None:
+    """The nearest of the two folders above that is a capture; None where neither is."""
+    above = folder.absolute().parents[:2]
+    return next((path for path in above if model_folder(path) is not None or transforms_file(path) is not None), None)
 
 
 def _what_to_give(file: Path) -> str:
@@ -203,7 +211,7 @@ def _what_to_give(file: Path) -> str:
     )
 
 
-def _folder(what: str, capture: Path, given: str | Path) -> Path:
+def folder_in(what: str, capture: Path, given: str | Path) -> Path:
     """A folder that was given by its path, or by its name below the capture; raises InputError."""
     below = capture / checked_path(given)
     for path in (below, Path(given)):

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import shown
+from lightfield_gs.base.checks import counted, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.json_file import read_object
@@ -93,7 +93,8 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
     if len(posed) < len(frames):
         there = {frame.name for frame in posed}
         lost = [frame.name for frame in frames if frame.name not in there]
-        assume(f"{path}: {len(lost)} of {len(frames)} frames have no pose and are left out: {first_names(lost)}")
+        words = counted(len(lost), "frame", len(frames), "have no pose and are left out")
+        assume(f"{path}: {words}: {first_names(lost)}")
     return shared, posed
 
 
@@ -108,7 +109,8 @@ def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
     if not fitted:
         raise InputError(f"{path.parent}: {there[0]} has all photographs of {_TRAIN}: expected others to test with")
     if both := len(train) - len(fitted):
-        assume(f"{both} photographs of {_TRAIN} are in {there[0]} too: they are held out, and not fitted to")
+        words = counted(both, "photograph", does=f"of {_TRAIN} are in {there[0]} too and are held out, not fitted to")
+        assume(f"{path.parent}: {words}")
     if unused := there[1:]:
         assume(f"{path.parent}: {unused[0]} is not read: {there[0]} holds out photographs already")
     return Frames(data, [*fitted, *held], there[0])
@@ -121,10 +123,8 @@ def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
     keys = [key for key in _TEST_KEYS if data.get(key)]
     named = {name for key in keys for name in _names(path, data, key)}
     if strange := sorted((named | _names(path, data, _TRAIN_KEY)) - known):
-        assume(
-            f"{path}: {len(strange)} names in its lists of photographs are of no frame with a pose: "
-            f"{first_names(strange)}"
-        )
+        words = counted(len(strange), "name", does="in its lists of photographs are of no frame with a pose")
+        assume(f"{path}: {words}: {first_names(strange)}")
     held = named & known if keys else known - train if train else set()
     if train and not train - held:
         held -= train  # a file may test with what it fits to
@@ -132,10 +132,9 @@ def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
         return Frames(data, frames)
     left = known - train - held if train else set()
     if left:
-        assume(
-            f"{path}: {len(left)} photographs are in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and "
-            f"are left out: {first_names(sorted(left))}"
-        )
+        lists = f"in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and"
+        words = counted(len(left), "photograph", does=f"are {lists} are left out")
+        assume(f"{path}: {words}: {first_names(sorted(left))}")
     kept = [replace(frame, is_held=frame.name in held) for frame in frames if frame.name not in left]
     return Frames(data, kept, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
 
