@@ -9,7 +9,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 
-_OF_ONE = {"are": "is", "have": "has", "were": "was", "belong": "belongs"}  # verbs of several, of one
+_OF_ONE = {"are": "is", "have": "has", "were": "was", "their": "its"}  # words of several, of one
 _KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
 
 
@@ -25,7 +25,7 @@ def counted(count: int, what: str = "item", of: int | None = None, does: str = "
         count: how many.
         what: one of them.
         of: of how many in all.
-        does: what they do, as it is said of several; are, have, were and belong are put as one's where it is one.
+        does: what they do, as it is said of several; are, have, were and their are put as one's where it is one.
     """
     share = f"{count}" if of is None else f"{count} of {of}"
     words = [_OF_ONE.get(word, word) if count == 1 else word for word in does.split()]

@@ -56,6 +56,31 @@ def test_frames_without_a_pose_are_left_out(tmp_path, matrix):
     assert len(capture.names) == 5 and "1 of 6 frames has no pose and is left out: images/2.png" in assumed
 
 
+def test_frames_that_are_there_twice_count_once(tmp_path):
+    write_ring(tmp_path, change=lambda frames: frames.append({**frames[0], "file_path": "./images/0.png"}))
+    capture, assumed = said(tmp_path)
+    assert len(capture.names) == 6 and "1 of 7 frames is the same as one before and is left out" in assumed
+    write_ring(tmp_path, change=lambda frames: frames.append({**frames[0], "fl_x": 71}))
+    with pytest.raises(InputError, match="got 'images/0.png' twice, with different poses or cameras: take one out"):
+        read_capture(tmp_path)
+
+
+def test_an_angle_of_view_beside_another_focal_length_is_said(tmp_path):
+    write_ring(tmp_path, camera_angle_x=1.2019)  # that of fl_x, rounded
+    assert "camera_angle_x" not in said(tmp_path)[1]
+    write_ring(tmp_path, camera_angle_x=0.7)
+    assert (
+        "6 of 6 frames have a camera_angle_x of another focal length than fl_x, 0.7 and not 1.202" in said(tmp_path)[1]
+    )
+
+
+def test_files_of_frames_by_other_names_are_named(tmp_path):
+    write_ring(tmp_path, name="cams.json")
+    (tmp_path / "notes.json").write_text("{}")
+    with pytest.raises(InputError, match=f"is no capture: give the one that it holds, {tmp_path / 'cams.json'}$"):
+        read_capture(tmp_path)
+
+
 def held(capture, *arguments) -> list[str]:
     """The names that a capture's split holds out."""
     return [capture.names[index] for index in capture.split(*arguments)[1]]
@@ -77,7 +102,7 @@ def test_the_lists_of_a_file_hold_out(tmp_path):
     assert held(read_capture(tmp_path)) == ["5.png"]
     write_ring(tmp_path, test_filenames=[*names(2), "images/none.png"])
     with pytest.warns(
-        Assumption, match="1 names in its lists of photographs are of no frame with a pose: images/none.png"
+        Assumption, match="1 name in its lists of photographs is of no frame with a pose: images/none.png"
     ):
         assert held(read_capture(tmp_path)) == ["2.png"]
     write_ring(tmp_path, train_filenames=names(*range(6)), test_filenames=names(*range(6)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -20,10 +21,11 @@ from lightfield_gs.io.captures.prepared import photographs_of, usable_points
 from lightfield_gs.io.captures.shot import Shots
 from lightfield_gs.io.captures.spread import extent_of
 from lightfield_gs.io.captures.transforms_capture import transforms_shots
-from lightfield_gs.io.captures.transforms_frames import transforms_file
+from lightfield_gs.io.captures.transforms_frames import has_frames, transforms_file
 
 EVERY = 8  # one of so many photographs is held out where nothing says which
 TestEvery = int | Literal["own"] | None  # see Capture.split
+_ONE_PLACE = 1e-12  # of places' distance from the origin: cameras less far apart differ by rounding alone
 _SMALLEST_PX = 16  # of a photograph's longer side that is asked for
 _ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\xfd7zXZ", b"BZh")
 _TAR = 257, b"ustar"
@@ -150,6 +152,7 @@ def read_capture(
     points, colours = usable_points(found)
     if not len(points):
         assume(f"{found.source} has no points of the scene: a fit begins at random ones")
+    _say_one_place([shot.world_to_camera for shot in shots])
     sizes = np.array([photograph.size_px for photograph in photographs])
     stored = np.array([photograph.stored_px for photograph in photographs])
     return Capture(
@@ -164,6 +167,13 @@ def read_capture(
         found.held_out,
         found.held_by,
     )
+
+
+def _say_one_place(world_to_camera: Sequence[np.ndarray]) -> None:
+    """Says where no two cameras [4,4] are apart."""
+    centres = [-pose[:3, :3].T @ pose[:3, 3] for pose in world_to_camera]
+    if len(centres) > 1 and float(np.ptp(centres, axis=0).max()) <= _ONE_PLACE * float(np.abs(centres).max()):
+        assume(f"all {len(centres)} photographs are from one place: nothing says how far away what they show is")
 
 
 def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots:
@@ -184,6 +194,9 @@ def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots
         raise InputError(f"{folder}: {_what_to_give(folder)}")
     if (above := _capture_above(folder)) is not None:
         raise InputError(f"{folder}: is one folder of a capture: give the folder above, {above}")
+    if below := _captures_below(folder):
+        which = f"one of {len(below)} that it holds" if len(below) > 1 else "the one that it holds"
+        raise InputError(f"{folder}: is no capture: give {which}, {first_names([str(path) for path in below])}")
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
         "sparse or the folder itself, or a transforms.json (one of another name is given itself); photographs alone "
@@ -195,6 +208,17 @@ def _capture_above(folder: Path) -> Path | None:
     """The nearest of the two folders above that is a capture; None where neither is."""
     above = folder.absolute().parents[:2]
     return next((path for path in above if model_folder(path) is not None or transforms_file(path) is not None), None)
+
+
+def _captures_below(folder: Path) -> list[Path]:
+    """What is a capture in a folder that is none: files of frames by other names than usual, or else the folders that
+    are, as deep as COLMAP's dense/0."""
+    with reading(folder):
+        if files := [path for path in sorted(folder.glob("*.json")) if has_frames(path)]:
+            return files
+        folders = [path for depth in ("*/", "*/*/") for path in sorted(folder.glob(depth))]
+    found = [path for path in folders if model_folder(path) is not None or transforms_file(path) is not None]
+    return [path for path in found if not any(other in path.parents for other in found)]
 
 
 def _what_to_give(file: Path) -> str:

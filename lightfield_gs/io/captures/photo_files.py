@@ -210,10 +210,8 @@ def _say_other_names(found: dict[str, str], count: int) -> None:
     others = [(name, file) for name, file in found.items() if _folded(file) != _folded(name)]
     if others:
         name, file = others[0]
-        assume(
-            f"{counted(len(others), 'photograph', count, 'are found by the last parts of names')}, without folders or "
-            f"extensions: {first_names([name])} is {file}"
-        )
+        words = counted(len(others), "photograph", count, "are found by the last parts of their names")
+        assume(f"{words}, without folders or extensions: {first_names([name])} is {file}")
 
 
 def _files_below(folder: Path, above: tuple[str, ...] = ()) -> Iterator[Path]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -53,6 +52,15 @@ def transforms_file(folder: Path) -> Path | None:
     return next((folder / name for name in (_WHOLE, _TRAIN) if (folder / name).is_file()), None)
 
 
+def has_frames(path: Path) -> bool:
+    """Whether a JSON file has frames that name photographs; not one that cannot be read."""
+    try:
+        frames = read_object(path, _LIMIT_BYTES).get("frames")
+    except InputError:
+        return False
+    return isinstance(frames, list) and any(isinstance(frame, dict) and "file_path" in frame for frame in frames[:1])
+
+
 def read_frames(path: Path, given: bool) -> Frames:
     """The frames of a capture that a file tells of; says which are left out.
 
@@ -84,9 +92,7 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
         if not isinstance(name, str) or not name.strip() or "\0" in name:
             raise InputError(f"{where}.file_path: expected the name of an image, got {shown(name)}")
         frames.append(Frame(where, _plain(name), {**shared, **entry}))
-    counts = Counter(frame.name for frame in frames)
-    if twice := next((name for name, count in counts.items() if count > 1), None):
-        raise InputError(f"{path}: frames: expected each photograph once, got {shown(twice)} twice")
+    frames = _once(path, frames)
     posed = [frame for frame in frames if not _has_no_pose(frame.fields.get("transform_matrix"))]
     if not posed:
         raise InputError(f"{path}: frames: expected some with a pose (transform_matrix), got {len(frames)} without")
@@ -96,6 +102,27 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
         words = counted(len(lost), "frame", len(frames), "have no pose and are left out")
         assume(f"{path}: {words}: {first_names(lost)}")
     return shared, posed
+
+
+def _once(path: Path, frames: list[Frame]) -> list[Frame]:
+    """The frames without those that are the same as one before, which is said. Raises InputError where a photograph has
+    two poses or cameras."""
+    kept: dict[str, Frame] = {}
+    for frame in frames:
+        before = kept.setdefault(frame.name, frame)
+        if _apart_from_name(before) != _apart_from_name(frame):
+            raise InputError(
+                f"{path}: frames: expected each photograph once, got {shown(frame.name)} twice, with different "
+                "poses or cameras: take one out"
+            )
+    if same := len(frames) - len(kept):
+        assume(f"{path}: {counted(same, 'frame', len(frames), 'are the same as one before and are left out')}")
+    return list(kept.values())
+
+
+def _apart_from_name(frame: Frame) -> str:
+    """What a frame says but for its name, to compare: NaN is the same as NaN."""
+    return repr({key: value for key, value in frame.fields.items() if key != "file_path"})
 
 
 def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
