@@ -43,8 +43,8 @@ def serve(args: argparse.Namespace, routes: Mapping[str, Route], start: str) -> 
         note(f"--host {args.host}: everybody who reaches this machine there can see and steer the page")
     if server.is_name_of_itself:
         note(
-            f"--host {args.host}: this system leads its own name to {server.server_address[0]}, which this machine "
-            "alone reaches: give an address of it, or 0.0.0.0, for others to open the page"
+            f"--host {args.host}: this system leads its own name to {server.url}, which this machine alone "
+            "reaches: give another address of it, or 0.0.0.0, for others to open the page"
         )
     print(f"open {server.url}{start} in a browser; Ctrl-C ends it")
     if server.is_everywhere:
