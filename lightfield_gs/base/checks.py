@@ -9,12 +9,27 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 
+_OF_ONE = {"are": "is", "have": "has", "were": "was", "their": "its"}  # words of several, of one
 _KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
 
 
 def shown(value: object) -> str:
     """A value of any kind as a message shows it: on one line, 80 characters at most."""
     return "none" if value is None else " ".join(repr(value).split())[:80]
+
+
+def counted(count: int, what: str = "item", of: int | None = None, does: str = "") -> str:
+    """How many, in words: "1 item", "2 items", "1 of 7 frames has no pose and is left out".
+
+    Args:
+        count: how many.
+        what: one of them.
+        of: of how many in all.
+        does: what they do, as it is said of several; are, have, were and their are put as one's where it is one.
+    """
+    share = f"{count}" if of is None else f"{count} of {of}"
+    words = [_OF_ONE.get(word, word) if count == 1 else word for word in does.split()]
+    return " ".join([share, f"{what}{'s' * ((count if of is None else of) != 1)}", *words])
 
 
 def expect(what: str, value: object, *kinds: type) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from lightfield_gs.base.checks import counted
 from lightfield_gs.batch.pipeline import PARTS
 from lightfield_gs.batch.worker import Place
 
@@ -103,11 +104,6 @@ class Tally:
             f"{place.name}: {counted(worker.items)} in {wall:.1f} s after {worker.start_s:.1f} s of start: "
             f"{'; '.join(parts)}; bound by {_VERBS[most]}"
         )
-
-
-def counted(count: int, what: str = "item") -> str:
-    """For example "1 item", "2 items"."""
-    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _time(seconds: float) -> str:

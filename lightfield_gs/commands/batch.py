@@ -188,7 +188,7 @@ class Batch:
 
     def _say(self) -> None:
         """What was done, what held it up, and what failed and why."""
-        from lightfield_gs.batch.tally import counted
+        from lightfield_gs.base.checks import counted
 
         tally, plan = self._tally, self._plan
         total = len(plan.todo) + plan.kept

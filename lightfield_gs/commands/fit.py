@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lightfield_gs.base.checks import counted
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.cone import add_cone, check_cone, cone_given
@@ -83,19 +84,21 @@ def run(args: argparse.Namespace) -> int:
 
 def _capture(args: argparse.Namespace, folder: Path) -> Capture:
     """The capture that is fitted, posed first with --sfm."""
-    from lightfield_gs.io.captures.capture import read_capture
+    from lightfield_gs.io.captures.capture import folder_in, read_capture
     from lightfield_gs.io.captures.sfm import structure_from_motion
 
-    where, images = args.input, args.images
+    where, images, masks = args.input, args.images, args.mask_folder
     if args.sfm:
         if images is not None:
             raise InputError("--sfm: CAPTURE itself is the folder of photographs; leave out --images")
         where, images = folder / "sfm", args.input.absolute()
+        if masks is not None:
+            masks = folder_in("masks", images, masks).absolute()
         if not (where / "sparse/0").exists():
             if "RANK" in os.environ:
                 raise InputError("--sfm: find the cameras in one process first: leave torchrun out, or use pycolmap")
-            structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True))
-    return read_capture(where, images=images, masks=args.mask_folder, scale=args.scale, longest_px=args.longest_px)
+            structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True), masks)
+    return read_capture(where, images=images, masks=masks, scale=args.scale, longest_px=args.longest_px)
 
 
 def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
@@ -128,7 +131,7 @@ def _say_angles(result: FitResult) -> None:
     if (framed := result.frame_scores) is not None:
         whole, pruned, count = framed.whole, framed.pruned, len(framed.whole.names)
         print(
-            f"in the panel's frame, {framed.share:.0%} of {count} photograph{'s' * (count > 1)} inside its cone: PSNR "
+            f"in the panel's frame, {framed.share:.0%} of {counted(count, 'photograph')} inside its cone: PSNR "
             f"{whole.mean_psnr_db:.2f} dB, SSIM {whole.mean_ssim:.4f}; with the {result.gaussians.count} Gaussians "
             f"that it shows {pruned.mean_psnr_db:.2f} dB, {pruned.mean_ssim:.4f}"
         )

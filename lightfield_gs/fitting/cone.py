@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import real_number
+from lightfield_gs.base.checks import counted, real_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.angles import Angles
 from lightfield_gs.io.captures.capture import Capture
@@ -98,8 +98,8 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
     count, full, inside = len(angles), int((angles <= half).sum()), int((angles <= cone_deg / 2).sum())
     said = (
         f"cone: {cone_deg:g} degrees round {capture.names[index]} ({chosen_by})",
-        f"cone: {inside} of {count} photographs are inside; {full} within {half:g} degrees of the centre count fully, "
-        f"the others less, down to {FLOOR:g}",
+        f"cone: {counted(inside, 'photograph', count, 'are inside')}; {full} within {half:g} degrees of the centre "
+        f"count fully, the others less, down to {FLOOR:g}",
         f"cone: zero plane {depth:.4g} scene units before the centre camera, {how}",
     )
     return Cone(capture.names[index], index, pivot, depth, cone_deg, angles, said)

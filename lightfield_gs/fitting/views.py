@@ -76,12 +76,12 @@ class Views:
         return cls(
             [capture.names[index] for index in indices],
             torch.from_numpy(photos).to(where),
-            None if weights.all() else torch.from_numpy(weights).to(where),
+            None if weights.min() == 255 else torch.from_numpy(weights).to(where),
             cameras.world_to_camera.float().to(device),
             cameras.intrinsics().float().to(device),
             cameras.limits().float().to(device),
             sizes,
-            None if opacity.all() else torch.from_numpy(opacity).to(where),
+            None if opacity.size == 0 or opacity.min() == 255 else torch.from_numpy(opacity).to(where),
         )
 
     def targets(self, indices: Tensor, behind: Tensor) -> tuple[Tensor, Tensor | None]:

@@ -61,7 +61,7 @@ def test_which_photographs_are_held_out_is_a_choice(desk, capsys):
         ("fit photos -o s.ply --test-every 1", "--test-every"),
         ("fit photos -o s.ply --scale 0.5 --longest-px 100", "not allowed with"),
         ("fit photos -o s.ply --sfm --images photos", "--sfm"),
-        ("fit photos/images -o s.ply", "photos/images: expected a capture: a COLMAP model"),
+        ("fit photos/images -o s.ply", "photos/images: is one folder of a capture: give the folder above, "),
         (
             "fit nowhere -o s.ply --cone nonsense",
             "--cone: expected a panel, or degrees, 1..179: unknown name 'nonsense'",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from fit_capture import write_capture
@@ -77,6 +78,18 @@ def blackened(folder: Path, photographs: Sequence[str]) -> Path:
     for path in (folder / "masks").iterdir():
         Image.new("L", (48, 32), 0 if path.name in photographs else 255).save(path)
     return folder
+
+
+def test_masks_that_are_grey_all_over_count(tmp_path):
+    """What is not black anywhere counts less where it is grey, and not fully."""
+    folder = write_capture(tmp_path / "c", masked=True)
+    for path in (folder / "masks").iterdir():
+        Image.fromarray(np.maximum(np.asarray(Image.open(path)), 51)).save(path)
+    capture = read_capture(folder)
+    for masks in ("ignore", "alpha"):
+        views = Views.load(capture, [0, 1], World.of(capture.centres, capture.extent), "cpu", [0, 1], masks)
+        grey = views.weights if masks == "ignore" else views.opacity
+        assert grey is not None and (grey[:, :, 0] == 51).all() and (grey[:, :, -1] == 255).all()
 
 
 def test_masks_that_leave_nothing_are_refused(tmp_path):

@@ -260,8 +260,9 @@ def test_what_is_missing_is_named_at_once(tmp_path):
         read_capture(tmp_path)
     with pytest.raises(InputError, match="images: expected a folder, got images_8"):
         read_capture(tmp_path, images="images_8")
-    with pytest.raises(InputError, match="expected a capture: a COLMAP model"):
-        read_capture(tmp_path / "images")
+    for part in ("images", "sparse"):
+        with pytest.raises(InputError, match=f"{part}: is one folder of a capture: give the folder above, {tmp_path}$"):
+            read_capture(tmp_path / part)
     (tmp_path / "sparse/0/cameras.bin").unlink()
     with pytest.raises(InputError, match="0: missing cameras.bin or cameras.txt"):
         read_capture(tmp_path)
@@ -300,8 +301,30 @@ def test_what_has_no_pose_is_left_out_and_said(tmp_path):
     write_capture(tmp_path, count=4, images=images)
     capture, assumed = said(tmp_path)
     assert capture.names == ["000.png", "001.png"]
-    assert "1 photographs have no pose there and are left out: 002.png" in assumed
-    assert "2 photographs are not in the model" in assumed and "002.png, 003.png" in assumed
+    assert "1 photograph has no pose there and is left out: 002.png" in assumed
+    assert "1 photograph is not in the model" in assumed and "left out: 003.png" in assumed
+
+
+@pytest.mark.parametrize("place", ["colmap/sparse", "colmap", "colmap/0", "distorted/sparse"])
+def test_models_that_other_programs_keep_elsewhere(tmp_path, place):
+    write_capture(tmp_path)
+    (tmp_path / "sparse").rename(tmp_path / "kept")
+    (tmp_path / place).parent.mkdir(exist_ok=True)
+    (tmp_path / "kept/0").rename(tmp_path / place)
+    assert len(read_capture(tmp_path).names) == 3
+
+
+@pytest.mark.parametrize("place", ["dense", "dense/0", "bicycle"])
+def test_the_capture_in_a_folder_is_named(tmp_path, place):
+    write_capture(tmp_path / place)
+    with pytest.raises(InputError, match=f"is no capture: give the one that it holds, {tmp_path / place}$"):
+        read_capture(tmp_path)
+
+
+def test_photographs_from_one_place_are_said(tmp_path):
+    turned = [(quaternion, (0, 0, 0)) for quaternion, _ in ring(3)]
+    write_capture(tmp_path, images=[(f"{index:03d}.png", 7, *pose) for index, pose in enumerate(turned)])
+    assert "all 3 photographs are from one place: nothing says how far" in said(tmp_path)[1]
 
 
 def test_photographs_of_another_shape_are_refused(tmp_path):

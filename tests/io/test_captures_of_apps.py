@@ -53,7 +53,32 @@ def test_frames_without_a_pose_are_left_out(tmp_path, matrix):
 
     write_ring(tmp_path, change=change)
     capture, assumed = said(tmp_path)
-    assert len(capture.names) == 5 and "1 of 6 frames have no pose and are left out: images/2.png" in assumed
+    assert len(capture.names) == 5 and "1 of 6 frames has no pose and is left out: images/2.png" in assumed
+
+
+def test_frames_that_are_there_twice_count_once(tmp_path):
+    write_ring(tmp_path, change=lambda frames: frames.append({**frames[0], "file_path": "./images/0.png"}))
+    capture, assumed = said(tmp_path)
+    assert len(capture.names) == 6 and "1 of 7 frames is the same as one before and is left out" in assumed
+    write_ring(tmp_path, change=lambda frames: frames.append({**frames[0], "fl_x": 71}))
+    with pytest.raises(InputError, match="got 'images/0.png' twice, with different poses or cameras: take one out"):
+        read_capture(tmp_path)
+
+
+def test_an_angle_of_view_beside_another_focal_length_is_said(tmp_path):
+    write_ring(tmp_path, camera_angle_x=1.2019)  # that of fl_x, rounded
+    assert "camera_angle_x" not in said(tmp_path)[1]
+    write_ring(tmp_path, camera_angle_x=0.7)
+    assert (
+        "6 of 6 frames have a camera_angle_x of another focal length than fl_x, 0.7 and not 1.202" in said(tmp_path)[1]
+    )
+
+
+def test_files_of_frames_by_other_names_are_named(tmp_path):
+    write_ring(tmp_path, name="cams.json")
+    (tmp_path / "notes.json").write_text("{}")
+    with pytest.raises(InputError, match=f"is no capture: give the one that it holds, {tmp_path / 'cams.json'}$"):
+        read_capture(tmp_path)
 
 
 def held(capture, *arguments) -> list[str]:
@@ -67,9 +92,9 @@ def test_the_lists_of_a_file_hold_out(tmp_path):
         return [f"./images/{index}.png" for index in indices]
 
     write_ring(tmp_path, train_filenames=names(0, 1, 2, 4), val_filenames=names(3), test_filenames=names(3))
-    with pytest.warns(Assumption, match="1 photographs are in none of its lists of names .* left out: images/5.png"):
+    with pytest.warns(Assumption, match="1 photograph is in none of its lists of names .* left out: images/5.png"):
         capture = read_capture(tmp_path)
-    with pytest.warns(Assumption, match="1 of 5 photographs are held out, as val_filenames and test_filenames of tran"):
+    with pytest.warns(Assumption, match="1 of 5 photographs is held out, as val_filenames and test_filenames of tran"):
         assert held(capture) == ["3.png"]
     assert held(capture, 2) == ["1.png", "3.png"] and held(capture, None) == []
     assert held(capture, None, ["4.png"]) == ["4.png"]
@@ -77,7 +102,7 @@ def test_the_lists_of_a_file_hold_out(tmp_path):
     assert held(read_capture(tmp_path)) == ["5.png"]
     write_ring(tmp_path, test_filenames=[*names(2), "images/none.png"])
     with pytest.warns(
-        Assumption, match="1 names in its lists of photographs are of no frame with a pose: images/none.png"
+        Assumption, match="1 name in its lists of photographs is of no frame with a pose: images/none.png"
     ):
         assert held(read_capture(tmp_path)) == ["2.png"]
     write_ring(tmp_path, train_filenames=names(*range(6)), test_filenames=names(*range(6)))
@@ -91,7 +116,7 @@ def test_a_folder_of_train_and_test_files(tmp_path):
     write_ring(tmp_path, 1, "transforms_val.json", first=6)
     capture, assumed = said(tmp_path)
     assert capture.names == [f"{index}.png" for index in range(6)]
-    assert "1 photographs of transforms_train.json are in transforms_test.json too" in assumed
+    assert "1 photograph of transforms_train.json is in transforms_test.json too" in assumed
     assert "transforms_val.json is not read" in assumed
     with pytest.warns(Assumption, match="2 of 6 photographs are held out, as transforms_test.json says: 4.png, 5.png"):
         assert held(capture) == ["4.png", "5.png"]
@@ -136,7 +161,7 @@ def test_record3d(tmp_path):
         Image.fromarray(dots([(20, 20)])).save(tmp_path / f"rgb/{index}.jpg")
     capture, assumed = said(tmp_path)
     np.testing.assert_allclose(capture.world_to_camera, [pose_of(*pose) for pose in ring(4)], atol=1e-12)
-    assert capture.names == ["0.jpg", "1.jpg", "2.jpg", "3.jpg"] and "1 frames have no pose there" in assumed
+    assert capture.names == ["0.jpg", "1.jpg", "2.jpg", "3.jpg"] and "1 of 5 frames has no pose there" in assumed
     np.testing.assert_array_equal(capture.intrinsics[0], [70, 78, *CENTRE])
     data["perFrameIntrinsicCoeffs"] = [[60 + index, 61, 40, 30] for index in range(5)]
     (tmp_path / "metadata.json").write_text(json.dumps(data))

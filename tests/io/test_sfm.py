@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from capture_scene import CENTRE, HEIGHT, WIDTH, dots, ring, write_capture, write_model
+from capture_scene import CENTRE, HEIGHT, WIDTH, dots, ring, said, write_capture, write_model
+from command_line import run
 from PIL import Image
 
 import lightfield_gs as lf
@@ -84,12 +85,26 @@ def test_the_largest_model_is_kept_and_what_did_not_pose_is_said(tmp_path, monke
     write_capture(tmp_path / "c", count=6)
     monkeypatch.setitem(sys.modules, "pycolmap", _stand_in({0: _Model(2), 1: _Model(4)}))
     told: list[str] = []
-    with pytest.warns(Assumption, match="2 of 6 photographs did not pose and are left out: 004.png, 005.png"):
-        model = structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append)
+    model = structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append)
     assert model == tmp_path / "new/sparse/0" and told[-1] == "posed 4 of 6 photographs, 1 points"
     assert "posed 4 photographs" in told
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["sparse"]
-    assert len(read_capture(tmp_path / "new", images=tmp_path / "c/images").names) == 4
+    capture, assumed = said(tmp_path / "new", images=tmp_path / "c/images")
+    assert len(capture.names) == 4
+    assert assumed.count("004.png") == 1 and "2 photographs are not in the model" in assumed
+
+
+def test_masks_of_any_name_are_found_below_the_photographs(tmp_path, monkeypatch, capsys):
+    """The folder of masks is looked for where the photographs are, and what lies in it is not posed."""
+    write_capture(tmp_path / "c", count=4)
+    for index in range(4):
+        (tmp_path / "c/images/cut").mkdir(exist_ok=True)
+        Image.fromarray(np.full((HEIGHT, WIDTH), 255, np.uint8)).save(tmp_path / f"c/images/cut/{index:03d}.png")
+    monkeypatch.setitem(sys.modules, "pycolmap", stand_in := _stand_in({0: _Model(4)}))
+    command = f"fit {tmp_path / 'c/images'} -o {tmp_path / 's.ply'} --sfm --mask-folder cut --steps 1 --gaussians 3"
+    assumed = run(capsys, command)
+    assert stand_in.given.groups == [["000.png", "001.png", "002.png", "003.png"]]
+    assert "what is white in the masks of" in assumed and "not in the model" not in assumed
 
 
 def test_tries_go_on_until_nearly_all_pose_and_the_best_is_kept(tmp_path, monkeypatch):
@@ -114,8 +129,8 @@ def test_a_focal_length_that_ran_away_is_not_the_last_word(tmp_path, monkeypatch
     away = {0: _Model(6, 2.9 * WIDTH)}
     monkeypatch.setitem(sys.modules, "pycolmap", _stand_in(away, {0: _Model(5)}, {}))
     told: list[str] = []
-    with pytest.warns(Assumption, match="1 of 6 photographs did not pose"):
-        structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append)
+    structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append)
+    assert told[-1].startswith("posed 5 of 6 photographs")
     assert any(line.endswith("6 of 6 photographs, a focal length of 278 px, 2.9 x the longer side") for line in told)
     monkeypatch.setitem(sys.modules, "pycolmap", _stand_in(away, {0: _Model(2)}, {}))
     with pytest.warns(Assumption, match="COLMAP finds a focal length of 278 px, .* which the photographs hardly deter"):

@@ -318,12 +318,25 @@ def test_a_page_for_the_network_has_addresses_and_names_and_no_others(host, monk
 def test_a_name_given_as_host_is_one_of_the_page():
     with hosted("localhost") as server:
         assert server.is_local and get(server, "/panel", Host="localhost")[0] == 200
+        assert get(server, "/panel", Host="localhost.")[0] == 200 and not server.is_name_of_itself
+    with hosted("localhost.") as server:
+        assert get(server, "/panel", Host="localhost")[0] == 200
     with pytest.raises(InputError, match="another --host"):
         Server({}, host="no.such.name.invalid")
     with pytest.raises(InputError, match="no address of this machine.*another --host"):
         Server({}, host="192.0.2.1")
     with pytest.raises(InputError, match="--host: expected an address"):
         Server({}, host="a..b")
+
+
+def test_a_name_that_leads_a_machine_to_itself_is_known(monkeypatch):
+    """Many a system has its own name as 127.0.0.1, so that others do not reach what is served there."""
+    monkeypatch.setattr(socket, "gethostname", lambda: "box")
+    monkeypatch.setattr(
+        "lightfield_gs.show.page.server._resolved", lambda host, port: (socket.AF_INET, ("127.0.0.1", 0))
+    )
+    with hosted("Box") as server:
+        assert server.is_name_of_itself and get(server, "/panel", Host="box")[0] == 200
 
 
 def test_a_port_that_is_taken_is_a_complaint():

@@ -41,6 +41,11 @@ def serve(args: argparse.Namespace, routes: Mapping[str, Route], start: str) -> 
     server = Server(routes, args.port, args.host)
     if not server.is_local:
         note(f"--host {args.host}: everybody who reaches this machine there can see and steer the page")
+    if server.is_name_of_itself:
+        note(
+            f"--host {args.host}: this system leads its own name to {server.url}, which this machine alone "
+            "reaches: give another address of it, or 0.0.0.0, for others to open the page"
+        )
     print(f"open {server.url}{start} in a browser; Ctrl-C ends it")
     if server.is_everywhere:
         urls = [url + start for url in server.other_urls]

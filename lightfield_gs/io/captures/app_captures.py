@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import is_row, real_number, shown
+from lightfield_gs.base.checks import counted, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.camera_files import read_inria
 from lightfield_gs.io.captures.colmap_records import pose_of
@@ -145,7 +145,8 @@ def _record3d(path: Path, data: dict[str, Any]) -> list[_Camera]:
     if not cameras:
         raise InputError(f"{path}: expected photographs with poses, got {len(poses)} without")
     if lost:
-        assume(f"{path}: {len(lost)} frames have no pose there and are left out: {first_names(lost)}")
+        words = counted(len(lost), "frame", len(poses), "have no pose there and are left out")
+        assume(f"{path}: {words}: {first_names(lost)}")
     return cameras
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -9,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import real_number, whole_number
+from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.captures.app_captures import app_shots
@@ -20,10 +21,11 @@ from lightfield_gs.io.captures.prepared import photographs_of, usable_points
 from lightfield_gs.io.captures.shot import Shots
 from lightfield_gs.io.captures.spread import extent_of
 from lightfield_gs.io.captures.transforms_capture import transforms_shots
-from lightfield_gs.io.captures.transforms_frames import transforms_file
+from lightfield_gs.io.captures.transforms_frames import has_frames, transforms_file
 
 EVERY = 8  # one of so many photographs is held out where nothing says which
 TestEvery = int | Literal["own"] | None  # see Capture.split
+_ONE_PLACE = 1e-12  # of places' distance from the origin: cameras less far apart differ by rounding alone
 _SMALLEST_PX = 16  # of a photograph's longer side that is asked for
 _ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\xfd7zXZ", b"BZh")
 _TAR = 257, b"ustar"
@@ -92,7 +94,7 @@ class Capture:
         elif test_every == "own" and self.held_out:
             test = sorted(self.names.index(name) for name in self.held_out)
             assume(
-                f"{len(test)} of {len(self.names)} photographs are held out, as {self.held_by} says: "
+                f"{counted(len(test), 'photograph', len(self.names), 'are held out')}, as {self.held_by} says: "
                 f"{first_names(self.held_out)}; --test-every N holds out others"
             )
         elif test_every is None:
@@ -143,13 +145,14 @@ def read_capture(
     share = 1.0 if scale is None else real_number("scale", scale, 1e-3, 1)
     longest = None if longest_px is None else whole_number("longest_px", longest_px, _SMALLEST_PX, 1 << 20)
     root = folder.parent if folder.is_file() else folder
-    found = _read_layout(folder, None if images is None else _folder("images", root, images))
-    masks_at = None if masks is None else _folder("masks", root, masks)
+    masks_at = None if masks is None else folder_in("masks", root, masks)
+    found = _read_layout(folder, None if images is None else folder_in("images", root, images), masks_at)
     shots = sorted(found.shots, key=lambda shot: shot.name)
     photographs = photographs_of(found, shots, root, masks_at, share, longest)
     points, colours = usable_points(found)
     if not len(points):
         assume(f"{found.source} has no points of the scene: a fit begins at random ones")
+    _say_one_place([shot.world_to_camera for shot in shots])
     sizes = np.array([photograph.size_px for photograph in photographs])
     stored = np.array([photograph.stored_px for photograph in photographs])
     return Capture(
@@ -166,7 +169,14 @@ def read_capture(
     )
 
 
-def _read_layout(folder: Path, images: Path | None) -> Shots:
+def _say_one_place(world_to_camera: Sequence[np.ndarray]) -> None:
+    """Says where no two cameras [4,4] are apart."""
+    centres = [-pose[:3, :3].T @ pose[:3, 3] for pose in world_to_camera]
+    if len(centres) > 1 and float(np.ptp(centres, axis=0).max()) <= _ONE_PLACE * float(np.abs(centres).max()):
+        assume(f"all {len(centres)} photographs are from one place: nothing says how far away what they show is")
+
+
+def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots:
     """What the capture says, by what is in its folder; raises InputError."""
     if not folder.exists():
         raise InputError(f"{folder}: no such folder: expected a capture, with sparse/0 or transforms.json")
@@ -175,18 +185,40 @@ def _read_layout(folder: Path, images: Path | None) -> Shots:
     if model is not None:
         if file is not None:
             assume(f"the COLMAP model {model} is read, not {file}: give that file itself to read it")
-        return colmap_shots(folder, images)
+        return colmap_shots(folder, images, masks)
     if (file is None or file == folder) and (found := app_shots(folder, images)) is not None:
         return found
     if file is not None:
         return transforms_shots(file, images, file == folder)
     if folder.is_file():
         raise InputError(f"{folder}: {_what_to_give(folder)}")
+    if (above := _capture_above(folder)) is not None:
+        raise InputError(f"{folder}: is one folder of a capture: give the folder above, {above}")
+    if below := _captures_below(folder):
+        which = f"one of {len(below)} that it holds" if len(below) > 1 else "the one that it holds"
+        raise InputError(f"{folder}: is no capture: give {which}, {first_names([str(path) for path in below])}")
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
         "sparse or the folder itself, or a transforms.json (one of another name is given itself); photographs alone "
         "need --sfm first, which poses them"
     )
+
+
+def _capture_above(folder: Path) -> Path | None:
+    """The nearest of the two folders above that is a capture; None where neither is."""
+    above = folder.absolute().parents[:2]
+    return next((path for path in above if model_folder(path) is not None or transforms_file(path) is not None), None)
+
+
+def _captures_below(folder: Path) -> list[Path]:
+    """What is a capture in a folder that is none: files of frames by other names than usual, or else the folders that
+    are, as deep as COLMAP's dense/0."""
+    with reading(folder):
+        if files := [path for path in sorted(folder.glob("*.json")) if has_frames(path)]:
+            return files
+        folders = [path for depth in ("*/", "*/*/") for path in sorted(folder.glob(depth))]
+    found = [path for path in folders if model_folder(path) is not None or transforms_file(path) is not None]
+    return [path for path in found if not any(other in path.parents for other in found)]
 
 
 def _what_to_give(file: Path) -> str:
@@ -203,7 +235,7 @@ def _what_to_give(file: Path) -> str:
     )
 
 
-def _folder(what: str, capture: Path, given: str | Path) -> Path:
+def folder_in(what: str, capture: Path, given: str | Path) -> Path:
     """A folder that was given by its path, or by its name below the capture; raises InputError."""
     below = capture / checked_path(given)
     for path in (below, Path(given)):

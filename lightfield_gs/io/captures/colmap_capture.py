@@ -7,17 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import lens_of
 from lightfield_gs.io.captures.colmap import count_photographs, is_model, names_decoded, read_model
 from lightfield_gs.io.captures.colmap_records import ColmapImage, is_undecoded
-from lightfield_gs.io.captures.photo_files import first_names, how_many_there, photographs_in
+from lightfield_gs.io.captures.photo_files import first_names, how_many_there, outside, photographs_in
 from lightfield_gs.io.captures.point_files import points_beside
 from lightfield_gs.io.captures.readable import readable
 from lightfield_gs.io.captures.shot import Shot, Shots
 
 _MODELS = ("sparse/0", "sparse", "")
-_INNER_MODELS = ("colmap/sparse/0", "distorted/sparse/0")  # what nerfstudio's and Inria's scripts worked on
+# What nerfstudio's and Inria's scripts worked on, and what programs export in COLMAP's form beside the photographs
+_INNER_MODELS = ("colmap/sparse/0", "distorted/sparse/0", "colmap/sparse", "distorted/sparse", "colmap/0", "colmap")
 _IMAGES = ("images", "input", "images_2", "images_4", "images_8", "")
 # Windows' code pages that names may be of, the likeliest first: western, Japanese, Chinese, Korean, central European,
 # Cyrillic, Greek, Turkish
@@ -32,9 +34,10 @@ def model_folder(folder: Path, inner: bool = True) -> Path | None:
     return next((folder / name for name in names if is_model(folder / name)), next(numbered, None))
 
 
-def colmap_shots(folder: Path, images: Path | None) -> Shots:
+def colmap_shots(folder: Path, images: Path | None, masks: Path | None = None) -> Shots:
     """What COLMAP says of the photographs of a capture. images: their folder; None: one of the usual names, the first
-    that has them. Of several models beside each other the one of the most photographs counts. Raises InputError."""
+    that has them. masks: the folder of masks, if it was given. Of several models beside each other the one of the most
+    photographs counts. Raises InputError."""
     model_at = model_folder(folder)
     if model_at is None:
         raise InputError(f"{folder}: expected a COLMAP model in sparse/0, sparse or the folder itself")
@@ -49,9 +52,10 @@ def colmap_shots(folder: Path, images: Path | None) -> Shots:
     if not posed:
         raise InputError(f"{model_at}: expected photographs with poses, got {len(known)} without")
     found = photographs_in(folders, [image.name for image, _ in posed])
-    # In a folder that holds the model too there are pictures of other kinds, as masks
-    unknown = [] if model_at.is_relative_to(found.folder) else found.others
-    _say_what_is_left_out(model_at, unknown, unposed)
+    # A folder that was not given and holds the model too has pictures of other kinds, as masks
+    is_mixed = images is None and model_at.is_relative_to(found.folder)
+    unknown = [] if is_mixed else outside(masks, found.folder, found.others)
+    _say_what_is_left_out(model_at, [name for name in unknown if name not in unposed], unposed)
     places = readable(found.places, found.folder)
     shots = []
     for image, pose in posed:
@@ -83,8 +87,8 @@ def _largest(model: Path) -> Path:
     best = max(models, key=lambda path: counts[path])
     others = [f"{path.name} of {counts[path]}" for path in models if path != best]
     assume(
-        f"the model {best} of {counts[best]} photographs is read, not {first_names(others)} beside it: give one's own "
-        "folder to choose it"
+        f"the model {best} of {counted(counts[best], 'photograph')} is read, not {first_names(others)} beside it: "
+        "give one's own folder to choose it"
     )
     return best
 
@@ -113,6 +117,8 @@ def _with_names(model: Path, images: Sequence[ColmapImage], folders: Sequence[Pa
 
 def _say_what_is_left_out(model: Path, unknown: list[str], unposed: list[str]) -> None:
     if unposed:
-        assume(f"{model}: {len(unposed)} photographs have no pose there and are left out: {first_names(unposed)}")
+        words = counted(len(unposed), "photograph", does="have no pose there and are left out")
+        assume(f"{model}: {words}: {first_names(unposed)}")
     if unknown:
-        assume(f"{len(unknown)} photographs are not in the model {model} and are left out: {first_names(unknown)}")
+        words = counted(len(unknown), "photograph", does=f"are not in the model {model} and are left out")
+        assume(f"{words}: {first_names(unknown)}")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
 
@@ -84,8 +85,8 @@ class PhotoFiles:
     def photographs(self) -> list[str]:
         """Names of the pictures that are no masks: neither in a folder of masks beside others, nor named as the mask of
         a picture beside them."""
-        outside = [name for name in self.paths if not _in_mask_folder(name)]
-        return [name for name in outside or self.paths if not self._masks_another(name)]
+        unmasked = [name for name in self.paths if not _in_mask_folder(name)]
+        return [name for name in unmasked or self.paths if not self._masks_another(name)]
 
     def without(self, names: Collection[Path]) -> list[str]:
         """Names of the photographs that are not among these."""
@@ -154,7 +155,8 @@ def photographs_in(folders: Sequence[Path], names: Sequence[str], known: Places 
     if missing := [name for name in names if name not in places]:
         if too_few(len(places), len(names)):
             raise InputError(missing_photographs(folder, missing, len(names)))
-        assume(f"{folder}: {_share(missing, names)} missing and left out: {first_names(missing)}")
+        words = counted(len(missing), "photograph", len(names), "are missing and left out")
+        assume(f"{folder}: {words}: {first_names(missing)}")
     others = [files.folder / name for name in files.without([path for _, path in places.values()])]
     within = [path.relative_to(folder).as_posix() for path in others if path.is_relative_to(folder)]
     return FoundPhotographs(folder, places, within)
@@ -208,14 +210,8 @@ def _say_other_names(found: dict[str, str], count: int) -> None:
     others = [(name, file) for name, file in found.items() if _folded(file) != _folded(name)]
     if others:
         name, file = others[0]
-        assume(
-            f"{len(others)} of {count} photographs are found by the last parts of their names, without folders or "
-            f"extensions: {first_names([name])} is {file}"
-        )
-
-
-def _share(some: Sequence[str], of: Sequence[str]) -> str:
-    return f"{len(some)} of {len(of)} photographs {'are' if len(some) > 1 else 'is'}"
+        words = counted(len(others), "photograph", count, "are found by the last parts of their names")
+        assume(f"{words}, without folders or extensions: {first_names([name])} is {file}")
 
 
 def _files_below(folder: Path, above: tuple[str, ...] = ()) -> Iterator[Path]:
@@ -261,6 +257,11 @@ def _last(name: str) -> str:
 def _folded(name: str) -> str:
     """A name without its case and its form of Unicode: macOS takes letters with accents apart."""
     return unicodedata.normalize("NFC", name).lower()
+
+
+def outside(masks: Path | None, folder: Path, names: Sequence[str]) -> list[str]:
+    """The names of pictures in a folder that are not in a folder of masks."""
+    return [name for name in names if masks is None or not (folder / name).absolute().is_relative_to(masks.absolute())]
 
 
 def is_hidden(name: str) -> bool:

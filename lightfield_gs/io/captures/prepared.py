@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import Lens
 from lightfield_gs.io.captures.capture_masks import masks_for
@@ -52,7 +53,8 @@ def usable_points(found: Shots) -> tuple[np.ndarray, np.ndarray]:
         away[good] = np.linalg.norm(points[good] - np.median(points[good], 0), axis=1)
         good &= away <= max(_FARTHEST * float(np.median(away[good])), 1e-9)
     if not good.all():
-        assume(f"{found.source}: {(~good).sum()} of {len(good)} points are not finite or absurdly far, and left out")
+        words = counted(int((~good).sum()), "point", len(good), "are not finite or absurdly far, and left out")
+        assume(f"{found.source}: {words}")
     return points[good], found.colours[good]
 
 
@@ -105,7 +107,7 @@ def _say_sizes(shots: Sequence[Shot], photographs: Sequence[Photograph]) -> None
         first = resized[0]
         was = next(shot.camera_px for shot, photo in zip(shots, photographs) if photo is first)
         assume(
-            f"{len(resized)} of {len(shots)} photographs are not of the size of their cameras and were resized: "
+            f"{counted(len(resized), 'photograph', len(shots), 'are not of the posed size and were resized')}: "
             f"{first.path.name} is {first.stored_px[0]} x {first.stored_px[1]}, its camera {was[0]} x {was[1]}; "
             "intrinsics are scaled by the ratio of each axis"
         )

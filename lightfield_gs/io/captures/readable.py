@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.photo_files import RAW_SUFFIXES, Places, too_few
 from lightfield_gs.io.images import read_image, read_info
@@ -34,10 +35,10 @@ def readable(places: Places, images: Path) -> Places:
         else:
             left[name] = place
     if reasons:
-        words = f"{len(reasons)} of {len(places)} photographs cannot be read"
+        share = len(reasons), "photograph", len(places)
         if too_few(len(left), len(places)):
-            raise InputError(f"{images}: {words}: {reasons[0]}")
-        assume(f"{words} and {'are' if len(reasons) > 1 else 'is'} left out: {reasons[0]}")
+            raise InputError(f"{images}: {counted(*share, 'cannot be read')}: {reasons[0]}")
+        assume(f"{counted(*share, 'cannot be read and are left out')}: {reasons[0]}")
     if linear := [name for name, path in left.values() if is_linear(path)]:
         assume(
             f"{len(linear)} of {len(places)} photographs hold linear light, as {linear[0]}: it is encoded as sRGB, and "

@@ -15,7 +15,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import scratch_folder
-from lightfield_gs.io.captures.photo_files import PhotoFiles, first_names
+from lightfield_gs.io.captures.photo_files import PhotoFiles, outside
 from lightfield_gs.io.captures.sfm_cameras import cameras_of, readable
 from lightfield_gs.io.captures.sfm_tries import TRIES, Progress, best_model
 
@@ -23,36 +23,35 @@ _LEAST_PHOTOGRAPHS = 3
 _MOST_FOR_ALL_PAIRS = 200  # beyond, photographs are matched with those that follow them: all pairs would take hours
 
 
-def structure_from_motion(photographs: str | Path, output: str | Path, progress: Progress = lambda words: None) -> Path:
+def structure_from_motion(
+    photographs: str | Path, output: str | Path, progress: Progress = lambda words: None, masks: Path | None = None
+) -> Path:
     """Poses the photographs in and below a folder, and writes the model to output/sparse/0, whole or not at all.
 
     Returns that folder, for read_capture(output, images=photographs). progress: is told in words what is being done.
     Photographs of one size and lens, by their Exif, are taken as one camera (COLMAP's SIMPLE_RADIAL). Masks among them
-    are not posed. What was not posed is said. Raises InputError where pycolmap is missing, there are too few
-    photographs, or they do not pose.
+    are not posed, nor are pictures in the folder `masks`. read_capture says which photographs did not pose. Raises
+    InputError where pycolmap is missing, there are too few photographs, or they do not pose.
     """
     pycolmap = _pycolmap()
     files = PhotoFiles(_existing(photographs))
-    names = files.photographs
+    names = outside(masks, files.folder, files.photographs)
     if len(names) < _LEAST_PHOTOGRAPHS:
         raise InputError(f"{photographs}: expected {_LEAST_PHOTOGRAPHS} photographs or more, got {len(names)}")
-    if masks := len(files.paths) - len(names):
-        assume(f"{photographs}: {masks} of {len(files.paths)} pictures are masks by their names or folder: not posed")
+    if others := len(files.paths) - len(names):
+        assume(f"{photographs}: {others} of {len(files.paths)} pictures are masks by their names or folder: not posed")
     target = checked_path(output) / "sparse" / "0"
     if target.exists():
         raise InputError(f"{target}: there is a model already: read it without --sfm, or remove it")
     target.parent.parent.mkdir(parents=True, exist_ok=True)
     with scratch_folder(target.parent.parent / "sfm") as work:
         best = _posed(pycolmap, files, names, work, progress)
-        posed = {image.name for image in best.images.values()}
         model = work / "best"
         model.mkdir()
         best.write(str(model))
         target.parent.mkdir(exist_ok=True)
         model.rename(target)
-    progress(f"posed {len(posed)} of {len(names)} photographs, {len(best.points3D)} points")
-    if left := [name for name in names if name not in posed]:
-        assume(f"{len(left)} of {len(names)} photographs did not pose and are left out: {first_names(left)}")
+    progress(f"posed {best.num_reg_images()} of {len(names)} photographs, {len(best.points3D)} points")
     return target
 
 

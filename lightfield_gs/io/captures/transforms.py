@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import shown
+from lightfield_gs.base.checks import counted, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.files import named_image
 from lightfield_gs.io.captures.lens import COEFFICIENTS, check_distortion
@@ -93,8 +93,8 @@ def _masks(
         return masks_beside(folder, images)
     if not all(given):
         raise InputError(
-            f"{fields[given.index(False)]}: missing mask_path: {sum(given)} of {len(frames)} frames have "
-            "one; give each frame one, or none"
+            f"{fields[given.index(False)]}: missing mask_path: "
+            f"{counted(sum(given), 'frame', len(frames), 'have')} one; give each frame one, or none"
         )
     return tuple(named_image(f"{field}.mask_path", folder, frame["mask_path"]) for field, frame in zip(fields, frames))
 

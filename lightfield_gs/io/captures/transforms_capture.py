@@ -10,6 +10,7 @@ programs are not read.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import real_number, shown
+from lightfield_gs.base.checks import counted, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import COLMAP_MODELS, Lens, lens_of
 from lightfield_gs.io.captures.colmap_capture import model_folder
@@ -29,10 +30,11 @@ from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, 
 from lightfield_gs.io.captures.point_files import points_beside, points_of_model, read_points
 from lightfield_gs.io.captures.readable import readable
 from lightfield_gs.io.captures.shot import Shot, Shots
-from lightfield_gs.io.captures.transforms_frames import read_frames
+from lightfield_gs.io.captures.transforms_frames import Frame, read_frames
 from lightfield_gs.io.captures.views import check_intrinsics, check_pose
 from lightfield_gs.io.images import read_info
 
+_ANGLES_DIFFER = 0.02  # of an angle of view: what lens distortion and rounding make of one camera is less
 _FURTHER = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")  # of lenses that are none of MODELS
 
 
@@ -56,6 +58,7 @@ def transforms_shots(path: Path, images: Path | None, given: bool) -> Shots:
         shots.append(_shot(frame.where, path.parent, frame.fields, *places[frame.name], pose))
         scales.append(scale)
     say_scales(path, scales)
+    _say_angles(path, list(zip(frames, shots)))
     held = tuple(places[frame.name][0] for frame in frames if frame.is_held)
     return Shots(
         path,
@@ -100,8 +103,10 @@ def _common(folders: list[PurePosixPath]) -> str:
 
 def _shot(where: str, folder: Path, fields: dict[str, Any], name: str, photo: Path, pose: np.ndarray) -> Shot:
     def number(key: str) -> float | None:
-        low, high = (1e-6, 3.14159) if key.startswith("camera_angle") else (-1e12, 1e12)
-        return None if fields.get(key) is None else real_number(f"{where}.{key}", fields[key], low, high)
+        is_angle = key.startswith("camera_angle")
+        low, high = (1e-6, 3.14159) if is_angle else (-1e12, 1e12)
+        what = f"{where}.{key}{', radians,' if is_angle else ''}"
+        return None if fields.get(key) is None else real_number(what, fields[key], low, high)
 
     width, height = number("w"), number("h")
     if width is None or height is None:
@@ -118,6 +123,19 @@ def _shot(where: str, folder: Path, fields: dict[str, Any], name: str, photo: Pa
         mask = named_image(f"{where}.mask_path", folder, fields["mask_path"])
     size = int(width), int(height)
     return Shot(name, photo, pose, intrinsics, size, _lens(where, fields, number), mask)
+
+
+def _say_angles(path: Path, pairs: Sequence[tuple[Frame, Shot]]) -> None:
+    """Says of which frames camera_angle_x is another than that of fl_x, which is what counts."""
+    off = []
+    for frame, shot in pairs:
+        angle = 2 * math.atan(shot.camera_px[0] / 2 / shot.intrinsics[0])
+        given = frame.fields.get("camera_angle_x")
+        if isinstance(given, (int, float)) and abs(given - angle) > _ANGLES_DIFFER * angle:
+            off.append((given, angle))
+    if off:
+        words = counted(len(off), "frame", len(pairs), "have a camera_angle_x of another focal length than fl_x")
+        assume(f"{path}: {words}, {off[0][0]:.4g} and not {off[0][1]:.4g} radians: fl_x counts")
 
 
 def _world_to_camera(where: str, fields: dict[str, Any]) -> tuple[np.ndarray, float]:

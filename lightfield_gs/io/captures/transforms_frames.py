@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import shown
+from lightfield_gs.base.checks import counted, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.json_file import read_object
@@ -53,6 +52,15 @@ def transforms_file(folder: Path) -> Path | None:
     return next((folder / name for name in (_WHOLE, _TRAIN) if (folder / name).is_file()), None)
 
 
+def has_frames(path: Path) -> bool:
+    """Whether a JSON file has frames that name photographs; not one that cannot be read."""
+    try:
+        frames = read_object(path, _LIMIT_BYTES).get("frames")
+    except InputError:
+        return False
+    return isinstance(frames, list) and any(isinstance(frame, dict) and "file_path" in frame for frame in frames[:1])
+
+
 def read_frames(path: Path, given: bool) -> Frames:
     """The frames of a capture that a file tells of; says which are left out.
 
@@ -84,17 +92,37 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
         if not isinstance(name, str) or not name.strip() or "\0" in name:
             raise InputError(f"{where}.file_path: expected the name of an image, got {shown(name)}")
         frames.append(Frame(where, _plain(name), {**shared, **entry}))
-    counts = Counter(frame.name for frame in frames)
-    if twice := next((name for name, count in counts.items() if count > 1), None):
-        raise InputError(f"{path}: frames: expected each photograph once, got {shown(twice)} twice")
+    frames = _once(path, frames)
     posed = [frame for frame in frames if not _has_no_pose(frame.fields.get("transform_matrix"))]
     if not posed:
         raise InputError(f"{path}: frames: expected some with a pose (transform_matrix), got {len(frames)} without")
     if len(posed) < len(frames):
         there = {frame.name for frame in posed}
         lost = [frame.name for frame in frames if frame.name not in there]
-        assume(f"{path}: {len(lost)} of {len(frames)} frames have no pose and are left out: {first_names(lost)}")
+        words = counted(len(lost), "frame", len(frames), "have no pose and are left out")
+        assume(f"{path}: {words}: {first_names(lost)}")
     return shared, posed
+
+
+def _once(path: Path, frames: list[Frame]) -> list[Frame]:
+    """The frames without those that are the same as one before, which is said. Raises InputError where a photograph has
+    two poses or cameras."""
+    kept: dict[str, Frame] = {}
+    for frame in frames:
+        before = kept.setdefault(frame.name, frame)
+        if _apart_from_name(before) != _apart_from_name(frame):
+            raise InputError(
+                f"{path}: frames: expected each photograph once, got {shown(frame.name)} twice, with different "
+                "poses or cameras: take one out"
+            )
+    if same := len(frames) - len(kept):
+        assume(f"{path}: {counted(same, 'frame', len(frames), 'are the same as one before and are left out')}")
+    return list(kept.values())
+
+
+def _apart_from_name(frame: Frame) -> str:
+    """What a frame says but for its name, to compare: NaN is the same as NaN."""
+    return repr({key: value for key, value in frame.fields.items() if key != "file_path"})
 
 
 def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
@@ -108,7 +136,8 @@ def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
     if not fitted:
         raise InputError(f"{path.parent}: {there[0]} has all photographs of {_TRAIN}: expected others to test with")
     if both := len(train) - len(fitted):
-        assume(f"{both} photographs of {_TRAIN} are in {there[0]} too: they are held out, and not fitted to")
+        words = counted(both, "photograph", does=f"of {_TRAIN} are in {there[0]} too and are held out, not fitted to")
+        assume(f"{path.parent}: {words}")
     if unused := there[1:]:
         assume(f"{path.parent}: {unused[0]} is not read: {there[0]} holds out photographs already")
     return Frames(data, [*fitted, *held], there[0])
@@ -121,10 +150,8 @@ def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
     keys = [key for key in _TEST_KEYS if data.get(key)]
     named = {name for key in keys for name in _names(path, data, key)}
     if strange := sorted((named | _names(path, data, _TRAIN_KEY)) - known):
-        assume(
-            f"{path}: {len(strange)} names in its lists of photographs are of no frame with a pose: "
-            f"{first_names(strange)}"
-        )
+        words = counted(len(strange), "name", does="in its lists of photographs are of no frame with a pose")
+        assume(f"{path}: {words}: {first_names(strange)}")
     held = named & known if keys else known - train if train else set()
     if train and not train - held:
         held -= train  # a file may test with what it fits to
@@ -132,10 +159,9 @@ def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
         return Frames(data, frames)
     left = known - train - held if train else set()
     if left:
-        assume(
-            f"{path}: {len(left)} photographs are in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and "
-            f"are left out: {first_names(sorted(left))}"
-        )
+        lists = f"in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and"
+        words = counted(len(left), "photograph", does=f"are {lists} are left out")
+        assume(f"{path}: {words}: {first_names(sorted(left))}")
     kept = [replace(frame, is_held=frame.name in held) for frame in frames if frame.name not in left]
     return Frames(data, kept, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
 

@@ -137,6 +137,9 @@ class Server(ThreadingHTTPServer):
     """Answers the addresses in `routes`, and no others. host: an address of this machine, or a name of it; port 0: any
     that is free.
 
+    is_local: whether this machine alone reaches it. is_name_of_itself: whether that is so though the host is the
+    machine's name in its network, which many a system leads to 127.0.0.1.
+
     Raises InputError where it cannot listen there.
     """
 
@@ -147,7 +150,7 @@ class Server(ThreadingHTTPServer):
     def __init__(self, routes: Mapping[str, Route], port: int = 0, host: str = DEFAULT_HOST):
         self.routes = routes
         self.rooms = {True: Room(_MOST_LARGE), False: Room(_MOST_SMALL)}  # by whether an answer is large
-        host = host.strip("[]") or "0.0.0.0"
+        host = host.strip("[]").rstrip(".") or "0.0.0.0"  # a name may end in the dot of the root
         try:
             self.address_family, address = _resolved(host, port)
             super().__init__(address, _Handler)
@@ -165,6 +168,7 @@ class Server(ThreadingHTTPServer):
         self._bound = ipaddress.ip_address(str(self.server_address[0]))
         self.is_local = self._bound.is_loopback
         self._names = {host.lower(), "localhost"} | (set() if self.is_local else _machine_names())
+        self.is_name_of_itself = self.is_local and host.lower() in _machine_names() - {"localhost"}
 
     def server_bind(self) -> None:
         if self.address_family == socket.AF_INET6:
@@ -201,6 +205,7 @@ class Server(ThreadingHTTPServer):
         """
         if name is None:
             return False
+        name = name.rstrip(".")
         try:
             address = ipaddress.ip_address(name)
         except ValueError:
