@@ -43,13 +43,14 @@ class Span:
 
 class Movie:
     """The frames of a video or an animation. fps: frames a second, None where not said. count: of all frames, as the
-    file has it. What is done to the frames of a video is told (Assumption). Raises InputError."""
+    file has it. in_time: see `timeline`. What is done to the frames of a video is told (Assumption). Raises InputError.
+    """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, in_time: bool):
         self.path = path
         self._video: Sequence | None = None
         if path.suffix.lower() in VIDEO_INPUTS:
-            self._video = open_sequence(path)
+            self._video = open_sequence(path, in_time=in_time)
             self.count, self.fps = self._video.count, self._video.fps
             for words in self._video.notes:
                 assume(words)

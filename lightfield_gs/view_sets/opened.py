@@ -142,7 +142,8 @@ def _of_movie(
     top_first: bool,
     right_to_left: bool,
 ) -> ViewSet | QuiltMovie:
-    movie, stated = Movie(path), layout_of_file(path, tiles)
+    stated = layout_of_file(path, tiles)
+    movie = Movie(path, in_time=stated is not None)  # what is no quilt is a view, and each comes once
     if stated is not None:
         return QuiltMovie(movie, stated, span or Span(), colours, top_first, right_to_left)
     if span is None:

@@ -269,6 +269,24 @@ def test_what_is_done_to_the_frames_of_a_video_is_told(tmp_path):
     assert "a.mp4: pixels of 4:3 are made square" in shown(tmp_path / "a.mp4", span=Span())[1]
 
 
+def test_each_frame_of_a_video_is_one_view_whenever_it_comes(tmp_path):
+    """Quilts are repeated as they are seen in time, views are not."""
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 40, 40, "bgr0"
+        stream.codec_context.time_base = Fraction(1, 10)
+        for k, time in enumerate((0, 1, 5, 6)):
+            frame = av.VideoFrame.from_ndarray(camera(k), format="rgb24").reformat(format="bgr0")
+            frame.pts, frame.time_base = time, Fraction(1, 10)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    views, said = shown(tmp_path / "a.mkv", span=Span())
+    assert len(views) == 4 and "repeated" not in said
+    with heard() as lines:
+        assert len(open_views(tmp_path / "a.mkv", (2, 2)).numbers) == 7 and "repeated to 7" in lines[0]
+
+
 def test_frames_that_come_back_are_noticed(tmp_path):
     for name, there, words in (("fro.gif", [0, 2, 4, 6, 8, 6, 4, 2], "--frames 0:4:1"), ("to.gif", range(8), "")):
         first, *rest = (Image.fromarray(camera(k)) for k in there)
