@@ -10,6 +10,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.images import Picture
+from lightfield_gs.io.not_what_it_says import refuse_video
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.view_sets.colours import ViewColours
 from lightfield_gs.view_sets.folder import FileViews, folder_views
@@ -97,6 +98,7 @@ def open_views(
     if is_movie(path):
         return _of_movie(path, colours, tiles, span, top_first, right_to_left)
     if span is not None:
+        refuse_video(path)
         raise InputError(
             f"{path}: --frames is about videos and animations, and by its name and its start this is none; leave it "
             "out, or rename or convert it to .mp4, or give its pictures as files in a folder"
