@@ -220,6 +220,17 @@ def test_colours_become_srgb_as_their_files_say_them(folder, capsys):
     assert np.array_equal(read_image("d.png", True), deep)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_views_that_are_not_finite_are_refused(folder, capsys, value):
+    views = np.full((4, 40, 40, 3), 0.5, np.float32)
+    views[2, 3, 4] = value
+    write_views(Path("set"), {f"{k}.exr": view for k, view in enumerate(views)})
+    write_image("a_qs2x2a1.exr", quilt_of(list(views), 2))
+    for path, name in (("set", "set/2.exr"), ("a_qs2x2a1.exr", "a_qs2x2a1.exr")):
+        refused = complaint(capsys, f"weave {path} --panel p.yaml -o w.png")
+        assert f"{name} has pixels that are not finite" in refused
+
+
 @pytest.mark.parametrize("suffix", [".gif", ".webp", ".png", ".mkv"])
 def test_frames_are_quilts_or_views(folder, capsys, suffix):
     frames = [np.full((60, 96, 3), 40 * k, np.uint8) for k in range(5)]
