@@ -129,8 +129,10 @@ def _of_quilt(
         )
     layout, is_known, count = stated
     views = QuiltViews(pixels, layout, str(path), count=count, top_first=top_first, right_to_left=right_to_left)
+    if tiles is None:
+        views.leave_out_plain(str(path))
     views.tell_of_joins(str(path))
-    said = f"a quilt of {layout.columns} x {layout.rows} views" + ("" if count == layout.views else f", {count} used")
+    said = f"a quilt of {layout.columns} x {layout.rows} views" + ("" if views.count == layout.views else f", {views.count} used")
     if any(left := views.layout.left_over_px()):
         said += f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
     return ViewSet(views, layout.aspect if is_known else None, said, colours)

@@ -164,6 +164,16 @@ def test_quilts_come_from_the_top_and_from_the_right(tmp_path):
     assert "jump" not in shown(flat)[1]
 
 
+def test_plain_tiles_at_the_end_of_a_quilt_are_no_views(tmp_path):
+    views = [camera(k) for k in range(10)]
+    path = tmp_path / "a_qs4x3a1.png"
+    write_image(path, quilt_of([*views, *[np.zeros_like(views[0])] * 2], 4))
+    found, said = shown(path)
+    assert np.array_equal(found, views) and "holds 10 views, for the last 2 of its 4 x 3 tiles are plain" in said
+    assert np.array_equal(shown(path, right_to_left=True)[0], views[::-1])
+    assert len(shown(path, (4, 3))[0]) == 12
+
+
 def test_what_does_not_divide_is_left_over_at_the_right_and_the_top_if_it_is_little():
     views = QuiltViews(np.zeros((1024, 1024, 3), np.uint8), QuiltLayout(5, 9, 16 / 9), "quilt")
     assert (views.width_px, views.height_px) == (204, 113) and views.layout.tile(0)[0] == slice(911, 1024)
