@@ -143,8 +143,8 @@ def _check_upright(place: Place, corners_px: np.ndarray, start: Panel) -> None:
     if abs(math.log(got / expected)) > math.log(_OTHER_SHAPE):
         raise InputError(
             f"{place.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
-            f"{expected:.2f} times its height, got one of {got:.2f} times; take it whole, give photographs that are not "
-            "squeezed, of the panel of this profile, or the corners as the panel has them"
+            f"{expected:.2f} times its height, got one of {got:.2f} times; take it whole, give photographs that are "
+            "not squeezed, of the panel of this profile, or the corners as the panel has them"
         )
 
 

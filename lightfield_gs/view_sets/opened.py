@@ -132,7 +132,8 @@ def _of_quilt(
     if tiles is None:
         views.leave_out_plain(str(path))
     views.tell_of_joins(str(path))
-    said = f"a quilt of {layout.columns} x {layout.rows} views" + ("" if views.count == layout.views else f", {views.count} used")
+    used = "" if views.count == layout.views else f", {views.count} used"
+    said = f"a quilt of {layout.columns} x {layout.rows} views{used}"
     if any(left := views.layout.left_over_px()):
         said += f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
     return ViewSet(views, layout.aspect if is_known else None, said, colours)

@@ -178,6 +178,8 @@ def test_what_does_not_divide_is_left_over_at_the_right_and_the_top_if_it_is_lit
     views = QuiltViews(np.zeros((1024, 1024, 3), np.uint8), QuiltLayout(5, 9, 16 / 9), "quilt")
     assert (views.width_px, views.height_px) == (204, 113) and views.layout.tile(0)[0] == slice(911, 1024)
     assert views.layout.tile(0, top_first=True)[0] == slice(0, 113)
+    with pytest.raises(InputError, match="do not divide into 7 x 12 .* they do into 12 x 7"):
+        QuiltViews(np.zeros((14, 24, 3), np.uint8), QuiltLayout(7, 12, 1.0), "q")
     with pytest.raises(InputError, match="do not divide"):
         QuiltViews(np.zeros((200, 200, 3), np.uint8), QuiltLayout(11, 4, 1), "quilt")
 
