@@ -14,13 +14,12 @@ from lightfield_gs.commands.calibrate_nudge import said_of_change
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel, why_no_eye
 from lightfield_gs.commands.options.values import numbers
 from lightfield_gs.io.atomic import check_outputs
-from lightfield_gs.panels.calibration_fit import CalibrationFit, PlaceFit, fit_lens
+from lightfield_gs.panels.calibration_fit import CalibrationFit, PlaceFit, fit_lens, most_spread_views
 from lightfield_gs.panels.calibration_photos import Place
 from lightfield_gs.panels.calibration_places import load_place, read_places
 from lightfield_gs.panels.profile import check_profile_path, write_profile
 
-# Of what is seen about the lens found: views, or in lens widths, above which the photographs are doubtful
-_MOST_SPREAD_VIEWS, _MOST_SPREAD = 0.2, 0.2 / 48
+_MOST_OFFSET_VIEWS = 0.3  # between a place and the lens of all, above which its eye or the profile is doubtful
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,15 +89,23 @@ def run(args: argparse.Namespace) -> None:
 
 
 def doubts_of(fit: CalibrationFit) -> list[str]:
-    """Lines on the places whose photographs spread too far about the lens found."""
-    most = max(_MOST_SPREAD_VIEWS, _MOST_SPREAD * fit.panel.views)
-    return [
+    """Lines on the places whose photographs spread too far about the lens found, or lie off it as a whole."""
+    most = most_spread_views(fit.panel)
+    spread = [
         f"{place.name}: what is seen spreads by {place.spread_views:.2g} views about the lens found, and good "
         f"photographs by less than {most:.2g}: the lens may be wrong; check that all have one exposure and white "
-        "balance, that nothing moved, and the corners"
+        "balance, that none is turned or blurred, that nothing moved, and the corners"
         for place in fit.places
         if place.spread_views > most
     ]
+    off = [
+        f"{place.name}: it sees the panel {place.offset_views:+.2g} views off the lens found, and good photographs by "
+        f"less than {_MOST_OFFSET_VIEWS:g}: the lens may be wrong; check its eye, and cone_deg and "
+        "viewing_distance_mm of the profile"
+        for place in fit.places
+        if abs(place.offset_views) > _MOST_OFFSET_VIEWS
+    ]
+    return spread or off
 
 
 def places_of(args: argparse.Namespace) -> list[Place]:

@@ -1,4 +1,4 @@
-"""Which file beside a photo, or a video, is its depth map, by its name: 0001_depth.png of 0001.png."""
+"""Which files are depth maps by their names, and of which photo or video: 0001_depth.png of 0001.png."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import re
 from collections.abc import Iterable
 from pathlib import PurePath
 
-_DEPTH = re.compile(r"(?<![a-z])z?(depth[ _-]?map|depth|disparity|disp)(?![a-z])")
+_DEPTH = re.compile(r"(?<![a-z])z?(depth[ _-]?map|depth|dmap|dpt|disparity|disp)(?![a-z])")
+_BESIDE = re.compile(  # what else renderers and cameras write beside a picture
+    r"(?<![a-z])(depths|masks?|matte|alpha|normals?|segmentation|seg|confidence|conf|flow|albedo|mist|objectids?"
+    r"|thumb|thumbnail|preview)(?![a-z])"
+)
 _COLOUR = re.compile(r"(?<![a-z])(rgb|colou?r|image|img|photo)(?![a-z])")
 _NUMBERS = (".exr", ".npy", ".npz")  # which hold depths more exactly than the picture that may be beside them
 
@@ -32,6 +36,12 @@ def depth_maps_beside(names: Iterable[str]) -> dict[str, list[str]]:
         if beside:
             found[name] = beside
     return found
+
+
+def is_named_as_beside(name: str) -> bool:
+    """Whether a file is named as what lies beside a picture: a depth map, a mask, a thumbnail and the like."""
+    stem = _stem(name)
+    return bool(_DEPTH.search(stem) or _BESIDE.search(stem))
 
 
 def _stem(name: str) -> str:

@@ -18,7 +18,7 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.heif import decoded_heif, heif_orientation, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_stand_in
+from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_stand_in, refuse_video
 from lightfield_gs.io.png_chunks import png_damage
 from lightfield_gs.io.png_colour import png_colour
 from lightfield_gs.io.png_file import CompressedImage, write_png
@@ -307,6 +307,7 @@ def _opened(path: Path, pixels: bool = False, most_channels: int = _MOST_CHANNEL
     if source is None:
         reason = _first_line(oiio.geterror)  # taken away, for OpenImageIO prints what is left of these at the end
         refuse_stand_in(path)
+        refuse_video(path)
         raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
         spec = source.spec()

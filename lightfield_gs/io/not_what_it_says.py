@@ -1,4 +1,4 @@
-"""Files that came in place of the one that was meant: what a clone or a download leaves where it did not fetch it."""
+"""Files that are not what their names say: what a clone or a download leaves in place of a file, and videos."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
 
+VIDEO_INPUTS = (
+    *(".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v", ".f4v", ".qt", ".asf", ".mxf"),
+    *(".mts", ".m2ts", ".m2t", ".ts", ".mod", ".tod", ".dv", ".vob", ".mpg", ".mpeg", ".m2v"),  # of camcorders and DVDs
+    *(".wmv", ".3gp", ".3g2", ".ogv", ".flv"),  # of older phones and the web
+)
 _START_BYTES = 512
 _LARGE_BYTES = 64 << 20  # smaller files are read in no time, whatever they are
 # What images begin with, those of cameras among them; of TGA, which says nothing, what its kinds have (bytes 1 and 2),
@@ -25,6 +30,22 @@ _POINTER = b"version https://git-lfs.github.com/spec/"
 # Comments may come first; <Error> is what storage servers answer, in XML
 _WEB_PAGE = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:.*<)?(?:!doctype html|html[\s>]|error>)", re.IGNORECASE | re.DOTALL)
 
+# What videos begin with, and how they are named. HEIC, AVIF, CR3 and JPEG XL are pictures in boxes as MP4 has them
+_VIDEOS = (
+    (re.compile(rb".{4}(?:ftypqt  |moov|mdat|wide)", re.DOTALL), ".mov"),
+    (re.compile(rb".{4}ftyp(?!hei|hev|mif|msf|avif|avis|crx|jx)", re.DOTALL), ".mp4"),
+    (re.compile(rb"\x1a\x45\xdf\xa3.{0,60}webm", re.DOTALL), ".webm"),
+    (re.compile(rb"\x1a\x45\xdf\xa3"), ".mkv"),
+    (re.compile(rb"RIFF.{4}AVI ", re.DOTALL), ".avi"),
+    (re.compile(rb"G(?:.{187}G){2}", re.DOTALL), ".ts"),
+    (re.compile(rb".{4}G(?:.{191}G){2}", re.DOTALL), ".m2ts"),
+    (re.compile(rb"\x00\x00\x01[\xb3\xba]"), ".mpg"),
+    (re.compile(rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11"), ".wmv"),
+    (re.compile(rb"FLV\x01"), ".flv"),
+    (re.compile(rb"OggS"), ".ogv"),
+    (re.compile(rb"\x06\x0e\x2b\x34\x02\x05\x01\x01"), ".mxf"),
+)
+
 
 def refuse_large_no_image(path: Path) -> None:
     """Raises InputError where a large file does not begin as images do, or holds zeros behind its header: for a reader
@@ -34,6 +55,7 @@ def refuse_large_no_image(path: Path) -> None:
     start = _start(path, _BEHIND_HEADER + _ROW_BYTES)
     if not _IMAGE_STARTS.match(start):
         refuse_stand_in(path)
+        refuse_video(path)
         raise InputError(f"{path} is not an image that can be read: no format begins with {start[:8].hex(' ')} (hex)")
     if _COMPRESSED_STARTS.match(start) and not any(start[_BEHIND_HEADER:]):
         raise InputError(
@@ -58,4 +80,17 @@ def refuse_stand_in(path: Path) -> None:
     if _WEB_PAGE.match(start):
         raise InputError(
             f"{path} is a web page (HTML), not the file itself; download it again, by the link of the raw file"
+        )
+
+
+def refuse_video(path: Path) -> None:
+    """Raises InputError where the file is a video by its content: for readers of images, which cannot read it."""
+    start = _start(path)
+    end = next((end for begins, end in _VIDEOS if begins.match(start)), None)
+    if end is not None and path.suffix.lower() in VIDEO_INPUTS:
+        raise InputError(f"{path} is a video, and an image was expected; give a picture of it")
+    if end is not None:
+        raise InputError(
+            f"{path} is a video by its content, and its name says otherwise; rename it to {path.stem}{end}, so that "
+            "`lightfield-gs video` and `weave` take its frames"
         )

@@ -30,7 +30,9 @@ _MOST_DISAGREEMENT = 0.05  # of a place with the plane of all, in lens widths
 _ROUNDS = 12
 _MUCH_WORSE = 1.5  # times the misfit of turned or mirrored photographs, from which on these are what was taken
 _LEAST_MISFIT = 1e-5  # below which no difference counts
-_LEAST_TURNED = 1.15  # of width by height, against what the eye should see, from which on a quarter turn is believed
+# Of width by height, against what the eye should see: as turned panels have it, and from which on it is another shape
+_LEAST_TURNED, _OTHER_SHAPE = 1.15, 1.3
+_SURELY_WORSE = 10.0  # times the misfit, from which on turned photographs need not fit well to be believed
 _TURNS: dict[
     str, tuple[slice, slice]
 ] = {  # what was done to the photographs, and what undoes it on the cells [rows, columns] of the panel
@@ -58,6 +60,11 @@ class CalibrationFit:
 
     panel: Panel
     places: tuple[PlaceFit, ...]
+
+
+def most_spread_views(panel: Panel) -> float:
+    """Views, or in lens widths the same of 48, above which the spread of photographs is doubtful."""
+    return max(0.2, 0.2 / 48 * panel.views)
 
 
 @dataclass(frozen=True)
@@ -120,16 +127,24 @@ def _check_places(places: Sequence[Place], start: Panel, one_place: bool) -> Non
 
 
 def _check_upright(place: Place, corners_px: np.ndarray, start: Panel) -> None:
-    """Raises InputError where the panel stands upright in the photographs though it is wide, or the other way."""
+    """Raises InputError where the panel stands upright in the photographs though it is wide, or the other way, and
+    where it has another shape."""
     across, down = np.hypot(*(np.roll(corners_px, -1, 0) - corners_px).T).reshape(2, 2).mean(0)
     x, y, z = place.eye_mm
     expected = start.width_px / start.height_px * math.hypot(y, z) / math.hypot(x, z)  # seen from aside, it is narrower
     got = across / down
-    if abs(math.log(got / expected)) > max(abs(math.log(got * expected)), math.log(_LEAST_TURNED)):
+    turned = abs(math.log(got * expected))
+    if abs(math.log(got / expected)) > math.log(_LEAST_TURNED) > turned:
         raise InputError(
             f"{place.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
             f"{expected:.2f} times its height, got one of {got:.2f} times; the photographs are turned by 90 degrees: "
             "turn them upright, or give the corners as the panel has them"
+        )
+    if abs(math.log(got / expected)) > math.log(_OTHER_SHAPE):
+        raise InputError(
+            f"{place.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
+            f"{expected:.2f} times its height, got one of {got:.2f} times; take it whole, give photographs that are "
+            "not squeezed, of the panel of this profile, or the corners as the panel has them"
         )
 
 
@@ -141,7 +156,9 @@ def _check_turned(places: Sequence[Place], seen: Sequence[Fringes], start: Panel
     }
     best = min(found, key=found.__getitem__)
     least = max(found[best], _LEAST_MISFIT)
-    if misfit > _MUCH_WORSE * least:
+    # Where photographs are of unlike exposure, or one is blurred, all fit badly, and some turn by chance less
+    good = (2 * math.pi * most_spread_views(start) / start.views) ** 2 / 2
+    if misfit > (_MUCH_WORSE if least < good else _SURELY_WORSE) * least:
         raise InputError(
             f"the photographs fit {misfit / least:.3g} times better if they are {best}: have them as the camera sees "
             "the panel, upright and not mirrored, or give the corners as the panel has them"

@@ -18,6 +18,7 @@ _MOST_POINTS = 6  # each way, that a cell is the mean of
 _CLIPPED, _DARK, _LEAST_CONTRAST = 0.99, 0.1, 0.1
 _EDGE_POINTS, _EDGE_REACH = 200, 0.06  # places along an edge, and how far from it is looked, in its lengths
 _LEAST_SIDE_PX = 32
+_AT_THE_RIM_PX = 1.0  # of the photographs: a corner that is found so near it stands where the panel is cut off
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,11 @@ def find_corners(light: np.ndarray, name: str = "photographs") -> np.ndarray:
     area = 0.5 * abs(np.sum(refined[:, 0] * following[:, 1] - refined[:, 1] * following[:, 0]))
     if not 0.9 < bright.sum() / area < 1.1:
         raise InputError(f"{name}: what is bright is no quadrilateral; darken the room, or give the corners")
+    if (refined < _AT_THE_RIM_PX).any() or (refined > np.array(light.shape[::-1]) - _AT_THE_RIM_PX).any():
+        raise InputError(
+            f"{name}: expected the whole panel with darkness around it, got one that the photographs cut off at their "
+            "rim; take it whole, or give its corners"
+        )
     return refined
 
 

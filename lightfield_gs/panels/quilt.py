@@ -218,7 +218,10 @@ def check_divides(layout: QuiltLayout, where: str) -> None:
     size = layout.width_px or 0, layout.height_px or 0
     if all(left < max(1, _LEFT_OVER * side) for left, side in zip(layout.left_over_px(), size)):
         return
+    way = f"expected for example {width * layout.columns} x {height * layout.rows}"
+    if size[0] % layout.rows == size[1] % layout.columns == 0:
+        way = f"they do into {layout.rows} x {layout.columns}: is that what is meant?"
     raise InputError(
         f"{where}: {size[0]} x {size[1]} pixels do not divide into {layout.columns} x {layout.rows} tiles of one size; "
-        f"expected for example {width * layout.columns} x {height * layout.rows}"
+        f"{way}"
     )

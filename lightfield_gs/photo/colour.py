@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.photo.strips import strips
@@ -65,6 +66,12 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
     if colours.pixels.shape[2] == 1:
         colours.pixels = np.repeat(colours.pixels, 3, 2)
     return colours
+
+
+def check_finite(picture: Picture, path: object) -> None:
+    """Raises InputError where a pixel of the file `path` is NaN or infinite: no colour stands for it."""
+    if picture.pixels.dtype == np.float32 and not np.isfinite(picture.pixels).all():
+        raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
 
 
 def is_linear(picture: Picture) -> bool:

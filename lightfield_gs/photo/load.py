@@ -11,7 +11,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import Picture, as_floats, read_picture
 from lightfield_gs.photo.background import background_removed
-from lightfield_gs.photo.colour import in_srgb
+from lightfield_gs.photo.colour import check_finite, in_srgb
 from lightfield_gs.photo.orientation import turned_with_photo
 from lightfield_gs.photo.pieces import object_pieces
 from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, plain_background_mask
@@ -94,8 +94,7 @@ def photo_of(
     expect("whole", whole, bool)
     if mask is not None and remove_background:
         raise InputError("--mask and --remove-background are two ways to the same cut-out; leave out one of them")
-    if picture.pixels.dtype == np.float32 and not np.isfinite(picture.pixels).all():
-        raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
+    check_finite(picture, path)
     rgb, alpha = _colour_and_alpha(picture.pixels)
     colours = in_srgb(rgb, picture)
     photo = Photo(colours.pixels, picture.orientation, notes=[f"{path} {words}" for words in colours.notes])

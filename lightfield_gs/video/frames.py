@@ -60,8 +60,13 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
         raise InputError(f"{path} is not a video that can be read: {error.strerror or error}") from error
 
 
-def timeline(path: Path) -> Timeline:
-    """Which frame of a video is seen when. Nothing is decoded but the first frame. Raises InputError."""
+def timeline(path: Path, in_time: bool = True) -> Timeline:
+    """Which frame of a video is seen when. Nothing is decoded but the first frame. Raises InputError.
+
+    Args:
+        path: the video.
+        in_time: frames that are seen longer than others are repeated; else each comes once.
+    """
     with _opened(path) as (container, stream):
         frame, found, times = None, 0, []
         for packet in container.demux(stream):
@@ -76,7 +81,7 @@ def timeline(path: Path) -> Timeline:
         raise InputError(f"{path}: expected a video, got one without frames")
     order, fps = tuple(range(found)), Fraction(rate) if rate else None
     gaps = np.diff(np.sort(times))
-    if len(times) == found > 2 and (step := float(np.median(gaps))) > 0 and gaps.max() > _PAUSE * step:
+    if in_time and len(times) == found > 2 and (step := float(np.median(gaps))) > 0 and gaps.max() > _PAUSE * step:
         count = round(float(gaps.sum()) / step) + 1
         if count <= _MOST_REPEATS * found:
             fps = Fraction(base) if base and abs(base * step - 1) < 0.05 else Fraction(1 / step).limit_denominator(1001)

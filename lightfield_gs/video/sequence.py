@@ -16,7 +16,7 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
+from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
 from lightfield_gs.video.frames import decoded, timeline
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
@@ -73,14 +73,15 @@ def is_sequence(path: str | Path) -> bool:
     return not (path / "meta.json").exists() and bool(_files(path, PICTURES))
 
 
-def open_sequence(path: str | Path, maps: bool = False) -> Sequence:
+def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) -> Sequence:
     """The pictures of a folder, in the order of their names, numbers in them by value; or of a video.
 
-    maps: of depths, which may be files of numbers as well. Raises InputError where there are none.
+    maps: of depths, which may be files of numbers as well. in_time: see `timeline`. Raises InputError where there are
+    none.
     """
     path = checked_path(path)
     if not path.is_dir():
-        seen = timeline(path)
+        seen = timeline(path, in_time)
         return Sequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes)
     pictures, beside = pictures_and_maps(path)
     files = (beside or _files(path, _MAPS)) if maps else pictures

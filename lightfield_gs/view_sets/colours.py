@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.io.images import Picture, as_floats, read_picture
-from lightfield_gs.photo.colour import in_srgb, is_linear
+from lightfield_gs.photo.colour import check_finite, in_srgb, is_linear
 
 
 class ViewColours:
@@ -28,8 +28,10 @@ class ViewColours:
         return self.of(read_picture(path), path)
 
     def of(self, picture: Picture, path: Path) -> np.ndarray:
-        """[H, W, 3] of a picture of the file `path`: of its type, or uint8 or float32 where colours are converted."""
+        """[H, W, 3] of a picture of the file `path`: of its type, or uint8 or float32 where colours are converted.
+        Raises InputError."""
         pixels = picture.pixels
+        check_finite(picture, path)
         channels = 1 if pixels.shape[2] < 3 else 3
         # A pixel tells what would be done: converting takes time, and 16 bits are kept where nothing is to be converted
         probe = in_srgb(pixels[:1, :1, :channels], picture)

@@ -13,16 +13,13 @@ from pathlib import Path
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.depth_names import is_named_as_beside
 
 Grid = dict[tuple[int, int], Path]  # (row, column) of cameras -> picture
 
 # A sign follows no digit: in 2026-11-26 it parts numbers
 _NUMBER = re.compile(r"((?<!\d)[+-])?(\d+)(?:\.(\d+))?")
 _WORDS = re.compile(r"[a-z]+")
-_BESIDE = frozenset(
-    "depth depths depthmap zdepth dmap dpt disparity disp mask masks matte alpha normal normals segmentation seg "
-    "confidence conf flow albedo mist objectid objectids thumb thumbnail preview".split()
-)
 _ACROSS = frozenset("x c col column columns u s".split())
 _DOWN = frozenset("y r row rows v t".split())
 _OF_TIME = frozenset("f frame frames frm time".split())
@@ -76,7 +73,7 @@ def _parsed(path: Path) -> _Name:
 def without_maps(folder: Path, pictures: list[Path]) -> list[Path]:
     """The pictures without those that are named as depth maps, masks and the like, where not all are; what is left out
     is told (Assumption)."""
-    named = [path for path in pictures if _BESIDE & set(_WORDS.findall(path.stem.casefold()))]
+    named = [path for path in pictures if is_named_as_beside(path.name)]
     if not named or len(named) == len(pictures):
         return pictures
     assume(

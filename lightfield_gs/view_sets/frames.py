@@ -14,9 +14,8 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, Picture
-from lightfield_gs.io.not_what_it_says import refuse_large_no_image
+from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS, refuse_large_no_image
 from lightfield_gs.io.pillow_images import pillow_complaints
-from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.video.sequence import Sequence, open_sequence
 from lightfield_gs.view_sets.colours import ViewColours
@@ -43,13 +42,14 @@ class Span:
 
 class Movie:
     """The frames of a video or an animation. fps: frames a second, None where not said. count: of all frames, as the
-    file has it. What is done to the frames of a video is told (Assumption). Raises InputError."""
+    file has it. in_time: see `timeline`. What is done to the frames of a video is told (Assumption). Raises InputError.
+    """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, in_time: bool):
         self.path = path
         self._video: Sequence | None = None
         if path.suffix.lower() in VIDEO_INPUTS:
-            self._video = open_sequence(path)
+            self._video = open_sequence(path, in_time=in_time)
             self.count, self.fps = self._video.count, self._video.fps
             for words in self._video.notes:
                 assume(words)

@@ -10,6 +10,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.images import Picture
+from lightfield_gs.io.not_what_it_says import refuse_video
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.view_sets.colours import ViewColours
 from lightfield_gs.view_sets.folder import FileViews, folder_views
@@ -97,6 +98,7 @@ def open_views(
     if is_movie(path):
         return _of_movie(path, colours, tiles, span, top_first, right_to_left)
     if span is not None:
+        refuse_video(path)
         raise InputError(
             f"{path}: --frames is about videos and animations, and by its name and its start this is none; leave it "
             "out, or rename or convert it to .mp4, or give its pictures as files in a folder"
@@ -127,8 +129,11 @@ def _of_quilt(
         )
     layout, is_known, count = stated
     views = QuiltViews(pixels, layout, str(path), count=count, top_first=top_first, right_to_left=right_to_left)
+    if tiles is None:
+        views.leave_out_plain(str(path))
     views.tell_of_joins(str(path))
-    said = f"a quilt of {layout.columns} x {layout.rows} views" + ("" if count == layout.views else f", {count} used")
+    used = "" if views.count == layout.views else f", {views.count} used"
+    said = f"a quilt of {layout.columns} x {layout.rows} views{used}"
     if any(left := views.layout.left_over_px()):
         said += f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
     return ViewSet(views, layout.aspect if is_known else None, said, colours)
@@ -142,7 +147,8 @@ def _of_movie(
     top_first: bool,
     right_to_left: bool,
 ) -> ViewSet | QuiltMovie:
-    movie, stated = Movie(path), layout_of_file(path, tiles)
+    stated = layout_of_file(path, tiles)
+    movie = Movie(path, in_time=stated is not None)  # what is no quilt is a view, and each comes once
     if stated is not None:
         return QuiltMovie(movie, stated, span or Span(), colours, top_first, right_to_left)
     if span is None:

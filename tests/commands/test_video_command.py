@@ -225,6 +225,8 @@ def test_a_video_with_depth_beside_it(folder, capsys):
     run(capsys, f"video both -o files {more}")
     out = run(capsys, f"video in.mkv -o frames {more}")
     assert "3 frames of 96 x 60, native, PNG, 12 a second" in out
+    assert "\nin.mkv: " in f"\n{out}" and "all as in.mkv, the first" in out and "in.png" not in out
+    assert complaint(capsys, "video in.mkv -o no --panel p.yaml").startswith("lightfield-gs: error: in.mkv has no")
     assert all((frame("frames", number) == frame("files", number)).all() for number in range(3))
     (Path("frames") / frame_name(1)).unlink()
     assert "of which 2 were there" in run(capsys, f"video in.mkv -o frames {more}")

@@ -299,3 +299,26 @@ def test_photos_of_the_data_set(shared_dir):
     with pytest.raises(InputError, match="--mask"):
         load_photo(folder / "animal-1.jpg")
     assert 0.2 < load_photo(folder / "animal-1.jpg", folder / "animal-1.out.png")[..., 3].mean() < 0.3
+
+
+@pytest.mark.parametrize(
+    "start, end",
+    [
+        (b"\0\0\0\x20ftypisom", "mp4"),
+        (b"\0\0\0\x14ftypqt  ", "mov"),
+        (b"\x1a\x45\xdf\xa3\x93\x42\x82\x88matroska", "mkv"),
+        (b"\x1a\x45\xdf\xa3\x9f\x42\x82\x84webm", "webm"),
+        (b"RIFF\0\x10\0\0AVI LIST", "avi"),
+        (b"G@\0\x10" + bytes(184) + b"G@\0\x10" + bytes(184) + b"G@", "ts"),
+        (b"\0\0\x01\xba\x44\0", "mpg"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_video_named_otherwise_is_named_with_the_way_out(tmp_path, start, end):
+    for name in ("shot", "shot.png", "shot.gif", "shot.jpg"):
+        (tmp_path / name).write_bytes(start + bytes(600))
+        with pytest.raises(InputError, match=rf"is a video by its content.* rename it to shot\.{end},"):
+            read_image(tmp_path / name)
+    (tmp_path / f"shot.{end}").write_bytes(start + bytes(600))
+    with pytest.raises(InputError, match="is a video, and an image was expected"):
+        read_image(tmp_path / f"shot.{end}")

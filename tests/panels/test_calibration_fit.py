@@ -136,3 +136,16 @@ def test_photographs_of_unlike_exposure_are_doubted():
     assert doubts_of(fit_lens(good, START)) == []
     said = doubts_of(fit_lens(dark, START))
     assert len(said) == 2 and "check that all have one exposure" in said[0]
+
+
+def test_panels_that_are_cut_off_or_squeezed_are_refused_and_places_that_lie_off_doubted():
+    true, upright = perturbed(START), np.array([[90.0, 60.0], [690.0, 60.0], [690.0, 398.0], [90.0, 398.0]])
+    good = [replace(place, corners_px=None) for place in places(true, corners=upright)]
+    for words, taken in (
+        ("cut off at their rim", lambda photo: photo[:, :600]),
+        ("its width about 1.* got one of", lambda photo: photo[:, ::2]),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit_lens([replace(place, photos=tuple(taken(one).copy() for one in place.photos)) for place in good], START)
+    said = doubts_of(fit_lens([good[0], replace(good[1], eye_mm=(76.0, 20.0, 560.0))], START))
+    assert len(said) == 2 and "check its eye" in said[0]

@@ -164,10 +164,22 @@ def test_quilts_come_from_the_top_and_from_the_right(tmp_path):
     assert "jump" not in shown(flat)[1]
 
 
+def test_plain_tiles_at_the_end_of_a_quilt_are_no_views(tmp_path):
+    views = [camera(k) for k in range(10)]
+    path = tmp_path / "a_qs4x3a1.png"
+    write_image(path, quilt_of([*views, *[np.zeros_like(views[0])] * 2], 4))
+    found, said = shown(path)
+    assert np.array_equal(found, views) and "holds 10 views, for the last 2 of its 4 x 3 tiles are plain" in said
+    assert np.array_equal(shown(path, right_to_left=True)[0], views[::-1])
+    assert len(shown(path, (4, 3))[0]) == 12
+
+
 def test_what_does_not_divide_is_left_over_at_the_right_and_the_top_if_it_is_little():
     views = QuiltViews(np.zeros((1024, 1024, 3), np.uint8), QuiltLayout(5, 9, 16 / 9), "quilt")
     assert (views.width_px, views.height_px) == (204, 113) and views.layout.tile(0)[0] == slice(911, 1024)
     assert views.layout.tile(0, top_first=True)[0] == slice(0, 113)
+    with pytest.raises(InputError, match="do not divide into 7 x 12 .* they do into 12 x 7"):
+        QuiltViews(np.zeros((14, 24, 3), np.uint8), QuiltLayout(7, 12, 1.0), "q")
     with pytest.raises(InputError, match="do not divide"):
         QuiltViews(np.zeros((200, 200, 3), np.uint8), QuiltLayout(11, 4, 1), "quilt")
 
@@ -220,6 +232,17 @@ def test_colours_become_srgb_as_their_files_say_them(folder, capsys):
     assert np.array_equal(read_image("d.png", True), deep)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_views_that_are_not_finite_are_refused(folder, capsys, value):
+    views = np.full((4, 40, 40, 3), 0.5, np.float32)
+    views[2, 3, 4] = value
+    write_views(Path("set"), {f"{k}.exr": view for k, view in enumerate(views)})
+    write_image("a_qs2x2a1.exr", quilt_of(list(views), 2))
+    for path, name in (("set", "set/2.exr"), ("a_qs2x2a1.exr", "a_qs2x2a1.exr")):
+        refused = complaint(capsys, f"weave {path} --panel p.yaml -o w.png")
+        assert f"{name} has pixels that are not finite" in refused
+
+
 @pytest.mark.parametrize("suffix", [".gif", ".webp", ".png", ".mkv"])
 def test_frames_are_quilts_or_views(folder, capsys, suffix):
     frames = [np.full((60, 96, 3), 40 * k, np.uint8) for k in range(5)]
@@ -267,6 +290,24 @@ def test_what_is_done_to_the_frames_of_a_video_is_told(tmp_path):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(camera(k), format="rgb24")))
         container.mux(stream.encode(None))
     assert "a.mp4: pixels of 4:3 are made square" in shown(tmp_path / "a.mp4", span=Span())[1]
+
+
+def test_each_frame_of_a_video_is_one_view_whenever_it_comes(tmp_path):
+    """Quilts are repeated as they are seen in time, views are not."""
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 40, 40, "bgr0"
+        stream.codec_context.time_base = Fraction(1, 10)
+        for k, time in enumerate((0, 1, 5, 6)):
+            frame = av.VideoFrame.from_ndarray(camera(k), format="rgb24").reformat(format="bgr0")
+            frame.pts, frame.time_base = time, Fraction(1, 10)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    views, said = shown(tmp_path / "a.mkv", span=Span())
+    assert len(views) == 4 and "repeated" not in said
+    with heard() as lines:
+        assert len(open_views(tmp_path / "a.mkv", (2, 2)).numbers) == 7 and "repeated to 7" in lines[0]
 
 
 def test_frames_that_come_back_are_noticed(tmp_path):

@@ -7,6 +7,8 @@ import contextlib
 import hashlib
 import io
 import json
+import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -30,6 +32,7 @@ from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import read_picture
+from lightfield_gs.io.not_what_it_says import refuse_video
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.side_by_side import depth_side, is_named_so
@@ -139,13 +142,14 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     paired = [] if args.rgbd is not None else _take_pairs(args, pictures)
     beside = {name: _beside(args, name, pictures.count) for name in ("depth", "mask")}
     folder = stack.enter_context(scratch_folder())
+    parts = {"input": pictures, **{name: part for name, part in beside.items() if part is not None}}
+    stack.enter_context(_said_of({"half": pictures, **parts}, folder))
     count = min(pictures.count, args.frames or pictures.count)
     shown, halved = _settle_half(args, pictures, count, folder)
     given = read_given(args, panel)
 
     def scenes(numbers: list[int]) -> Iterator[tuple[int, argparse.Namespace]]:
         """The arguments of each picture, as if it were alone."""
-        parts = {"input": pictures, **{name: part for name, part in beside.items() if part is not None}}
         rows = [part.pictures(numbers, _made(folder / name)) for name, part in parts.items()]
         for row in zip(*rows):
             own = argparse.Namespace(**vars(args))
@@ -189,12 +193,48 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         **({"depth_model": depth_model(args)} if is_estimated(args) else {}),
         "checkpoint": args.checkpoint and sha256_of(args.checkpoint),
     }
-    example = f"{first.input.name}, {f'frame {shown}' if shown else 'the first'}"
+    name = first.input.name if pictures.files else args.input.name
+    example = f"{name}, {f'frame {shown}' if shown else 'the first'}"
     words = "each by itself" if args.reframe else f"all as {example} (each by itself: --reframe)"
     watch.lap("first picture")
     return Shots(
         count, fps, False, take, lambda number: None if args.reframe else rig, job, [*said, *how, f"framing: {words}"]
     )
+
+
+class _Renaming:
+    """In place of sys.stdout or sys.stderr: what is written goes there with other names in it."""
+
+    def __init__(self, usual: Any, renamed: Callable[[str], str]):
+        self._usual, self._renamed = usual, renamed
+
+    def write(self, text: str) -> int:
+        """Passes a text on."""
+        self._usual.write(self._renamed(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._usual, name)
+
+
+@contextlib.contextmanager
+def _said_of(parts: dict[str, Sequence], folder: Path) -> Iterator[None]:
+    """What is printed or complained of meanwhile names the videos, not the files of their frames in the folder."""
+    names = {str(folder / name / f"{part.path.stem}.png"): str(part.path) for name, part in parts.items()}
+    names |= {f"{part.path.stem}.png": part.path.name for part in parts.values() if not part.files}
+    written = re.compile(r"(?<![^\s('\"])(" + "|".join(map(re.escape, names)) + ")")
+
+    def renamed(text: str) -> str:
+        return written.sub(lambda match: names[match[0]], text)
+
+    try:
+        with (
+            contextlib.redirect_stdout(_Renaming(sys.stdout, renamed)),
+            contextlib.redirect_stderr(_Renaming(sys.stderr, renamed)),
+        ):
+            yield
+    except InputError as error:
+        raise InputError(renamed(str(error))) from None
 
 
 def _take_pairs(args: argparse.Namespace, pictures: Sequence) -> list[str]:
@@ -228,6 +268,7 @@ def _beside(args: argparse.Namespace, name: str, count: int) -> Sequence | None:
     if path is None:
         return None
     if not path.is_dir() and not is_sequence(path):
+        refuse_video(path)
         raise InputError(f"--{name}: expected a folder or a video, as {args.input} is a sequence, got {path}")
     pictures = open_sequence(path, maps=True)
     if pictures.count != count:

@@ -9,14 +9,10 @@ from itertools import islice
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
 
 SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif", ".exr", ".dng")
-VIDEO_INPUTS = (
-    *(".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v", ".f4v", ".qt", ".asf", ".mxf"),
-    *(".mts", ".m2ts", ".m2t", ".ts", ".mod", ".tod", ".dv", ".vob", ".mpg", ".mpeg", ".m2v"),  # of camcorders and DVDs
-    *(".wmv", ".3gp", ".3g2", ".ogv", ".flv"),  # of older phones and the web
-)
 _SCENES = (*SCENE_SUFFIXES, "meta.json")
 _OF_CAPTURES = {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}
 _OF_TRAINERS = {"ckpts", "nerfstudio_models", "cfg_args", "checkpoints"}
