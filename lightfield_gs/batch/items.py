@@ -18,7 +18,7 @@ from lightfield_gs.io.captures.transforms_frames import transforms_file
 from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
-from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
+from lightfield_gs.io.unread import VIDEO_INPUTS, refuse_unread
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.video.sequence import PICTURES, is_sequence
 
@@ -50,6 +50,12 @@ def read_items(
             for name, command, beside in found
         ]
     else:
+        if source.is_file() and (source.suffix.lower() in PICTURES or is_scene_path(source)):
+            raise InputError(
+                f"{source} is no list of inputs; batch takes a folder, or a text file with a path on each line, and "
+                "lightfield-gs encode takes one scene or photo"
+            )
+        refuse_unread(source)
         items = list(_listed(source, suffix))
     if not items:
         raise InputError(f"{source}: expected photos, scenes, captures or videos, got none")

@@ -16,7 +16,7 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
+from lightfield_gs.io.unread import VIDEO_INPUTS
 from lightfield_gs.video.frames import decoded, timeline
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")

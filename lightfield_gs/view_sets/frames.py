@@ -16,7 +16,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, Picture
 from lightfield_gs.io.not_what_it_says import refuse_large_no_image
 from lightfield_gs.io.pillow_images import pillow_complaints
-from lightfield_gs.io.scenes.unread import VIDEO_INPUTS
+from lightfield_gs.io.unread import VIDEO_INPUTS
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.video.sequence import Sequence, open_sequence
 from lightfield_gs.view_sets.colours import ViewColours

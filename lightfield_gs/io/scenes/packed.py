@@ -17,7 +17,7 @@ from lightfield_gs.io.scenes.bounded import ALWAYS_BYTES, MOST_RATIO, check_prom
 from lightfield_gs.io.scenes.sog_files import BAD_ZIP, META
 from lightfield_gs.io.scenes.sog_streamed import LOD_META
 from lightfield_gs.io.scenes.spz_streams import GZIP_MAGIC, MAGIC
-from lightfield_gs.io.scenes.unread import (
+from lightfield_gs.io.unread import (
     ARCHIVE,
     ARRAYS,
     CHECKPOINT,
