@@ -134,9 +134,7 @@ _NO_PICTURES = (
         (".zip",),
         (b"PK\x03\x04", b"PK\x05\x06"),
     ),
-    Kind(
-        "packed by gzip", "rename it to end in .spz if it is a scene of that kind, else unpack it", (), (b"\x1f\x8b",)
-    ),
+    Kind("packed by gzip", "rename it to end in .spz if it is such a scene, else unpack it", (), (b"\x1f\x8b",)),
     Kind(
         "a file of settings or cameras, and neither a picture nor a scene",
         "a panel goes with --panel and cameras with --camera; of scenes in JSON, meta.json and lod-meta.json are read",
