@@ -243,6 +243,16 @@ def test_the_one_scene_inside_is_read(name, tmp_path):
     assert any("in the ZIP" in note for note in scene.notes) == name.endswith(".zip")
 
 
+def test_what_a_killed_process_had_unpacked_is_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    left = tmp_path / "temporary/.lightfield-gs.partial-0"
+    left.mkdir(parents=True)
+    (left / "scene.ply").write_bytes(plain())
+    (tmp_path / "a.zip").write_bytes(made.zipped({"a.ply": plain()}))
+    assert read_scene(tmp_path / "a.zip").gaussians.count == 4
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
 def test_other_formats_inside_are_read_too(tmp_path):
     (tmp_path / "a.splat.gz").write_bytes(gzip.compress(made.splat()))
     (tmp_path / "b.zip").write_bytes(made.zipped({"deep/in/" + name: data for name, data in made.sog().items()}))

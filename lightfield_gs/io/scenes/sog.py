@@ -53,13 +53,13 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
         if "codebook" not in sh0:
             low, high = (_numbers(sh0, end, 4)[3] for end in ("mins", "maxs"))
             fields["opacities"] = 1 / (1 + np.exp(-(low + (high - low) * fields["opacities"])))
-        left_out: list[str] = []
+        notes_on_rest: list[str] = []
         if "shN" in meta:
-            rest, left_out = drawn_bands(_harmonics(files, _part(meta, "shN"), count))
+            rest, notes_on_rest = drawn_bands(_harmonics(files, _part(meta, "shN"), count))
             fields["sh"] = np.concatenate([fields["sh"], rest], 1)
         is_zip, is_lossy = not path.is_dir() and path.name.lower() != META, files.is_lossy
     fields, notes = settled(path, fields, skip_invalid)
-    notes += left_out + ([_LOSSY_NOTE] if is_lossy else [])
+    notes += notes_on_rest + ([_LOSSY_NOTE] if is_lossy else [])
     kind = f"SOG version {version}, {'a ZIP' if is_zip else 'a folder'}"
     return StoredScene(fields, comments=_comments(meta), notes=notes, kind=kind)
 
