@@ -52,7 +52,7 @@ def read_items(
     else:
         if source.is_file() and (source.suffix.lower() in PICTURES or is_scene_path(source)):
             raise InputError(
-                f"{source} is no list of inputs; batch takes a folder, or a text file with a path on each line, and "
+                f"{source} is not a list of inputs; batch takes a folder, or a text file with a path on each line, and "
                 "lightfield-gs encode takes one scene or photo"
             )
         refuse_unread(source)

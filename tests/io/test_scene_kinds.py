@@ -457,8 +457,8 @@ def test_what_has_lost_its_name_is_told_its_name(folder, capsys):
 @pytest.mark.parametrize(
     "name, content, words",
     [
-        ("a.ply", plain(), "no list of inputs; batch takes a folder"),
-        ("a.JPG", b"\xff\xd8\xff", "no list of inputs; batch takes a folder"),
+        ("a.ply", plain(), "is not a list of inputs; batch takes a folder"),
+        ("a.JPG", b"\xff\xd8\xff", "is not a list of inputs; batch takes a folder"),
         ("a.gltf", b"{}", "glTF"),
         ("a.pt", b"\x80\x02", "checkpoint"),
     ],
