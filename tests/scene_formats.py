@@ -22,6 +22,7 @@ _RANDOM = np.random.default_rng(7)
 REST = _RANDOM.integers(-7, 8, (4, 15, 3)) / 8.0  # harmonics above degree 0: to the step of 4 bits
 # Harmonics of degree 1 on that change sign where y and z do
 _ODD = np.array([1, 1, 0, 1, 0, 0, 1, 0, 1, 0, 1, 1, 0, 1, 0], bool)
+REST_4 = np.concatenate([REST, -REST[:, :9]], 1)  # with those of degree 4
 FLIPPED_REST = np.where(_ODD[None, :, None], -REST, REST)
 
 
@@ -145,7 +146,7 @@ def compressed_ply(degree=3):
         colour = packed((*COLOURS[index], OPACITIES[index]), (*ends[2][0], 0), (*ends[2][1], 1), (8, 8, 8, 8))
         position, scale = (packed(r[index], *e, (11, 10, 11)) for r, e in zip((MEANS, LOG_SCALES), ends))
         rows += struct.pack("<4I", position, word, scale, colour)
-        rest += bytes(byte((v / 8 + 0.5) * 256 - 0.5) for v in REST[index, : (degree + 1) ** 2 - 1].T.ravel())
+        rest += bytes(byte((v / 8 + 0.5) * 256 - 0.5) for v in REST_4[index, : (degree + 1) ** 2 - 1].T.ravel())
     count = 3 * ((degree + 1) ** 2 - 1)
     lines = ["ply", "format binary_little_endian 1.0", "comment by hand", "element chunk 1"]
     lines += [f"property float {name}" for name in names] + ["element vertex 4"]
@@ -180,7 +181,7 @@ def sog(version=2, bands=3, /, **changes):
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": [-4 + i / 32 for i in range(256)], "files": ["sh0.webp"]},
     }
-    each = {0: 0, 1: 3, 2: 8, 3: 15}[bands]
+    each = {0: 0, 1: 3, 2: 8, 3: 15, 4: 24}[bands]
     if bands:
         parts["shN"] = {"count": 4, "bands": bands, "codebook": [-1 + i / 128 for i in range(256)]}
         parts["shN"]["files"] = ["shN_centroids.webp", "shN_labels.webp"]
@@ -207,7 +208,7 @@ def sog(version=2, bands=3, /, **changes):
     }
     if bands:
         entries = np.zeros((64, each, 4), np.uint8)
-        entries[:4, :, :3] = np.clip(np.round((REST[::-1, :each] + 1) * 128), 0, 255)  # in another order
+        entries[:4, :, :3] = np.clip(np.round((REST_4[::-1, :each] + 1) * 128), 0, 255)  # in another order
         files["shN_centroids.webp"] = webp(entries.reshape(-1, 4), 64 * each)
         files["shN_labels.webp"] = webp([[3 - i, 0, 0, 255] for i in range(4)], 4)
     return files
@@ -265,7 +266,7 @@ def gsplat_png(folder, degree=1):
         parts = {"_l": words & 255, "_u": words >> 8} if name == "means" else {"": np.round(shares * 255)}
         for end, pixels in parts.items():
             Image.fromarray(pixels.astype(np.uint8)).save(folder / f"{name}{end}.png")
-    palette = np.round((REST[::-1, :count].reshape(4, -1) + 1) / 2 * 63).astype(np.uint8)
+    palette = np.round((REST_4[::-1, :count].reshape(4, -1) + 1) / 2 * 63).astype(np.uint8)
     np.savez_compressed(folder / "shN.npz", centroids=palette, labels=np.array([3, 2, 1, 0], np.uint16))
     meta["shN"] = {"shape": [4, count, 3], "dtype": "float32", "mins": -1.0, "maxs": 1.0, "quantization": 6}
     (folder / "meta.json").write_text(json.dumps(meta))

@@ -20,6 +20,7 @@ from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
 from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
 from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.unread import refuse_unread
 from lightfield_gs.video.sequence import PICTURES, is_sequence
 
 _LIST_LIMIT_BYTES = 1 << 30
@@ -50,6 +51,12 @@ def read_items(
             for name, command, beside in found
         ]
     else:
+        if source.is_file() and (source.suffix.lower() in PICTURES or is_scene_path(source)):
+            raise InputError(
+                f"{source} is not a list of inputs; batch takes a folder, or a text file with a path on each line, and "
+                "lightfield-gs encode takes one scene or photo"
+            )
+        refuse_unread(source)
         items = list(_listed(source, suffix))
     if not items:
         raise InputError(f"{source}: expected photos, scenes, captures or videos, got none")

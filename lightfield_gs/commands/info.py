@@ -14,8 +14,8 @@ from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.scene import add_reading
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.scenes.stored import is_scene_path
-from lightfield_gs.io.scenes.unread import refuse_unread
 from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.unread import refuse_unread
 from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panels.panel import Panel
 

@@ -18,10 +18,11 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.heif import decoded_heif, heif_orientation, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_stand_in, refuse_video
+from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_video
 from lightfield_gs.io.png_chunks import png_damage
 from lightfield_gs.io.png_colour import png_colour
 from lightfield_gs.io.png_file import CompressedImage, write_png
+from lightfield_gs.io.unread import refuse_no_picture, refuse_unread
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
@@ -287,6 +288,8 @@ def _checked_file(path: str | Path) -> Path:
     """The path of a file that is there, can be read and is not empty; raises InputError."""
     path = checked_path(path)
     with reading(path):
+        if path.is_dir():
+            refuse_unread(path)
         if path.stat().st_size == 0 or not path.is_file():
             raise InputError(f"{path} is no image: it is empty or not a file")
         refuse_large_no_image(path)
@@ -306,8 +309,8 @@ def _opened(path: Path, pixels: bool = False, most_channels: int = _MOST_CHANNEL
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
         reason = _first_line(oiio.geterror)  # taken away, for OpenImageIO prints what is left of these at the end
-        refuse_stand_in(path)
         refuse_video(path)
+        refuse_no_picture(path)
         raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
         spec = source.spec()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
+from typing import Literal
 
 from lightfield_gs.base.errors import InputError
 
@@ -25,6 +27,12 @@ _IMAGE_STARTS = re.compile(
 )
 # The kinds of these that are compressed, in which no row of zeros is as long as what is looked at behind their headers
 _COMPRESSED_STARTS = re.compile(rb"\xff\xd8\xff|GIF8|RIFF|....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51", re.DOTALL)
+# The kinds whose headers go on behind the first words: EXR, FITS, RAF, IFF, Softimage and Cineon
+_LONG_HEADERS = re.compile(rb"v/1\x01|SIMPLE|FUJIFILM|FOR[48]|\x53\x80\xf6\x34|\x80\x2a\x5f\xd7|\xd7\x5f\x2a\x80")
+_FIRST_WORDS = 32  # bytes
+_FITS_BLOCK = 2880  # bytes of text (FITS standard 4.0, section 3.3.1)
+_PNM_SIZE = re.compile(rb"P[1-6Ff]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(\d{1,9})\s")
+_PNM_PIXEL = 32  # bytes of a pixel at most, as text
 _BEHIND_HEADER, _ROW_BYTES = 4096, 1 << 16
 _POINTER = b"version https://git-lfs.github.com/spec/"
 # Comments may come first; <Error> is what storage servers answer, in XML
@@ -57,11 +65,43 @@ def refuse_large_no_image(path: Path) -> None:
         refuse_stand_in(path)
         refuse_video(path)
         raise InputError(f"{path} is not an image that can be read: no format begins with {start[:8].hex(' ')} (hex)")
-    if _COMPRESSED_STARTS.match(start) and not any(start[_BEHIND_HEADER:]):
+    if (
+        _COMPRESSED_STARTS.match(start)
+        and not any(start[_BEHIND_HEADER:])
+        or _LONG_HEADERS.match(start)
+        and not any(start[_FIRST_WORDS:_BEHIND_HEADER])
+        or start.startswith(b"SIMPLE")
+        and 0 in start[:_FITS_BLOCK]
+        or start.startswith((b"II", b"MM"))
+        and not _has_directory(path, start)
+        or (size := _PNM_SIZE.match(start))
+        and _ends_in_zeros(path, len(start) + int(size[1]) * int(size[2]) * _PNM_PIXEL)
+    ):
         raise InputError(
             f"{path} is damaged or cut: zeros stand where its picture should be, as a download leaves them that did "
             "not end; download it again"
         )
+
+
+def _has_directory(path: Path, start: bytes) -> bool:
+    """Whether anything stands where a TIFF says that its first directory is; True of what else begins so."""
+    order: Literal["little", "big"] = "little" if start.startswith(b"II") else "big"
+    version = int.from_bytes(start[2:4], order)
+    if version not in (42, 43):
+        return True
+    place = int.from_bytes(start[4:8] if version == 42 else start[8:16], order)
+    with open(path, "rb") as file:
+        file.seek(min(place, path.stat().st_size))
+        return any(file.read(8))
+
+
+def _ends_in_zeros(path: Path, most_bytes: int) -> bool:
+    """Whether a file is longer than it needs to be, and zeros are at its end."""
+    with open(path, "rb") as file:
+        if file.seek(0, os.SEEK_END) <= most_bytes:
+            return False
+        file.seek(-_ROW_BYTES, os.SEEK_END)
+        return not any(file.read())
 
 
 def _start(path: Path, size: int = _START_BYTES) -> bytes:

@@ -72,6 +72,16 @@ def test_a_header_and_nothing_behind_it(tmp_path, suffix, start):
         ("a.ico", b"\0\0\1\0"),
         ("a.exr", b"\x76\x2f\x31\x01\2\0\0\0"),
         ("a.tif", b"II*\0\x08\0\0\0"),
+        ("big.tif", b"MM\0+\0\x08\0\0\0\0\0\0\0\0\0\x10"),
+        ("a.cr2", b"II*\0\x10\0\0\0CR\2\0"),
+        ("a.raf", b"FUJIFILMCCD-RAW "),
+        ("a.fits", b"SIMPLE  =                    T"),
+        ("blank.fits", b"SIMPLE  =                    T".ljust(2000)),
+        ("a.pfm", b"Pf\n4 4\n-1\n"),
+        ("b.ppm", b"P6\n# by hand\n4 4\n255\n"),
+        ("a.cin", b"\x80\x2a\x5f\xd7"),
+        ("a.iff", b"FOR4"),
+        ("a.pic", b"\x53\x80\xf6\x34"),
     ],
 )
 def test_an_image_s_start_and_nothing_behind_it(tmp_path, name, start):

@@ -19,7 +19,7 @@ from test_gaussians_ply import NAMES, VALUES, random_gaussians, write
 
 from lightfield_gs import InputError
 from lightfield_gs.io.scenes.stored import SUFFIXES
-from lightfield_gs.io.scenes.unread import SCENE_SUFFIXES
+from lightfield_gs.io.unread import SCENE_SUFFIXES
 from lightfield_gs.scene.files import read_scene
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -52,6 +52,18 @@ def test_harmonics_of_degree_4_are_read_to_degree_3(tmp_path):
     assert scene.notes == ["harmonics of degree 4 were left out; those of degree 0..3 are drawn"]
 
 
+@pytest.mark.parametrize("name", ["a.ply", "a.sog", "first.sog", "gsplat"])
+def test_harmonics_of_degree_4_are_read_to_degree_3_of_packed_scenes_too(name, tmp_path):
+    if name == "gsplat":
+        made.gsplat_png(tmp_path / name, 4)
+    else:
+        content = made.compressed_ply(4) if name == "a.ply" else made.zipped(made.sog(1 + (name == "a.sog"), 4))
+        (tmp_path / name).write_bytes(content)
+    scene = read_scene(tmp_path / name)
+    assert torch.allclose(scene.gaussians.sh[:, 1:], torch.tensor(made.REST, dtype=torch.float32), atol=0.02)
+    assert scene.notes == ["harmonics of degree 4 were left out; those of degree 0..3 are drawn"]
+
+
 def test_an_opacity_of_one_byte_is_of_255(tmp_path):
     header = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n"
     header += "".join(f"property {'uchar' if name == 'opacity' else 'float'} {name}\n" for name in NAMES)
@@ -77,6 +89,7 @@ def test_anchors_are_named(tmp_path, name):
         (["x", "y", "z", "red", "green", "blue"], "this is a point cloud.*3DGS trainer"),
         (["x", "y", "z", "opacity"], "this is a point cloud"),
         (["x", "y", "z", "scalar_f_dc_0", "scalar_opacity"], "CloudCompare.*SuperSplat"),
+        (["x", "y", "z", "features_dc_0", "scaling_0", "rotation_0"], "as a trainer calls its tensors.*scale_0"),
         (["x", "y", "z", "scale_0"], "missing .*expected the properties of a 3DGS .ply"),
     ],
 )
@@ -230,6 +243,16 @@ def test_the_one_scene_inside_is_read(name, tmp_path):
     assert any("in the ZIP" in note for note in scene.notes) == name.endswith(".zip")
 
 
+def test_what_a_killed_process_had_unpacked_is_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    left = tmp_path / "temporary/.lightfield-gs.partial-0"
+    left.mkdir(parents=True)
+    (left / "scene.ply").write_bytes(plain())
+    (tmp_path / "a.zip").write_bytes(made.zipped({"a.ply": plain()}))
+    assert read_scene(tmp_path / "a.zip").gaussians.count == 4
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
 def test_other_formats_inside_are_read_too(tmp_path):
     (tmp_path / "a.splat.gz").write_bytes(gzip.compress(made.splat()))
     (tmp_path / "b.zip").write_bytes(made.zipped({"deep/in/" + name: data for name, data in made.sog().items()}))
@@ -363,7 +386,8 @@ UNREAD = {  # file: what it holds, and the words on its kind
     "two.zip": (made.zipped({"a.ply": plain(), "b.spz": b""}), "holds 2 scenes.*unpack"),
     "photos.zip": (made.zipped({"in/a.jpg": b"", "in/b.jpg": b""}), "2 pictures.*lightfield-gs fit"),
     "models.zip": (made.zipped({"a.glb": b"glTF"}), "ZIP.*glTF"),
-    "empty.zip": (made.zipped({}), "ZIP|no .sog"),
+    "empty.zip": (made.zipped({}), "is an empty ZIP"),
+    "empty.ply": (b"", "is empty; export it"),
     "notes.zip": (made.zipped({"a.txt": b""}), r"ZIP without a scene \('a.txt'\)"),
     "film.MP4": (b"\0\0\0\x18ftypmp42", "a video.*lightfield-gs video"),
     "really.ply": (b"glTF\2\0\0\0", "glTF"),
@@ -394,6 +418,54 @@ def test_files_that_are_not_read_are_named_with_a_way_out(name, folder, capsys):
         assert re.search(words, complaint(capsys, line)), name
     with pytest.raises(InputError, match=words):
         read_scene(name)
+
+
+NO_PICTURES = {  # a file of UNREAD, or what such a file holds, and the words on its kind
+    **{name: UNREAD[name] for name in ("a.glb", "a.gltf", "ckpt_29999_rank0.pt", "params.npz", "a.tar", "film.MP4")},
+    "a.ply": (plain(), "is a scene or points.*encode"),
+    "a.ply.txt": (plain(), "is a scene or points.*encode"),
+    "a.splat": (made.splat(), "is a scene or points.*encode"),
+    "a.spz.download": (gzip.compress(b"NGSP"), "rename it to a.spz"),
+    "download": (gzip.compress(b"NGSP"), "packed by gzip.*rename"),
+    "scene.zip": (made.zipped({"a.ply": plain()}), "a ZIP.*encode"),
+    "some.json": (b"{}", "settings or cameras.*--panel"),
+}
+
+
+@pytest.mark.parametrize("name", NO_PICTURES)
+def test_what_is_no_picture_is_named_where_one_is_expected(name, folder, capsys):
+    content, words = NO_PICTURES[name]
+    (folder / name).write_bytes(content)
+    lines = [f"show {name} --panel p.yaml", f"simulate {name} -o o.png --panel p.yaml --eye 0,0,500"]
+    lines += [] if name == "film.MP4" else [f"weave {name} -o o.png --panel p.yaml"]
+    for line in lines:
+        assert re.search(words, complaint(capsys, line)), line
+
+
+@pytest.mark.parametrize("name", ["a.ply.txt", "a.ply.download", "a", "a.png"])
+def test_a_ply_of_any_name_is_read_by_its_content(name, folder, capsys):
+    (folder / name).write_bytes(plain())
+    assert "gaussians: 4" in run(capsys, f"info {name}")
+    assert "4 Gaussians" in run(capsys, f"encode {name} -o o.png --panel p.yaml --device cpu")
+
+
+def test_what_has_lost_its_name_is_told_its_name(folder, capsys):
+    (folder / "a.spz.txt").write_bytes(made.spz(3))
+    assert "rename it to a.spz" in complaint(capsys, "encode a.spz.txt -o o.png --panel p.yaml")
+
+
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("a.ply", plain(), "is not a list of inputs; batch takes a folder"),
+        ("a.JPG", b"\xff\xd8\xff", "is not a list of inputs; batch takes a folder"),
+        ("a.gltf", b"{}", "glTF"),
+        ("a.pt", b"\x80\x02", "checkpoint"),
+    ],
+)
+def test_a_batch_of_one_file_names_it(name, content, words, folder, capsys):
+    (folder / name).write_bytes(content)
+    assert re.search(words, complaint(capsys, f"batch {name} -o out --panel p.yaml"))
 
 
 FOLDERS = {

@@ -17,7 +17,7 @@ from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, quilt_i
 from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
-from lightfield_gs.io.scenes.unread import refuse_unread
+from lightfield_gs.io.unread import refuse_unread
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel

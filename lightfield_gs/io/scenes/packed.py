@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -13,11 +12,12 @@ from pathlib import Path, PurePosixPath
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.scenes.bounded import ALWAYS_BYTES, MOST_RATIO, check_promise, gunzip
 from lightfield_gs.io.scenes.sog_files import BAD_ZIP, META
 from lightfield_gs.io.scenes.sog_streamed import LOD_META
 from lightfield_gs.io.scenes.spz_streams import GZIP_MAGIC, MAGIC
-from lightfield_gs.io.scenes.unread import (
+from lightfield_gs.io.unread import (
     ARCHIVE,
     ARRAYS,
     CHECKPOINT,
@@ -86,8 +86,8 @@ def unpacked(path: Path) -> Iterator[tuple[Path, list[str]]]:
 @contextmanager
 def _scratch(path: Path, name: str) -> Iterator[Path]:
     """Where a scene is unpacked to. Errors that name that file name what it was unpacked from instead."""
-    with tempfile.TemporaryDirectory(prefix="lightfield-gs-") as folder:
-        target = Path(folder) / f"scene{PurePosixPath(name).suffix.lower()}"
+    with scratch_folder() as folder:
+        target = folder / f"scene{PurePosixPath(name).suffix.lower()}"
         try:
             yield target
         except InputError as error:

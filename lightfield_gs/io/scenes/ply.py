@@ -20,7 +20,7 @@ from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.scenes import doubts, filter_3d, motion
 from lightfield_gs.io.scenes.invalid import check_or_skip
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header, Property
-from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE
+from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE, MOST_BANDS
 
 _CENTRE = ("x", "y", "z")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -30,8 +30,8 @@ _FLAT = "scale_2"  # which 2D Gaussians lack
 _FLAT_NOTE = f"there is no {_FLAT}: they are 2D Gaussians (2DGS), and drawn as flat discs"
 _BYTE_OPACITY_NOTE = "opacity has one byte and is taken for 0..255"
 _ANCHORS = ("f_anchor_feat_", "f_offset_")
+_TENSORS = ("features_", "scaling", "rotation", "scales", "quats", "opacities", "sh0", "shN")  # names of trainers' own
 _REST_COUNTS = (0, 9, 24, 45, 72)  # 3 ((degree + 1)^2 - 1), degree 0..4
-_MOST_BANDS = 15  # above degree 0, that are drawn
 _TINY = np.finfo(np.float32).tiny
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
 _ROWS_AT_ONCE = 2048  # so few that they and what becomes of them stay in the cache, which is eleven times as quick
@@ -69,6 +69,11 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
         raise InputError(
             f"{path}: properties begin with scalar_, as CloudCompare renames those of Gaussians; give the .ply from "
             "before, and edit it in SuperSplat, which keeps them"
+        )
+    if missing and (tensors := [name for name in names if name.startswith(_TENSORS)]):
+        raise InputError(
+            f"{path}: missing {', '.join(missing)}; it has {', '.join(tensors[:3])}, as a trainer calls its tensors; "
+            "have the trainer export a 3DGS .ply, or rename them to f_dc_0.., f_rest_0.., scale_0.. and rot_0.."
         )
     if missing and not set(_SHAPE[1:]) & set(names) and set(_CENTRE) <= set(names):
         kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
@@ -194,7 +199,7 @@ def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """sh [N, K, 3], and notes on what was left out, or had to be guessed at."""
     names = records.dtype.names or ()
     bands = len(_rest_names(names)) // 3
-    drawn = min(bands, _MOST_BANDS)
+    drawn = min(bands, MOST_BANDS)
     rest = [f"f_rest_{channel * bands + band}" for band in range(drawn) for channel in range(3)]
     first = _DC if _is_harmonic(names) else _RGB
     sh = _columns(records, (*first, *rest)).reshape(len(records), 1 + drawn, 3)

@@ -14,13 +14,20 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.scenes.ply_header import Element, Header
-from lightfield_gs.io.scenes.stored_scene import StoredScene, completed, expect_some, harmonics_of_colours, settled
+from lightfield_gs.io.scenes.stored_scene import (
+    StoredScene,
+    completed,
+    drawn_bands,
+    expect_some,
+    harmonics_of_colours,
+    settled,
+)
 
 CHUNK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _BOUNDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz")
 _COLOURS = tuple(f"{end}_{name}" for end in ("min", "max") for name in "rgb")
-_REST_COUNTS = (9, 24, 45)
+_REST_COUNTS = (9, 24, 45, 72)
 KIND = "compressed .ply (SuperSplat)"
 
 
@@ -53,7 +60,9 @@ def check_header(path: Path, header: Header) -> None:
 def _check_rest(path: Path, element: Element, count: int) -> None:
     names = [column.name for column in element.properties]
     if len(names) not in _REST_COUNTS or names != [f"f_rest_{i}" for i in range(len(names))] or element.has_lists:
-        raise InputError(f"{path}: element sh: expected f_rest_0 on, 9, 24 or 45 of them, got {len(names)} properties")
+        raise InputError(
+            f"{path}: element sh: expected f_rest_0 on, 9, 24, 45 or 72 of them, got {len(names)} properties"
+        )
     if element.count != count or any(column.kind != "u1" for column in element.properties):
         raise InputError(f"{path}: element sh: expected a row of uchar for each of {count} Gaussians")
 
@@ -62,6 +71,7 @@ def scene(path: Path, header: Header, elements: dict[str, np.ndarray], skip_inva
     """The Gaussians of elements whose header was checked. Raises InputError."""
     chunks, rows = elements.pop("chunk"), elements.pop("vertex")
     of = np.arange(len(rows)) // CHUNK
+    rest, left_out = drawn_bands(_rest(elements.pop("sh", None), len(rows)))
     with np.errstate(over="ignore", invalid="ignore"):
         logs = _between(chunks, of, "scale_", _eleven_ten_eleven(rows["packed_scale"]))
         colours = _bytes(rows["packed_color"])
@@ -73,10 +83,10 @@ def scene(path: Path, header: Header, elements: dict[str, np.ndarray], skip_inva
             "quaternions": _rotations(rows["packed_rotation"]),
             "scales": np.exp(logs),
             "opacities": colours[:, 3],
-            "sh": np.concatenate([harmonics_of_colours(rgb)[:, None], _rest(elements.pop("sh", None), len(rows))], 1),
+            "sh": np.concatenate([harmonics_of_colours(rgb)[:, None], rest], 1),
         }
     fields, notes = settled(path, fields, skip_invalid)
-    return StoredScene(fields, comments=header.comments, elements=elements, notes=notes, kind=KIND)
+    return StoredScene(fields, comments=header.comments, elements=elements, notes=left_out + notes, kind=KIND)
 
 
 def _between(chunks: np.ndarray, of: np.ndarray, prefix: str, shares: np.ndarray, axes: str = "xyz") -> np.ndarray:

@@ -19,9 +19,9 @@ from lightfield_gs.base.checks import is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.scenes import render_mode, sog_gsplat
 from lightfield_gs.io.scenes.sog_files import META, SogFiles
-from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE, StoredScene, completed, settled
+from lightfield_gs.io.scenes.stored_scene import StoredScene, completed, drawn_bands, settled
 
-_COEFFICIENTS = {1: 3, 2: 8, 3: 15}  # above degree 0, by bands
+_COEFFICIENTS = {1: 3, 2: 8, 3: 15, 4: 24}  # above degree 0, by bands
 _IN_A_ROW = 64  # entries of the palette
 _MOST_ENTRIES = 1 << 16
 _MOST = (1 << 31) - 1  # Gaussians
@@ -36,9 +36,9 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
     with SogFiles(path) as files, named(path), np.errstate(over="ignore"):
         meta = files.meta()
         if sog_gsplat.is_compressed(meta):
-            fields, is_cut = sog_gsplat.fields_of(files, meta)
+            fields, left_out = sog_gsplat.fields_of(files, meta)
             fields, notes = settled(path, fields, skip_invalid)
-            return StoredScene(fields, notes=notes + [HIGH_DEGREE_NOTE] * is_cut, kind=sog_gsplat.KIND)
+            return StoredScene(fields, notes=notes + left_out, kind=sog_gsplat.KIND)
         version = whole_number(f"{META}: version", meta.get("version", 1), 1, 2)
         count = whole_number(f"{META}: count", _count(meta), 1, _MOST)
         means, quats, scales, sh0 = (_part(meta, name) for name in ("means", "quats", "scales", "sh0"))
@@ -53,11 +53,13 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
         if "codebook" not in sh0:
             low, high = (_numbers(sh0, end, 4)[3] for end in ("mins", "maxs"))
             fields["opacities"] = 1 / (1 + np.exp(-(low + (high - low) * fields["opacities"])))
+        notes_on_rest: list[str] = []
         if "shN" in meta:
-            fields["sh"] = np.concatenate([fields["sh"], _harmonics(files, _part(meta, "shN"), count)], 1)
+            rest, notes_on_rest = drawn_bands(_harmonics(files, _part(meta, "shN"), count))
+            fields["sh"] = np.concatenate([fields["sh"], rest], 1)
         is_zip, is_lossy = not path.is_dir() and path.name.lower() != META, files.is_lossy
     fields, notes = settled(path, fields, skip_invalid)
-    notes += [_LOSSY_NOTE] if is_lossy else []
+    notes += notes_on_rest + ([_LOSSY_NOTE] if is_lossy else [])
     kind = f"SOG version {version}, {'a ZIP' if is_zip else 'a folder'}"
     return StoredScene(fields, comments=_comments(meta), notes=notes, kind=kind)
 
@@ -129,7 +131,7 @@ def _harmonics(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
     entries = whole_number("shN: count", part.get("count", int(labels.max()) + 1), 1, _MOST_ENTRIES)
     if int(labels.max()) >= entries:
         raise InputError(f"shN: expected labels below {entries}, got {labels.max()}; a wrong image or count")
-    bands = whole_number("shN: bands", part["bands"] if "bands" in part else _bands(part), 1, 3)
+    bands = whole_number("shN: bands", part["bands"] if "bands" in part else _bands(part), 1, len(_COEFFICIENTS))
     each, rows = _COEFFICIENTS[bands], -(-entries // _IN_A_ROW)
     width = _IN_A_ROW * each
     palette = files.image(_file(part, 0), width * rows, width)[: width * rows, :3].reshape(-1, 3)
@@ -139,5 +141,5 @@ def _harmonics(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
 def _bands(part: _Meta) -> Any:
     """Of version 1, which has the number of coefficients of three channels in a shape."""
     shape = part.get("shape")
-    sizes = {3 * each: bands for bands, each in _COEFFICIENTS.items()} | {each: b for b, each in _COEFFICIENTS.items()}
+    sizes = {each: b for b, each in _COEFFICIENTS.items()} | {3 * each: bands for bands, each in _COEFFICIENTS.items()}
     return sizes.get(shape[-1]) if isinstance(shape, list) and shape and isinstance(shape[-1], int) else None

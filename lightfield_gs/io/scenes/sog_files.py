@@ -65,6 +65,8 @@ class SogFiles:
             raise InputError(
                 f"{path} is no .sog: expected a ZIP of {META} and WebP images ({_words(error)}); it is cut or else"
             ) from None
+        if not names:
+            raise InputError(f"{path} is an empty ZIP; export it or download it again")
         if META not in names:  # as made by packing the folder
             inner = [name for name in names if name.endswith("/" + META) and not name.startswith("__MACOSX/")]
             if len(inner) != 1:

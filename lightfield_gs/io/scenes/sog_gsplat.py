@@ -15,11 +15,11 @@ from lightfield_gs.base.checks import is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.npy import stored_arrays
 from lightfield_gs.io.scenes.sog_files import META, SogFiles
+from lightfield_gs.io.scenes.stored_scene import drawn_bands
 
 _Meta = dict[str, Any]
 _MOST = (1 << 31) - 1  # Gaussians
 _COUNTS = (0, 3, 8, 15, 24)  # of coefficients above degree 0, by degree
-_DRAWN = 15  # of them
 KIND = "gsplat's PNG compression"
 
 
@@ -28,8 +28,8 @@ def is_compressed(meta: _Meta) -> bool:
     return all(isinstance(meta.get(name), dict) and "files" not in meta[name] for name in ("means", "opacities"))
 
 
-def fields_of(files: SogFiles, meta: _Meta) -> tuple[dict[str, np.ndarray], bool]:
-    """The five fields, float64, and whether harmonics of degree 4 were left out. Raises InputError."""
+def fields_of(files: SogFiles, meta: _Meta) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The five fields, float64, and a note where harmonics of degree 4 were left out. Raises InputError."""
     count = whole_number(f"{META}: means: shape", (_shape(meta, "means") or [0])[0], 1, _MOST)
     lower, upper = (files.image(f"means_{end}.png", count)[:count, :3].astype(np.int64) for end in "lu")
     logs = _between(meta, "means", (upper << 8 | lower) / 65535)
@@ -37,16 +37,16 @@ def fields_of(files: SogFiles, meta: _Meta) -> tuple[dict[str, np.ndarray], bool
         raise InputError(f"{META}: means: expected logarithms of 1 + |x| within 80; its extremes are wrong")
     logits = _between(meta, "opacities", files.image("opacities.png", count)[:count, :1] / 255)[:, 0]
     colours = _between(meta, "sh0", files.image("sh0.png", count)[:count, :3] / 255)
-    rest = _rest(files, meta, count) if "shN" in meta else np.zeros((count, 0, 3))
+    rest, left_out = drawn_bands(_rest(files, meta, count) if "shN" in meta else np.zeros((count, 0, 3)))
     with np.errstate(over="ignore"):
         fields = {
             "means": np.sign(logs) * np.expm1(np.abs(logs)),
             "quaternions": _between(meta, "quats", files.image("quats.png", count)[:count] / 255),
             "scales": np.exp(_between(meta, "scales", files.image("scales.png", count)[:count, :3] / 255)),
             "opacities": 1 / (1 + np.exp(-logits)),
-            "sh": np.concatenate([colours[:, None], rest[:, :_DRAWN]], 1),
+            "sh": np.concatenate([colours[:, None], rest], 1),
         }
-    return fields, rest.shape[1] > _DRAWN
+    return fields, left_out
 
 
 def _part(meta: _Meta, name: str) -> _Meta:

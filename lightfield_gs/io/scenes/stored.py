@@ -17,7 +17,7 @@ from lightfield_gs.io.scenes.ply_data import read_elements
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
 from lightfield_gs.io.scenes.render_mode import stated_antialiased
 from lightfield_gs.io.scenes.stored_scene import StoredScene
-from lightfield_gs.io.scenes.unread import refuse_unread
+from lightfield_gs.io.unread import begins_as_scene, refuse_unread
 
 Fields = dict[str, np.ndarray]
 
@@ -66,13 +66,14 @@ WRITTEN_SUFFIXES = (".ply", *(suffix for format in FORMATS if format.write for s
 
 def is_scene_path(path: Path) -> bool:
     """Whether a path is, by its name, one of Gaussians: a file, the folder or meta.json of a SOG or the lod-meta.json
-    of a streamed one, a file in gzip, or the folder of a trainer."""
+    of a streamed one, a file in gzip, or the folder of a trainer; or a file of any name that says so itself."""
     return (
         path.suffix.lower() in SUFFIXES
         or path.name.lower() == sog.META
         or (path / sog.META).is_file()
         or sog_streamed.is_streamed(path)
         or is_packed_scene(path)
+        or begins_as_scene(path)
     )
 
 
@@ -101,6 +102,8 @@ def read_stored(path: str | Path, *, skip_invalid: bool = False, time: float | N
     with reading(path):
         if not is_scene_path(path):
             refuse_unread(path)
+        if path.is_file() and path.stat().st_size == 0:
+            raise InputError(f"{path} is empty; export it or download it again")
         with unpacked(path) as (inner, notes):
             stored = _read(inner, skip_invalid, time)
         stored.notes[:0] = notes

@@ -12,6 +12,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.scenes.invalid import check_or_skip
 
 TINY = np.finfo(np.float32).tiny
+MOST_BANDS = 15  # coefficients above degree 0 that are drawn: those of degree 1..3
 HIGH_DEGREE_NOTE = "harmonics of degree 4 were left out; those of degree 0..3 are drawn"
 
 
@@ -54,6 +55,11 @@ def same_degree(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     for part in parts:
         part["sh"] = np.pad(part["sh"], ((0, 0), (0, most - part["sh"].shape[1]), (0, 0)))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def drawn_bands(rest: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Of harmonics above degree 0, [N, K - 1, 3], those that are drawn, and a note where others were left out."""
+    return rest[:, :MOST_BANDS], [HIGH_DEGREE_NOTE] * (rest.shape[1] > MOST_BANDS)
 
 
 def harmonics_of_colours(colours: np.ndarray) -> np.ndarray:

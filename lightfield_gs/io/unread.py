@@ -1,4 +1,5 @@
-"""Files and folders that are not read as scenes, though people have scenes in them: what they are, and the way out."""
+"""Files and folders that are not read as scenes or pictures, though people have these in them: what they are, and the
+way out."""
 
 from __future__ import annotations
 
@@ -9,9 +10,10 @@ from itertools import islice
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
+from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS, refuse_stand_in
 
 SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
+SCENE_STARTS = (b"ply\n", b"ply\r", b"NGSP")  # of a .ply and the newest SPZ; others share theirs with other kinds
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif", ".exr", ".dng")
 _SCENES = (*SCENE_SUFFIXES, "meta.json")
 _OF_CAPTURES = {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}
@@ -113,6 +115,27 @@ _KINDS = (
         (".psx", ".psz", ".rcproj", ".rsproj"),
     ),
 )
+# Known where a picture was expected, which these are not: some of them are scenes, and others go with an option
+_NO_PICTURES = (
+    Kind(
+        "a scene or points, and no picture",
+        "lightfield-gs encode draws a scene for a panel, quilt its views, and view shows it",
+        SCENE_SUFFIXES,
+        SCENE_STARTS,
+    ),
+    Kind(
+        "a ZIP, and no picture",
+        "unpack it, or give one with a scene in it to lightfield-gs encode by a name that ends in .zip",
+        (".zip",),
+        (b"PK\x03\x04", b"PK\x05\x06"),
+    ),
+    Kind("packed by gzip", "rename it to end in .spz if it is such a scene, else unpack it", (), (b"\x1f\x8b",)),
+    Kind(
+        "a file of settings or cameras, and neither a picture nor a scene",
+        "a panel goes with --panel and cameras with --camera; of scenes in JSON, meta.json and lod-meta.json are read",
+        (".json", ".yaml", ".yml", ".toml"),
+    ),
+)
 _BY_SUFFIX = {suffix: kind for kind in _KINDS for suffix in kind.suffixes}
 _BY_NAME = {
     "tileset.json": Kind("a tree of 3D Tiles", _EXPORT),
@@ -148,6 +171,35 @@ def refuse_unread(path: Path) -> None:
     suffix = path.suffix.lower()
     if suffix not in SCENE_SUFFIXES and (known := _BY_NAME.get(path.name.lower(), _BY_SUFFIX.get(suffix))):
         refuse_kind(path, known)
+
+
+def refuse_no_picture(path: Path) -> None:
+    """Raises InputError where a file, of which no picture could be read, is known to be something else: it names the
+    kind and the way out."""
+    refuse_stand_in(path)
+    refuse_unread(path)
+    with reading(path), open(path, "rb") as file:
+        start = file.read(_START_BYTES)
+    suffix = path.suffix.lower()
+    if not start.startswith(SCENE_STARTS) and Path(path.stem).suffix.lower() in SCENE_SUFFIXES:
+        raise InputError(
+            f"{path} is no picture, and its name ends in {path.suffix}; if it is a scene, and its download has ended, "
+            f"rename it to {path.stem}"
+        )
+    for kind in _NO_PICTURES:
+        if kind.starts and start.startswith(kind.starts) or suffix in kind.suffixes:
+            refuse_kind(path, kind)
+
+
+def begins_as_scene(path: Path) -> bool:
+    """Whether the content of a file says that it is a scene, whatever its name says."""
+    if not os.path.isfile(path):
+        return False
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) in SCENE_STARTS
+    except OSError:
+        return False  # whoever reads it has a complaint of their own
 
 
 def scenes_among(names: Sequence[str]) -> list[str]:
