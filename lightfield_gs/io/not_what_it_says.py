@@ -128,7 +128,9 @@ def refuse_video(path: Path) -> None:
     start = _start(path)
     end = next((end for begins, end in _VIDEOS if begins.match(start)), None)
     if end is not None and path.suffix.lower() in VIDEO_INPUTS:
-        raise InputError(f"{path} is a video, and an image was expected; give a picture of it")
+        raise InputError(
+            f"{path} is a video, and an image was expected; give a picture of it, or the video to `lightfield-gs video`"
+        )
     if end is not None:
         raise InputError(
             f"{path} is a video by its content, and its name says otherwise; rename it to {path.stem}{end}, so that "
