@@ -196,7 +196,7 @@ def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots
         raise InputError(f"{folder}: is one folder of a capture: give the folder above, {above}")
     if below := _captures_below(folder):
         which = f"one of {len(below)} that it holds" if len(below) > 1 else "the one that it holds"
-        raise InputError(f"{folder}: is no capture: give {which}, {first_names([str(path) for path in below])}")
+        raise InputError(f"{folder}: is no capture: give {which}, {', '.join(map(str, below[:3]))}")
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
         "sparse or the folder itself, or a transforms.json (one of another name is given itself); photographs alone "
