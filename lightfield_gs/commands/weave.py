@@ -31,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="VIEWS",
         help="a quilt (its tiles by its name, _qs<columns>x<rows>a<aspect>, its Exif, or --tiles), or a folder with a "
         "picture for each view, the left-most camera's first, by the number that varies; pictures named by row and "
-        "column, an HCI light field (input_Cam000.png) or one of Stanford's (out_RR_CC_*.png); a video or an animated "
-        ".gif or .webp of quilts, or with --frames of views",
+        "column, an HCI light field (input_Cam000.png) or one of Stanford's (out_RR_CC_*.png); a video or an "
+        "animation (.gif, .webp, .png, .avif) of quilts, or with --frames of views",
     )
     add(
         "-o",
