@@ -65,22 +65,25 @@ def refuse_large_no_image(path: Path) -> None:
         refuse_stand_in(path)
         refuse_video(path)
         raise InputError(f"{path} is not an image that can be read: no format begins with {start[:8].hex(' ')} (hex)")
-    if (
-        _COMPRESSED_STARTS.match(start)
-        and not any(start[_BEHIND_HEADER:])
-        or _LONG_HEADERS.match(start)
-        and not any(start[_FIRST_WORDS:_BEHIND_HEADER])
-        or start.startswith(b"SIMPLE")
-        and 0 in start[:_FITS_BLOCK]
-        or start.startswith((b"II", b"MM"))
-        and not _has_directory(path, start)
-        or (size := _PNM_SIZE.match(start))
-        and _ends_in_zeros(path, len(start) + int(size[1]) * int(size[2]) * _PNM_PIXEL)
-    ):
+    if _holds_zeros(path, start):
         raise InputError(
             f"{path} is damaged or cut: zeros stand where its picture should be, as a download leaves them that did "
             "not end; download it again"
         )
+
+
+def _holds_zeros(path: Path, start: bytes) -> bool:
+    """Whether zeros stand where the picture of a large image should be, or the rest of its header, by its kind."""
+    if _COMPRESSED_STARTS.match(start):
+        return not any(start[_BEHIND_HEADER:])
+    if start.startswith(b"SIMPLE") and 0 in start[:_FITS_BLOCK]:
+        return True
+    if _LONG_HEADERS.match(start):
+        return not any(start[_FIRST_WORDS:_BEHIND_HEADER])
+    if start.startswith((b"II", b"MM")):
+        return not _has_directory(path, start)
+    size = _PNM_SIZE.match(start)
+    return size is not None and _ends_in_zeros(path, len(start) + int(size[1]) * int(size[2]) * _PNM_PIXEL)
 
 
 def _has_directory(path: Path, start: bytes) -> bool:
