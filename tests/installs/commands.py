@@ -30,9 +30,13 @@ _TRAINING = (
 _TRAINING_PROGRAMS = (*_TRAINING.split(), "training.data.validate")
 
 
+class _Captured(io.BytesIO):
+    name = "<captured>"  # a stream of a program has one
+
+
 def run(line: str, module: str = "lightfield_gs", streams: tuple[str, ...] = ("stdout", "stderr")) -> str:
     """The exit code of a command and what it prints; without a stream that has times or progress."""
-    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8") for _ in range(2))
+    out, err = (io.TextIOWrapper(_Captured(), "utf-8") for _ in range(2))
     with _arguments(line), redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings():
         warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)
         try:
