@@ -18,7 +18,7 @@ from lightfield_gs.base.complaint import assumptions_said, complain
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
 from lightfield_gs.base.streams import PatientStream, open_closed_streams
-from lightfield_gs.commands.options.parser import Parser, joined
+from lightfield_gs.commands.options.parser import Parser, join_values
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
@@ -66,7 +66,7 @@ def _run(arguments: list[str], began: float) -> int:
     try:
         if arguments[:1] and arguments[0] in COMMANDS and not has_working_folder():
             raise InputError(FOLDER_GONE)
-        args = build_parser(*arguments[:1]).parse_args(joined(arguments), argparse.Namespace(began=began))
+        args = build_parser(*arguments[:1]).parse_args(join_values(arguments), argparse.Namespace(began=began))
         with assumptions_said():
             code = importlib.import_module(args.module).run(args) or 0
         return code

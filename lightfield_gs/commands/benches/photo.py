@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from lightfield_gs.app.photo import detail_given
+from lightfield_gs.app.options import PhotoOptions
+from lightfield_gs.app.photo import network_detail
 from lightfield_gs.bench import photo
 from lightfield_gs.commands.options import bench as options
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.scene import add_detail
 
 
@@ -29,6 +31,6 @@ def rows(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Rows of every photo and number of threads, and their text."""
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
     options.check_photos(photos)
-    threads, detail = options.thread_counts(args.threads), detail_given(args)
+    threads, detail = options.thread_counts(args.threads), network_detail(read_options(PhotoOptions, args))
     found = photo.rows(photos, args.model, options.panel_of(args), args.device, args.repeats, threads, detail)
     return {"rows": found}, photo.table(found)
