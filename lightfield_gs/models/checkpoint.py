@@ -11,8 +11,8 @@ from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.file_kinds import refuse_stand_in
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.models.config import ModelConfig
 
 _CONFIG_KEY = "lightfield_gs.model_config"

@@ -10,7 +10,7 @@ import numpy as np
 from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.images import read_image
-from lightfield_gs.io.yaml_file import check_keys, read_mapping
+from lightfield_gs.io.text_files import check_keys, read_mapping
 from lightfield_gs.panels.calibration_photos import Place
 
 Corners = Sequence[Sequence[float]]

@@ -17,7 +17,7 @@ from lightfield_gs.panels import reach, subject, visible
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.reach import extent
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.axes import DEFAULT_UP, upright
+from lightfield_gs.scene.axes import DEFAULT_UP, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 
 _FILL = 0.92  # share of the panel's height or width that the content fills
@@ -62,7 +62,7 @@ def frame(
     Raises InputError on a batch, on no Gaussians, or when none lies in front of the camera.
     """
     gaussians = _checked(gaussians, panel)
-    turn = upright(up)
+    turn = upright_rotation(up)
     if world_to_camera is not None:
         world_to_camera = Rig(world_to_camera, (1.0, 1.0), (0.0, 0.0), 1.0).world_to_camera  # checks the matrix
     found = _subject(gaussians)

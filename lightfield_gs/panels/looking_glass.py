@@ -8,7 +8,7 @@ from typing import Any
 
 from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.json_file import read_json
+from lightfield_gs.io.text_files import read_json
 from lightfield_gs.panels.calibration_file import find_calibration
 from lightfield_gs.panels.cells import PATTERNS
 

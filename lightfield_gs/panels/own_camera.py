@@ -16,7 +16,7 @@ import numpy as np
 from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_files import FileCamera
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 

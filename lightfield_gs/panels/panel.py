@@ -24,7 +24,7 @@ from lightfield_gs.base.checks import expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.options import DEFAULT_CONE_DEG, SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
 from lightfield_gs.base.paths import config_path
-from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.io.text_files import read_mapping, write_mapping
 from lightfield_gs.panels import cells
 from lightfield_gs.panels.looking_glass import panel_fields
 

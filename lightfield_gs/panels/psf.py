@@ -11,7 +11,7 @@ import numpy as np
 
 from lightfield_gs.base.checks import is_row, real_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.text_files import read_text
 
 _MOST_BYTES, _MOST_POINTS = 1 << 20, 4096
 _MOST_SUBPIXELS, _MOST_LIGHT = 1e4, 1e12

@@ -8,7 +8,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import MAP_ORIENTATIONS
-from lightfield_gs.io.images import upright
+from lightfield_gs.io.images import apply_orientation
 
 _SAME_SHAPE = 0.03  # how far ratios of height and width may be apart: networks round sides to multiples of 14 or 32
 
@@ -51,4 +51,4 @@ def turned_with_photo(
             "upright"
         )
     turned = choice == "stored" or choice is None and fits_stored
-    return upright(values, orientation) if turned else values, turned
+    return apply_orientation(values, orientation) if turned else values, turned

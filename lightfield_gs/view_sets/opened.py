@@ -9,8 +9,8 @@ from pathlib import Path
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import Picture
-from lightfield_gs.io.not_what_it_says import refuse_video
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.view_sets.colours import ViewColours
 from lightfield_gs.view_sets.folder import FileViews, folder_views

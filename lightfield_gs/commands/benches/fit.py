@@ -16,7 +16,7 @@ from lightfield_gs.commands.options import bench as options
 from lightfield_gs.commands.options.values import whole
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.io.json_file import write_json
+from lightfield_gs.io.text_files import write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

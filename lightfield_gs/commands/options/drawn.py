@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import named
 from lightfield_gs.commands.options.values import background, within
-from lightfield_gs.scene.fitted import rgb, stated_fit, trained_antialiased
+from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb
 
 if TYPE_CHECKING:
-    from lightfield_gs.scene.files import SceneFile
+    from lightfield_gs.io.scenes.files import SceneFile
 
 _WHITE = (1.0, 1.0, 1.0)
 
@@ -53,7 +53,7 @@ def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str
     open_ones = [name for name in ("antialiased", "background") if getattr(args, name, ()) is None]
     comments = file.comments if file is not None and open_ones else ()
     with named(args.input):
-        fitted, trained = stated_fit(comments), trained_antialiased(comments)
+        fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     said = []
     if "antialiased" in open_ones:
         args.antialiased = trained is not None
@@ -62,5 +62,7 @@ def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str
     if "background" in open_ones:
         args.background = (fitted and fitted.background) or _WHITE
         if fitted is not None and fitted.background is not None:
-            said.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
+            said.append(
+                f"background: {format_rgb(fitted.background)}, which the scene was fitted before (--background)"
+            )
     return said

@@ -17,8 +17,8 @@ from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
     from lightfield_gs.commands.options.photo import ReadPhoto
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _READ = ("input", "rig", "panel", "mask", "depth", "checkpoint", "cameras", "view_map", "path")

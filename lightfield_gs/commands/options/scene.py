@@ -16,12 +16,12 @@ from lightfield_gs.commands.options.estimated import depth_file, is_estimated
 from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path
-from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
-from lightfield_gs.io.unread import refuse_unread
+from lightfield_gs.io.file_kinds import refuse_unread
+from lightfield_gs.io.scenes.files import check_written_suffix, is_scene_path
 
 if TYPE_CHECKING:
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.panel import Panel
-    from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _PHOTO_OPTIONS = (
@@ -117,7 +117,7 @@ def check_scene_path(path: Path) -> None:
 
 def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
     """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
-    from lightfield_gs.scene.files import read_scene
+    from lightfield_gs.io.scenes.files import read_scene
 
     scene = read_scene(path, skip_invalid=skip_invalid, time=time)
     for words in scene.notes:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import Panel
 
 

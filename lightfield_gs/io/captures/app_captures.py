@@ -27,7 +27,7 @@ from lightfield_gs.io.captures.point_files import points_beside
 from lightfield_gs.io.captures.readable import readable
 from lightfield_gs.io.captures.shot import Shot, Shots
 from lightfield_gs.io.captures.views import check_intrinsics, check_pose
-from lightfield_gs.io.json_file import read_json, read_object
+from lightfield_gs.io.text_files import read_json, read_object
 
 _LIMIT_BYTES = 256 << 20
 _POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))

@@ -26,7 +26,7 @@ from lightfield_gs.io.captures.colmap_binary import (
 )
 from lightfield_gs.io.captures.colmap_records import ColmapCamera, ColmapFrame, ColmapImage, Rigs, is_undecoded
 from lightfield_gs.io.captures.colmap_text import text_cameras, text_frames, text_images, text_points, text_rigs
-from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.text_files import read_text
 
 _LIMIT_BYTES = 8 << 30
 _SAME_POSE = 1e-6  # how far numbers of two poses may be apart, of translations in their own length

@@ -33,7 +33,7 @@ from lightfield_gs.io.captures.masks import masks_beside
 from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, say_scales, unscaled
 from lightfield_gs.io.captures.views import ObjectViews, check_intrinsics, check_looking_at_object, check_pose
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_object as read_json
+from lightfield_gs.io.text_files import read_object as read_json
 
 _LIMIT_BYTES = 64 << 20
 _FISHEYE = ("is_fisheye", "fisheye")

@@ -16,7 +16,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.photo_files import first_names
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.text_files import read_object
 
 _LIMIT_BYTES = 256 << 20
 _WHOLE, _TRAIN = "transforms.json", "transforms_train.json"
