@@ -10,7 +10,7 @@ from lightfield_gs.base.options import DETAILS, Detail
 
 if TYPE_CHECKING:
     from lightfield_gs.models.config import ModelConfig
-    from lightfield_gs.models.detail_level import DetailLevel
+    from lightfield_gs.models.detail import DetailLevel
 
 
 def add_detail(add: Callable[..., argparse.Action]) -> None:
@@ -26,8 +26,8 @@ def add_detail(add: Callable[..., argparse.Action]) -> None:
 
 
 def detail_given(args: argparse.Namespace) -> tuple[Detail | None, int]:
-    """Detail and budget of SplatterNet.predict, by the options."""
-    from lightfield_gs.models.detail_level import DEFAULT_BUDGET
+    """Return the detail and the budget of detail_level, by the options."""
+    from lightfield_gs.photo.detail_level import DEFAULT_BUDGET
 
     detail: Detail | None = None if args.detail == "none" else args.detail or "auto"
     return detail, DEFAULT_BUDGET if args.detail_budget is None else args.detail_budget

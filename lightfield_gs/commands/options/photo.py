@@ -140,15 +140,15 @@ def _notes_on_eyes(args: argparse.Namespace, picture: Picture) -> list[str]:
 def _scene_of_object(
     args: argparse.Namespace, source: ReadPhoto, device: str, watch: Stopwatch, panel: Panel
 ) -> Gaussians:
-    from lightfield_gs.models.detail_level import detail_level
+    from lightfield_gs.photo.detail_level import detail_level
 
     photo = source.photo
     network = network_of(args.checkpoint, device)
     watch.lap("load")
     detail, budget = detail_given(args)
-    gaussians = network.predict(photo.pixels, detail, panel, budget)
-    watch.lap("network")
     level = detail_level(detail, network.config, max(photo.pixels.shape[:2]), panel, budget)
+    gaussians = network.predict(photo.pixels, level)
+    watch.lap("network")
     _say(args, photo, [detail_words(level, network.config)], source.notes)
     return gaussians
 

@@ -15,7 +15,7 @@ from lightfield_gs.io.atomic import check_folder, check_output_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QUILT_PRESETS, QuiltLayout, stated_layout, with_suffix
 from lightfield_gs.show.bridge import BRIDGE_URL
-from lightfield_gs.video.turntable import MOST_FRAMES
+from lightfield_gs.video.camera_path import MOST_FRAMES
 from lightfield_gs.video.video_file import CODECS, KINDS, VIDEO_SUFFIXES, CodecName, Kind, choose_codec
 
 DEFAULT_FPS, DEFAULT_SECONDS = Fraction(30), 10.0
