@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import named
 from lightfield_gs.commands.options.encode import add_encoding
 from lightfield_gs.commands.options.panel import load_panel

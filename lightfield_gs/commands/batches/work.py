@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.host_copies import HostCopies
+from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.hashes import facts
 from lightfield_gs.batch.item import Item
@@ -91,7 +91,7 @@ class EncodeTask:
 
     def record(self) -> Record:
         """Status, inputs and outputs, as far as they are known."""
-        said = getattr(getattr(self, "encoding", None), "said", [])
+        said = getattr(getattr(self, "encoding", None), "messages", [])
         return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": list(said)}
 
     def files(self) -> list[Path | str | None]:

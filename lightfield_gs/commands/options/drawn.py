@@ -54,13 +54,15 @@ def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str
     comments = file.comments if file is not None and open_ones else ()
     with named(args.input):
         fitted, trained = stated_fit(comments), trained_antialiased(comments)
-    said = []
+    messages = []
     if "antialiased" in open_ones:
         args.antialiased = trained is not None
         if args.antialiased:
-            said.append(f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)")
+            messages.append(
+                f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)"
+            )
     if "background" in open_ones:
         args.background = (fitted and fitted.background) or _WHITE
         if fitted is not None and fitted.background is not None:
-            said.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
-    return said
+            messages.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
+    return messages

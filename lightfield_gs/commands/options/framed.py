@@ -28,13 +28,13 @@ _READ = ("input", "rig", "panel", "mask", "depth", "checkpoint", "cameras", "vie
 class Framed:
     """A scene on the device, and the cameras that look at it, in its coordinates.
 
-    file: what else its file holds; None of a photo. said: lines on what was decided.
+    file: what else its file holds; None of a photo. messages: lines on what was decided.
     """
 
     gaussians: Gaussians
     file: SceneFile | None
     rig: Rig
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
 
     @property
     def rig_of_file(self) -> Rig:
@@ -44,9 +44,9 @@ class Framed:
 
 def load_framed(args: argparse.Namespace, panel: Panel, given: Given, device: str, watch: Stopwatch) -> Framed:
     """Loads the scene of a command, settles how it is drawn, and frames it. Raises InputError."""
-    gaussians, file, said = load_drawn(args, panel, device, watch)
+    gaussians, file, messages = load_drawn(args, panel, device, watch)
     rig, how = frame_scene(args, panel, given, gaussians, file)
-    return Framed(gaussians, file, rig, said + how)
+    return Framed(gaussians, file, rig, messages + how)
 
 
 def load_drawn(

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.commands.options.values import within
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.simulate import unknown_of

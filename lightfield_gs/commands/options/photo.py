@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.depth_map import (
@@ -242,7 +242,7 @@ def _scene_of_whole(
     margin, placed = place_photo(args, panel, image, torch.from_numpy(depth.z), *known)
     gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
     watch.lap("depth")
-    _say(args, photo, [depth.said, camera, *placed], source.notes + depth.notes + notes)
+    _say(args, photo, [depth.description, camera, *placed], source.notes + depth.notes + notes)
     return gaussians
 
 
@@ -250,4 +250,4 @@ def _say(args: argparse.Namespace, photo: Photo, more: list[str], notes: list[st
     for words in photo.notes + notes:
         note(words)
     height, width = photo.pixels.shape[:2]
-    print(f"{args.input}: {width} x {height}, {', '.join([*photo.said, *more])}")
+    print(f"{args.input}: {width} x {height}, {', '.join([*photo.messages, *more])}")
