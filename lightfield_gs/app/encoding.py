@@ -24,8 +24,8 @@ from lightfield_gs.app.scene import (
     frame_scene,
     read_source,
 )
-from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import of_other_methods

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.io.captures.camera_models import Lens
 from lightfield_gs.io.captures.photo_files import RAW_SUFFIXES, Places, too_few
 from lightfield_gs.io.captures.undistortion import Straightening, reduced, resampled, straightening
