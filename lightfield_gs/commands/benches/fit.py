@@ -13,7 +13,7 @@ from lightfield_gs.bench.fit_data import Photographs
 from lightfield_gs.bench.pareto_plot import check_plot
 from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.options import bench as options
-from lightfield_gs.commands.options.values import whole
+from lightfield_gs.commands.options.parser import whole
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.json_file import write_json
