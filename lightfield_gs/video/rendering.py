@@ -13,7 +13,8 @@ import numpy as np
 from torch import Tensor
 from tqdm import tqdm
 
-from lightfield_gs.base.arrays import Colour, bytes_of, on_host
+from lightfield_gs.base.arrays import Colour, to_bytes
+from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
@@ -103,7 +104,7 @@ class EyeFrames:
         share = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
         side = -1 if self._panel.invert_views else 1
         place = small.views / 2 - side * share * (small.views - 1) / 2
-        return bytes_of(render_views(gaussians, small, rig, [place], **self._drawing.of_views())[0])
+        return to_bytes(render_views(gaussians, small, rig, [place], **self._drawing.of_views())[0])
 
 
 class Draw(Protocol):
@@ -134,7 +135,7 @@ class NoFiles:
 
     def fetch(self, image: Tensor) -> np.ndarray:
         """The frame on the host."""
-        return on_host(image)
+        return to_numpy(image)
 
     def put(self, number: int, image: np.ndarray) -> None:
         """Nothing is done with it."""

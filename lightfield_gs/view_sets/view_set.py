@@ -128,12 +128,12 @@ def read_quilt_layout(path: Path, tiles: tuple[int, int] | None) -> Stated | Non
 
 def _exif_layout(path: Path) -> Stated | None:
     """What the Exif of a quilt says. Raises InputError where it cannot be used."""
-    said = _comment(path)
-    if not {"LKGColumns", "LKGRows"} <= said.keys():
+    tags = _comment(path)
+    if not {"LKGColumns", "LKGRows"} <= tags.keys():
         return None
     try:
         numbers = {
-            key: float(said[key]) for key in said if key in ("LKGColumns", "LKGRows", "LKGAspect", "LKGNumViews")
+            key: float(tags[key]) for key in tags if key in ("LKGColumns", "LKGRows", "LKGAspect", "LKGNumViews")
         }
         layout = QuiltLayout(
             int(numbers["LKGColumns"]), int(numbers["LKGRows"]), round(numbers.get("LKGAspect", 1.0), 4)
@@ -172,11 +172,11 @@ def _comment(path: Path) -> dict[str, Any]:
 @dataclass(frozen=True)
 class ViewSet:
     """Views, the left-most camera's first. aspect: width by height of one as it is seen, None where nothing says it.
-    said: what was found. colours: what was done to their colours."""
+    description: what was found. colours: what was done to their colours."""
 
     views: QuiltViews | FileViews | FrameViews
     aspect: float | None
-    said: str
+    description: str
     colours: ViewColours
 
 
@@ -193,7 +193,7 @@ class QuiltMovie:
         if not self.numbers:
             raise InputError(f"{movie.path}: --frames takes none of its {movie.count} frames")
         self.fps = None if movie.fps is None else movie.fps / span.step
-        self.said = f"a movie of {len(self.numbers)} quilts of {self.layout.columns} x {self.layout.rows} views"
+        self.description = f"a movie of {len(self.numbers)} quilts of {self.layout.columns} x {self.layout.rows} views"
         self.colours, self._movie = colours, movie
         self._top_first, self._right_to_left = top_first, right_to_left
 
@@ -260,12 +260,12 @@ def open_views(
 def _read_folder(
     path: Path, colours: ViewColours, tiles: tuple[int, int] | None, row: int | None, right_to_left: bool
 ) -> ViewSet:
-    paths, said = folder_views(path, colours, tiles, row, right_to_left)
+    paths, description = folder_views(path, colours, tiles, row, right_to_left)
     if len(paths) < 2 or len(paths) > MAX_VIEWS:
         raise InputError(f"{path}: expected 2..{MAX_VIEWS} views, got {len(paths)}")
     views = FileViews(paths, colours)
     aspect = views.width_px / views.height_px
-    return ViewSet(views, aspect, f"{said}, from {paths[0].name} to {paths[-1].name}", colours)
+    return ViewSet(views, aspect, f"{description}, from {paths[0].name} to {paths[-1].name}", colours)
 
 
 def _read_quilt(
@@ -284,10 +284,12 @@ def _read_quilt(
         views.leave_out_plain(str(path))
     views.tell_of_joins(str(path))
     used = "" if views.count == layout.views else f", {views.count} used"
-    said = f"a quilt of {layout.columns} x {layout.rows} views{used}"
+    description = f"a quilt of {layout.columns} x {layout.rows} views{used}"
     if any(left := views.layout.left_over_px()):
-        said += f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
-    return ViewSet(views, layout.aspect if is_known else None, said, colours)
+        description += (
+            f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
+        )
+    return ViewSet(views, layout.aspect if is_known else None, description, colours)
 
 
 def _read_movie(
@@ -311,5 +313,5 @@ def _read_movie(
     if top_first:
         raise InputError(f"{path}: --top-first is about quilts, and its frames are views; leave it out")
     views = FrameViews(movie, span, colours, right_to_left)
-    said = f"{views.count} frames as views, from {views.first_frame} to {views.last_frame}"
-    return ViewSet(views, views.width_px / views.height_px, said, colours)
+    description = f"{views.count} frames as views, from {views.first_frame} to {views.last_frame}"
+    return ViewSet(views, views.width_px / views.height_px, description, colours)

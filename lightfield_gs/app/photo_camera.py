@@ -1,11 +1,15 @@
-"""The camera of a photo with depths, by --fov, --intrinsics or the file of its depth map."""
+"""The camera of a photo with depths."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import InputError
+
+if TYPE_CHECKING:
+    pass
 
 _OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides of the photo, may be another photo's
 # Angles of the longer side that are usual, and those beyond which intrinsics must be in other units
@@ -28,11 +32,11 @@ def camera_of_photo(args: argparse.Namespace, height: int, width: int, focal_px:
         focals = focal_px / wide, focal_px
         _, notes = _checked_intrinsics((*focals, width / 2, height / 2), height, width)
         return focals, None, f"focal length {focal_px:.5g} px, of {args.depth.name}{squeezed}", notes
-    said = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
+    description = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
     if args.pixel_aspect is None:
-        return None, None, said, []
+        return None, None, description, []
     focal = focal_length_px(FIELD_OF_VIEW_DEG, height, width * wide)
-    return (focal / wide, focal), None, said, []
+    return (focal / wide, focal), None, description, []
 
 
 def _checked_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) -> tuple[str, list[str]]:

@@ -1,4 +1,4 @@
-"""The options of a photo's depth map, and the map that they and its file make."""
+"""The depth map of a photo: of a file, beside the photo, inside its file, or estimated by a network."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lightfield_gs.app.photo_camera import camera_of_photo
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, MAP_ORIENTATIONS
-from lightfield_gs.commands.options.estimated import add_depth_model
-from lightfield_gs.commands.options.photo_camera import camera_of_photo
-from lightfield_gs.commands.options.placing import add_fit
-from lightfield_gs.commands.options.values import numbers, within
+from lightfield_gs.base.options import DEPTH_MODEL
 from lightfield_gs.photo.side_by_side import is_named_so
 
 if TYPE_CHECKING:
@@ -25,85 +22,38 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.depth_files import DepthNumbers
     from lightfield_gs.photo.load import Photo
 
+AUTO = Path("auto")  # in place of the file of --depth
 # How a depth map beside its photo is taken when nothing else is said: bright is near, as Looking Glass has it
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
 
 
-def add_depth(add: Callable[..., argparse.Action]) -> None:
-    """The depth map of a photo, and what its numbers mean."""
-    add(
-        "--depth",
-        type=Path,
-        metavar="FILE|auto",
-        help="depth map of the photo, of its shape: the whole scene is shown, "
-        "without the network; a grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz of "
-        "numbers [H,W]; auto: a "
-        "network of transformers estimates it (pip install 'lightfield-gs[depth]'; downloads 99 MB once)",
+def is_estimated(args: argparse.Namespace) -> bool:
+    """Whether the depth of the photo is estimated by a network."""
+    return args.depth == AUTO
+
+
+def depth_file(args: argparse.Namespace) -> Path | None:
+    """The file of --depth, where it is one."""
+    return None if is_estimated(args) else args.depth
+
+
+def depth_model(args: argparse.Namespace) -> str:
+    """The network of --depth auto."""
+    return args.depth_model or DEPTH_MODEL
+
+
+def depth_by_network(args: argparse.Namespace, photo: Photo, device: str) -> DepthMap:
+    """The depth map of --depth auto. Raises InputError."""
+    from lightfield_gs.photo.depth_network import estimated_depth
+
+    return estimated_depth(
+        photo.floats(),
+        depth_model(args),
+        "cuda" if device == "cuda" else "cpu",
+        kind=args.depth_kind,
+        limits=args.depth_range,
+        say=lambda words: print(words, flush=True),
     )
-    add_depth_model(add)
-    add(
-        "--depth-kind",
-        choices=DEPTH_KINDS,
-        help="what its numbers are: distance, along the camera's "
-        "axis (default), ray, distance along each pixel's ray, as some renderers and scanners give it, or disparity, "
-        "1 / distance, as most networks give it (bright is near)",
-    )
-    add(
-        "--depth-range",
-        type=numbers(2),
-        metavar="NEAR,FAR",
-        help="distances, in any unit, at the ends of the file's "
-        "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks; FAR,NEAR where the "
-        "ends are the other way round: 1.6,1 for distances of which bright is near",
-    )
-    add(
-        "--depth-scale",
-        type=float,
-        metavar="S",
-        help="in place of a range: distance = S * number, or S / number of a "
-        "disparity; 0.001 for millimetres to metres (default for floats: 1); the distance 0 is no measurement",
-    )
-    add(
-        "--depth-invalid",
-        choices=DEPTH_INVALID,
-        help="what infinite distances, those that stand for the sky (1e10, 65504, 65535) and the disparity 0 are: far "
-        "away (default), or holes, as NaN and the distance 0 always are",
-    )
-    add(
-        "--rgbd",
-        choices=DEPTH_PARTS,
-        help="in place of --depth: the half of the photo that is its depth map (found by itself for names like "
-        "photo_rgbd.png, and so is a map inside a telephone's .jpg); bright is near and --depth-range 1,1.6 when not "
-        "said",
-    )
-    add(
-        "--map-orientation",
-        choices=MAP_ORIENTATIONS,
-        help="of --mask and --depth for a photo that its Exif "
-        "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)",
-    )
-    add(
-        "--pixel-aspect",
-        type=within(0.1, 10),
-        metavar="A",
-        help="width by height of a pixel of a photo with depths: 2 where photo and map are squeezed to half their "
-        "width to lie side by side, 0.5 where to half their height (default 1)",
-    )
-    add(
-        "--fov",
-        type=float,
-        metavar="DEG",
-        help="angle that the photo's longer side takes, degrees (default 60, "
-        "unless the depth map's .npz has a focal length)",
-    )
-    add(
-        "--intrinsics",
-        type=numbers(4),
-        metavar="FX,FY,CX,CY",
-        help="in place of --fov: focal lengths and principal "
-        "point of the photo, in its pixels, from the outer corner of the first",
-    )
-    add_fit(add)
 
 
 def has_depth(args: argparse.Namespace) -> bool:
@@ -131,7 +81,9 @@ def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
     numbers = read_numbers(args.depth)
     turn = _turn_with(args, photo, args.map_orientation)
     depth = _mapped(args, args.depth, numbers, args.depth_kind, args.depth_range, photo.pixels.shape[:2], turn)
-    return _fitted(str(args.depth), replace(depth, said=f"depth by {args.depth.name}: {depth.said}"), photo)
+    return _fitted(
+        str(args.depth), replace(depth, description=f"depth by {args.depth.name}: {depth.description}"), photo
+    )
 
 
 def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> DepthMap:
@@ -156,8 +108,10 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
         if is_assumed and args.depth_scale is None
     ]
     near = f", {nearness(kind, limits)}" if kind is not None and is_plain else ""
-    said = f"depth by its {side} half: {depth.said}{near}" + (f" (assumed; {', '.join(assumed)})" if assumed else "")
-    return replace(depth, said=said)
+    description = f"depth by its {side} half: {depth.description}{near}" + (
+        f" (assumed; {', '.join(assumed)})" if assumed else ""
+    )
+    return replace(depth, description=description)
 
 
 def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
@@ -175,14 +129,14 @@ def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
             limits = limits[::-1]  # dark is near in both formats
     turn = _turn_with(args, photo, args.map_orientation or "stored")
     depth = _mapped(args, args.input, inside.numbers(args.input), kind, limits, photo.pixels.shape[:2], turn)
-    said = f"depth inside it ({inside.name}): {depth.said}"
+    description = f"depth inside it ({inside.name}): {depth.description}"
     if args.depth_kind is None and limits is not None:
         near = nearness(str(kind), limits)
-        said += "" if near in said else f", {near}"
+        description += "" if near in description else f", {near}"
         if args.depth_range is None:
-            said += " by its format (--depth-range FAR,NEAR where it is not)"
-            said += "" if inside.near else ", near and far assumed (--depth-range)"
-    return _fitted(f"{args.input}: the depth map inside it", replace(depth, said=said), photo)
+            description += " by its format (--depth-range FAR,NEAR where it is not)"
+            description += "" if inside.near else ", near and far assumed (--depth-range)"
+    return _fitted(f"{args.input}: the depth map inside it", replace(depth, description=description), photo)
 
 
 def _limits_or(args: argparse.Namespace, own: tuple[float, float]) -> tuple[float, float] | None:
@@ -259,5 +213,5 @@ def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
             f"x {shape[0]}; crop one of them, so that both show the same"
         )
     way = "along the photo's edges" if math.prod(shape) <= math.prod(size) else "pixel by pixel"
-    said = f"{depth.said}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
-    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), said=said)
+    description = f"{depth.description}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
+    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), description=description)
