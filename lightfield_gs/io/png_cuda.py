@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard, on_host
+from lightfield_gs.base.cuda import device_guard, to_numpy
 from lightfield_gs.base.options import Compression
 from lightfield_gs.io.png import CompressedImage
 
@@ -30,9 +30,9 @@ def is_deflated_on_gpu(image: Tensor, path: Path, compression: Compression) -> b
 def fetch_image(image: Tensor, path: Path, compression: Compression) -> np.ndarray | CompressedImage:
     """Copy an image [H, W, C] to the host in the form that write_image takes for this file; wait for it."""
     if not is_deflated_on_gpu(image, path, compression):
-        return on_host(image)
+        return to_numpy(image)
     out, facts = deflate(image)
-    return compressed_image(tuple(image.shape), out, on_host(facts))
+    return compressed_image(tuple(image.shape), out, to_numpy(facts))
 
 
 def deflate(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -49,7 +49,7 @@ def deflate(image: Tensor) -> tuple[Tensor, Tensor]:
     native = _core.cuda.PngImage(height=height, width=width, channels=channels, pixels=image.data_ptr())
     work, out = (image.new_empty(size) for size in (native.work_bytes(), native.stream_bytes()))
     native.place(work.data_ptr(), out.data_ptr())
-    with guard(image.device):
+    with device_guard(image.device):
         _core.cuda.deflate(native, torch.cuda.current_stream(image.device).cuda_stream)
     return out, work[: _core.cuda.DEFLATE_FACTS_BYTES]
 
@@ -63,5 +63,5 @@ def compressed_image(shape: tuple[int, ...], out: Tensor, facts: np.ndarray) -> 
         facts: facts of the stream, on the host already.
     """
     bits, adler, is_varied = struct.unpack("QII", facts.tobytes())
-    stream = on_host(out[: (bits + 7) // 8])
+    stream = to_numpy(out[: (bits + 7) // 8])
     return CompressedImage(shape, (_ZLIB_HEADER, stream.data, struct.pack(">I", adler)), not is_varied)

@@ -65,7 +65,7 @@ def rows(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     arms = fit.usual_arms(args.device, options.progress) if args.arms is None else args.arms.split(",")
     fit.check_arms(arms)
     settings = FitSettings(
-        steps=args.steps or fit.STEPS[args.device], gaussians=args.gaussians or fit.GAUSSIANS[args.device]
+        steps=args.steps or fit.STEPS[args.device], cap_max=args.gaussians or fit.GAUSSIANS[args.device]
     )
     capture = read_capture(args.capture, longest_px=args.longest_px or fit.LONGEST_PX[args.device])
     options.progress(f"{args.capture}: reading {len(capture.names)} photographs")
