@@ -9,7 +9,7 @@ from typing import Any
 from lightfield_gs.base.checks import expect
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.unseen import look_at, words_on_past
+from lightfield_gs.panels.visibility import look_at, words_on_past
 from lightfield_gs.scene.gaussians import Gaussians
 
 EYE_SEPARATION_MM = 63.0  # mean of adults (Dodgson, "Variation and extrema of human interpupillary distance", 2004)

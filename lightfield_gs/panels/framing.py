@@ -15,7 +15,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels import reach, subject, visible
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.reach import extent
+from lightfield_gs.panels.extent import extent
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, upright
 from lightfield_gs.scene.gaussians import Gaussians

@@ -9,7 +9,7 @@ from typing import Any
 from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.json_file import read_json
-from lightfield_gs.panels.calibration_file import find_calibration
+from lightfield_gs.panels.looking_glass import find_calibration
 from lightfield_gs.panels.cells import PATTERNS
 
 LIMIT_BYTES = 1 << 20

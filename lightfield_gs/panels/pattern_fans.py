@@ -14,7 +14,7 @@ from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.pattern_text import HEIGHT_DOTS, text_pixels, width_dots
+from lightfield_gs.panels.patterns import HEIGHT_DOTS, text_pixels, width_dots
 from lightfield_gs.panels.patterns import draw, hues
 
 Fan = Literal["pitch", "slope", "centre"]

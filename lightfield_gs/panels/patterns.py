@@ -1,7 +1,7 @@
 """Native images that show how well a profile fits its panel: an eye before them sees which view reaches it.
 
 All are uint8 [H, W, 3], drawn for the sub-pixels that `panel` says show a view. Those whose parameter varies over
-bands are in lightfield_gs.panels.pattern_fans.
+bands are in lightfield_gs.panels.patterns.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.panels.cells import PERIOD, subpixel_phases
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.pattern_text import HEIGHT_DOTS, text_dots, width_dots
+from lightfield_gs.panels.patterns import HEIGHT_DOTS, text_dots, width_dots
 
 _ROWS_PER_CHUNK = 64
 # A lens lights about one sub-pixel; a number that is right on so many of them covers five sixths of what an eye sees.

@@ -7,9 +7,9 @@ import torch
 from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.reach import part
+from lightfield_gs.panels.extent import part
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.visible import check_single, plain
+from lightfield_gs.panels.visibility import check_single, plain
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians

@@ -12,7 +12,7 @@ from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
-from lightfield_gs.panels.calibration_file import find_calibration, with_values
+from lightfield_gs.panels.looking_glass import find_calibration, with_values
 from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values
 from lightfield_gs.panels.panel import Panel
 

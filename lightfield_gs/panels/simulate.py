@@ -14,7 +14,7 @@ from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.cells import PERIOD, subpixel_offsets
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.simulate import Psf
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
 _MOST_EYES = 1000

@@ -10,7 +10,7 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
-from lightfield_gs.panels.visible import check_single, plain
+from lightfield_gs.panels.visibility import check_single, plain
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DepthInvalid, DepthKind
-from lightfield_gs.photo.depth_files import DepthNumbers, read_numbers
+from lightfield_gs.photo.depth import DepthNumbers, read_numbers
 
 FARTHEST = 1e12  # scene units: what is farther counts as not measured
 # What programs store for the sky, where there is nothing: the largest half float, the largest number of 16 bits, and

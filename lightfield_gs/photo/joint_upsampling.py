@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
-from lightfield_gs.photo.estimated_depth import z_of_distances
-from lightfield_gs.photo.windows import largest
+from lightfield_gs.photo.joint_upsampling import z_of_distances
+from lightfield_gs.photo.image_filters import largest
 
 _EDGE = 0.06  # what the disparity of a neighbourhood spans where an edge is looked for, as a share of the map's range
 _NEIGHBOURHOOD = 2  # pixels of the small map to each side

@@ -10,12 +10,12 @@ import numpy as np
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import Picture, as_floats, read_picture
-from lightfield_gs.photo.background import background_removed
+from lightfield_gs.photo.load import background_removed
 from lightfield_gs.photo.colour import check_finite, in_srgb
-from lightfield_gs.photo.orientation import turned_with_photo
-from lightfield_gs.photo.pieces import object_pieces
+from lightfield_gs.photo.load import turned_with_photo
+from lightfield_gs.photo.plain import object_pieces
 from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, plain_background_mask
-from lightfield_gs.photo.strips import strips
+from lightfield_gs.photo.image_filters import strips
 
 __all__ = ["NoCutOut", "Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
@@ -231,7 +231,7 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
     picture = read_picture(path)
     size = photo.pixels.shape[:2]
     pixels, turned = turned_with_photo(
-        str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation
+        str(path), picture.pixels, picture.orientation, size, photo.load, map_orientation
     )
     photo.said += [f"{Path(path).name} turned with it"] if turned else []
     if pixels.shape[:2] != size:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from lightfield_gs.photo.windows import largest
+from lightfield_gs.photo.image_filters import largest
 
 _RIM = 3  # pixels on either side of an edge whose colours may be mixed
 _WINDOW = 6  # pixels to each side from which the colours of both surfaces are taken

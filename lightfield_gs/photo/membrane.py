@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from lightfield_gs.photo.windows import halved
+from lightfield_gs.photo.image_filters import halved
 
 _ITERATIONS = 8  # where a coarser level has been solved: what is left is local. Twice as many there, and so on
 _MOST_ITERATIONS = 60  # the first guess is close, and what is far inside a hole is hardly ever seen

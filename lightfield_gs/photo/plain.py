@@ -8,8 +8,8 @@ from typing import cast
 
 import numpy as np
 
-from lightfield_gs.photo.pieces import Pieces, object_pieces
-from lightfield_gs.photo.strips import strips
+from lightfield_gs.photo.plain import Pieces, object_pieces
+from lightfield_gs.photo.image_filters import strips
 
 # The border, which has to be plain. Distances of colours are Euclidean, of channels in 0..1.
 _BORDER_SHARE = 0.02  # its width as a share of the shorter side, at least one pixel

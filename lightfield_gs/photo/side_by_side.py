@@ -11,7 +11,7 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_PARTS
 from lightfield_gs.io.images import as_floats
-from lightfield_gs.photo.depth_files import DepthNumbers, grey_numbers
+from lightfield_gs.photo.depth import DepthNumbers, grey_numbers
 
 _NAME = re.compile(r"(^|[^a-z0-9])rgbd( ?\(\d+\))?$", re.IGNORECASE)  # (1): as browsers name a second copy
 _SAMPLES = 128  # pixels a side that are looked at: enough to see whether a half is grey

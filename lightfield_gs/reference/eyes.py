@@ -10,7 +10,7 @@ import torch
 
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.simulate import Psf
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import row_of_eyes, simulate, zone_width_mm
 from lightfield_gs.rasterizer.images import render

@@ -328,7 +328,7 @@ def test_simulate(folder, capsys):
 
 
 def test_simulate_a_row_of_eyes_with_a_measured_spread(folder, capsys):
-    from lightfield_gs.panels.psf import Psf
+    from lightfield_gs.panels.simulate import Psf
     from lightfield_gs.panels.simulate import simulate
     from lightfield_gs.show.sheet import in_rows
 

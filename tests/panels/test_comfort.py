@@ -15,7 +15,7 @@ from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, place_of, sharp_dept
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
-from lightfield_gs.panels.unseen import share_past
+from lightfield_gs.panels.visibility import share_past
 from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = replace(look_cases.PANEL, viewing_distance_mm=700, pixel_pitch_mm=4.0)

@@ -11,8 +11,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import config_names
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.pattern_fans import _written, depth_ramp, fan
-from lightfield_gs.panels.pattern_text import text_dots
+from lightfield_gs.panels.patterns import _written, depth_ramp, fan
+from lightfield_gs.panels.patterns import text_dots
 from lightfield_gs.panels.patterns import bars, lens_phases, number_of_view, number_picture, numbers, single, sweep
 from lightfield_gs.panels.simulate import simulate
 

@@ -10,11 +10,11 @@ import torch
 import lightfield_gs as lf
 from lightfield_gs.photo import exemplar, membrane
 from lightfield_gs.photo.depth_edges import edges
-from lightfield_gs.photo.exemplar import complete
+from lightfield_gs.photo.inpainting import complete
 from lightfield_gs.photo.hidden import filled, find_hidden
 from lightfield_gs.photo.margin import made_up, place
-from lightfield_gs.photo.matting import find_matte, opacity_of_coverage
-from lightfield_gs.photo.membrane import solve_membrane
+from lightfield_gs.photo.depth_edges import find_matte, opacity_of_coverage
+from lightfield_gs.photo.inpainting import solve_membrane
 from lightfield_gs.photo.rgbd import from_depth
 
 HEIGHT, WIDTH, FOCAL = 90, 150, 130.0

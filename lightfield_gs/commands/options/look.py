@@ -73,7 +73,7 @@ def report_depth(
     if not is_asked and not is_given(args):
         if not may_fill:
             return []
-        from lightfield_gs.panels.unseen import share_past, words_on_past
+        from lightfield_gs.panels.visibility import share_past, words_on_past
 
         past = share_past(gaussians, panel, rig)
         if past is not None and (words := words_on_past(past)) is not None:

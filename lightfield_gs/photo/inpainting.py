@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from lightfield_gs.photo.windows import halved, largest
+from lightfield_gs.photo.image_filters import halved, largest
 
 _RADIUS = 3  # of a patch, pixels
 _STRIDE = 2  # of the places that have patches

@@ -21,7 +21,7 @@ from lightfield_gs.io.heif import is_heif
 from lightfield_gs.io.images import read_layer
 from lightfield_gs.io.jpeg_segments import xmp_of_jpeg
 from lightfield_gs.io.pillow_images import decoded, pictures_in
-from lightfield_gs.photo.depth_files import DepthNumbers, depth_channel, grey_numbers
+from lightfield_gs.photo.depth import DepthNumbers, depth_channel, grey_numbers
 
 _GDEPTH, _DYNAMIC = "http://ns.google.com/photos/1.0/depthmap/", "http://ns.google.com/photos/dd/1.0/depthmap/"
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
