@@ -1,4 +1,4 @@
-"""What the file of a photo holds beside its picture: its depths, another eye's picture, more pictures in a row.
+"""Depth maps and further pictures in the file of a photo.
 
 Sources: Depthmap Metadata (Google, 2014), whose namespace is usually GDepth, with the map in base64; Dynamic Depth 1.0
 (Google, 2019), with the map behind the picture. In both a number d of 0..1 is the distance near + d (far - near), or

@@ -34,7 +34,7 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 
 class PhotoEncoder:
-    """Draws what a panel shows of the object in a photo: SplatterNet.predict, Rig.frame and `encode`, without detours.
+    """Draw the object in a photo for a panel: SplatterNet.predict, frame_scene and `encode`, without detours.
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
     ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
@@ -179,7 +179,7 @@ class _Capture:
         values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)
         crop.check_object(has_object)
-        return framing.fit(extent, panel, np.eye(4))
+        return framing.fit_rig(extent, panel, np.eye(4))
 
     def _cropped(self) -> tuple[Tensor, Tensor | None, Tensor]:
         size = self.net.config.image_size_px

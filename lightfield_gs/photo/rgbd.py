@@ -14,11 +14,10 @@ from lightfield_gs.base.checks import expect, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.depth_edges import STEEPEST, edges, slopes, snap_mixed
+from lightfield_gs.photo.depth_edges import STEEPEST, edges, find_matte, opacity_of_coverage, slopes, snap_mixed
 from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
-from lightfield_gs.photo.margin import made_up
-from lightfield_gs.photo.depth_edges import find_matte, opacity_of_coverage
 from lightfield_gs.photo.image_filters import largest
+from lightfield_gs.photo.margin import made_up
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 

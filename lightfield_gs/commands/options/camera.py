@@ -171,7 +171,9 @@ def _looking(
 def _automatic(args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile) -> tuple[Rig, list[str]]:
     up = axes_of(args.up, file)
     notes: list[str] = []
-    rig = Rig.frame(gaussians, panel, up=up.axis, notes=notes)
+    from lightfield_gs.panels.framing import frame_scene
+
+    rig = frame_scene(gaussians, panel, up=up.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
     return rig, [f"axes: {up.words()}", *(f"framing: {words}; {others}" for words in notes)]
 

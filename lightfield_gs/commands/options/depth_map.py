@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from lightfield_gs.io.images import Picture
-    from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.depth import DepthNumbers
+    from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
 
 # How a depth map beside its photo is taken when nothing else is said: bright is near, as Looking Glass has it
@@ -225,7 +224,7 @@ def _turn_with(
         numbers.values,
         numbers.orientation,
         photo.pixels.shape[:2],
-        photo.load,
+        photo.orientation,
         choice,
         any_size=True,
     )
