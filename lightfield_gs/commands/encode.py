@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lightfield_gs.app.encoding import Encoding, use_threads
+from lightfield_gs.app.panel import why_no_eye
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.encode import add_device, add_encoding
-from lightfield_gs.commands.options.encoding import Encoding, use_threads
-from lightfield_gs.commands.options.panel import why_no_eye
+from lightfield_gs.commands.options.encoding import add_device, add_encoding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

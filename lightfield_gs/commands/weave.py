@@ -6,11 +6,12 @@ import argparse
 import re
 from pathlib import Path
 
+from lightfield_gs.app.panel import load_panel
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.values import background, numbers, whole, whole_numbers, within
+from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.parser import background, numbers, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 
@@ -140,7 +141,7 @@ def _add_framing(add) -> None:
 def run(args: argparse.Namespace) -> None:
     """Weaves args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
-    from lightfield_gs.commands.options.weaving import metadata_of, say_colours, weave_movie, weaving_of, words_of
+    from lightfield_gs.app.weaving import metadata_of, say_colours, weave_movie, weaving_of, words_of
     from lightfield_gs.encoding.view_files import read_view_map
     from lightfield_gs.encoding.weave import weave
     from lightfield_gs.view_sets.frames import is_movie

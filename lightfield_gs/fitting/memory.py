@@ -47,8 +47,8 @@ def needed(settings: FitSettings, photographs: int, width_px: int, height_px: in
     """What a fit with as many Gaussians as its settings allow needs; photographs: fitted and held out."""
     pixels = width_px * height_px
     numbers = _SHAPE_NUMBERS + 3 * SH_COEFFICIENTS[settings.sh_degree]
-    field = _NUMBER_BYTES * settings.gaussians * numbers
-    work = settings.views * (_WORK_PER_GAUSSIAN * settings.gaussians + _WORK_PER_PIXEL * pixels)
+    field = _NUMBER_BYTES * settings.cap_max * numbers
+    work = settings.batch_size * (_WORK_PER_GAUSSIAN * settings.cap_max + _WORK_PER_PIXEL * pixels)
     return Need(photographs * pixels * (5 if settings.masks == "alpha" else 4), _COPIES * field, field, work)
 
 

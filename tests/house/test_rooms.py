@@ -27,6 +27,7 @@ ROOMS = (
     "lightfield_gs.view_sets",
     "lightfield_gs.fitting",
     "training",
+    "lightfield_gs.app",
     "lightfield_gs.bench",
     "lightfield_gs.batch",
     "lightfield_gs.commands",

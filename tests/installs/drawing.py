@@ -15,10 +15,7 @@ from installs.record import case, fields_of
 from installs.scenes import PANELS, arc, panel, rig, scene, view_map
 from lightfield_gs import Encoder, Gaussians, Quality, SortedPlan, encode, interlace, prune, render
 
-if hasattr(lightfield_gs, "frame_scene"):
-    frame_scene = lightfield_gs.frame_scene
-else:  # an install from before it had this name
-    frame_scene = lightfield_gs.Rig.frame
+frame_scene = getattr(lightfield_gs, "frame_scene", None) or vars(lightfield_gs.Rig)["frame"]  # its name before
 Found = Iterator[tuple[str, Any]]
 _COLOUR = (0.1, 0.4, 0.8)
 

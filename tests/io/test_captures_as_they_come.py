@@ -15,7 +15,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.captures.colmap import read_model
-from lightfield_gs.io.captures.colmap_records import pose_of
+from lightfield_gs.io.captures.pinhole import pose_matrix
 from lightfield_gs.io.images import write_image
 
 
@@ -94,8 +94,8 @@ def test_poses_are_those_of_frames_and_rigs(tmp_path, form):
     with pytest.warns(Assumption, match=f"the poses of 2 of 4 photographs are those of frames.{form} and rigs.{form}"):
         found = [image.world_to_camera for image in read_model(tmp_path).images]
     np.testing.assert_array_equal([found[0], found[2]], [before[0], before[2]])
-    np.testing.assert_allclose(found[1], pose_of(*RIG) @ pose_of(*poses[0]), atol=1e-14)
-    np.testing.assert_allclose(found[3], pose_of(*poses[2]), atol=1e-14)
+    np.testing.assert_allclose(found[1], pose_matrix(*RIG) @ pose_matrix(*poses[0]), atol=1e-14)
+    np.testing.assert_allclose(found[3], pose_matrix(*poses[2]), atol=1e-14)
 
 
 def test_the_largest_of_several_models_is_read(tmp_path):

@@ -18,17 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from lightfield_gs.app.cameras import axes_of, read_given
+from lightfield_gs.app.look import apply_look, report_depth
+from lightfield_gs.app.photo import photo_rig
+from lightfield_gs.app.photo_depth import depth_file, depth_model, is_estimated
+from lightfield_gs.app.provenance import scene_hash
+from lightfield_gs.app.scene import check_scene_options, frame_scene, load_drawn, load_scene, settle_drawing
+from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import axes_of, read_given
-from lightfield_gs.commands.options.drawn import settle_drawing
-from lightfield_gs.commands.options.estimated import depth_file, depth_model, is_estimated
-from lightfield_gs.commands.options.framed import frame_scene, load_drawn
-from lightfield_gs.commands.options.look import apply_look, report_depth
-from lightfield_gs.commands.options.placing import photo_rig
-from lightfield_gs.commands.options.provenance import scene_hash
-from lightfield_gs.commands.options.scene import check_scene_options, load_scene
-from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import read_picture

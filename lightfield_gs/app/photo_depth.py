@@ -1,4 +1,4 @@
-"""The options of a photo's depth map, and the map that they and its file make."""
+"""The depth map of a photo: of a file, beside the photo, inside its file, or estimated by a network."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lightfield_gs.app.photo_camera import camera_of_photo
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, MAP_ORIENTATIONS
-from lightfield_gs.commands.options.estimated import add_depth_model
-from lightfield_gs.commands.options.photo_camera import camera_of_photo
-from lightfield_gs.commands.options.placing import add_fit
-from lightfield_gs.commands.options.values import numbers, within
+from lightfield_gs.base.options import DEPTH_MODEL
 from lightfield_gs.photo.side_by_side import is_named_so
 
 if TYPE_CHECKING:
@@ -24,85 +21,38 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
 
+AUTO = Path("auto")  # in place of the file of --depth
 # How a depth map beside its photo is taken when nothing else is said: bright is near, as Looking Glass has it
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
 
 
-def add_depth(add: Callable[..., argparse.Action]) -> None:
-    """The depth map of a photo, and what its numbers mean."""
-    add(
-        "--depth",
-        type=Path,
-        metavar="FILE|auto",
-        help="depth map of the photo, of its shape: the whole scene is shown, "
-        "without the network; a grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz of "
-        "numbers [H,W]; auto: a "
-        "network of transformers estimates it (pip install 'lightfield-gs[depth]'; downloads 99 MB once)",
+def is_estimated(args: argparse.Namespace) -> bool:
+    """Whether the depth of the photo is estimated by a network."""
+    return args.depth == AUTO
+
+
+def depth_file(args: argparse.Namespace) -> Path | None:
+    """The file of --depth, where it is one."""
+    return None if is_estimated(args) else args.depth
+
+
+def depth_model(args: argparse.Namespace) -> str:
+    """The network of --depth auto."""
+    return args.depth_model or DEPTH_MODEL
+
+
+def depth_by_network(args: argparse.Namespace, photo: Photo, device: str) -> DepthMap:
+    """The depth map of --depth auto. Raises InputError."""
+    from lightfield_gs.photo.depth_network import estimated_depth
+
+    return estimated_depth(
+        photo.floats(),
+        depth_model(args),
+        "cuda" if device == "cuda" else "cpu",
+        kind=args.depth_kind,
+        limits=args.depth_range,
+        say=lambda words: print(words, flush=True),
     )
-    add_depth_model(add)
-    add(
-        "--depth-kind",
-        choices=DEPTH_KINDS,
-        help="what its numbers are: distance, along the camera's "
-        "axis (default), ray, distance along each pixel's ray, as some renderers and scanners give it, or disparity, "
-        "1 / distance, as most networks give it (bright is near)",
-    )
-    add(
-        "--depth-range",
-        type=numbers(2),
-        metavar="NEAR,FAR",
-        help="distances, in any unit, at the ends of the file's "
-        "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks; FAR,NEAR where the "
-        "ends are the other way round: 1.6,1 for distances of which bright is near",
-    )
-    add(
-        "--depth-scale",
-        type=float,
-        metavar="S",
-        help="in place of a range: distance = S * number, or S / number of a "
-        "disparity; 0.001 for millimetres to metres (default for floats: 1); the distance 0 is no measurement",
-    )
-    add(
-        "--depth-invalid",
-        choices=DEPTH_INVALID,
-        help="what infinite distances, those that stand for the sky (1e10, 65504, 65535) and the disparity 0 are: far "
-        "away (default), or holes, as NaN and the distance 0 always are",
-    )
-    add(
-        "--rgbd",
-        choices=DEPTH_PARTS,
-        help="in place of --depth: the half of the photo that is its depth map (found by itself for names like "
-        "photo_rgbd.png, and so is a map inside a telephone's .jpg); bright is near and --depth-range 1,1.6 when not "
-        "said",
-    )
-    add(
-        "--map-orientation",
-        choices=MAP_ORIENTATIONS,
-        help="of --mask and --depth for a photo that its Exif "
-        "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)",
-    )
-    add(
-        "--pixel-aspect",
-        type=within(0.1, 10),
-        metavar="A",
-        help="width by height of a pixel of a photo with depths: 2 where photo and map are squeezed to half their "
-        "width to lie side by side, 0.5 where to half their height (default 1)",
-    )
-    add(
-        "--fov",
-        type=float,
-        metavar="DEG",
-        help="angle that the photo's longer side takes, degrees (default 60, "
-        "unless the depth map's .npz has a focal length)",
-    )
-    add(
-        "--intrinsics",
-        type=numbers(4),
-        metavar="FX,FY,CX,CY",
-        help="in place of --fov: focal lengths and principal "
-        "point of the photo, in its pixels, from the outer corner of the first",
-    )
-    add_fit(add)
 
 
 def has_depth(args: argparse.Namespace) -> bool:
@@ -220,13 +170,7 @@ def _turn_with(
     from lightfield_gs.photo.load import turned_with_photo
 
     return lambda numbers: turned_with_photo(
-        str(args.depth),
-        numbers.values,
-        numbers.orientation,
-        photo.pixels.shape[:2],
-        photo.orientation,
-        choice,
-        any_size=True,
+        str(args.depth), numbers.values, numbers.orientation, photo.pixels.shape[:2], photo.load, choice, any_size=True
     )
 
 

@@ -1,15 +1,12 @@
-"""How the scene is to look on the panel: depth, size and place, as options of every command that draws one."""
+"""How the scene is to look on the panel: depth, size and place."""
 
 from __future__ import annotations
 
 import argparse
-import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.options.values import numbers, within
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
@@ -18,46 +15,6 @@ if TYPE_CHECKING:
 
 # Names of the options, and the fields of Look that they set
 _FIELDS = {"focus": "focus", "depth_amount": "depth_amount", "cone": "cone_deg", "zoom": "zoom", "pan": "pan"}
-
-
-def add_look(add: Callable[..., argparse.Action]) -> None:
-    """Focus, amount of depth, cone, zoom and pan. Each is None where it was not given."""
-    add(
-        "--focus",
-        type=_focus,
-        metavar="DEPTH|X,Y",
-        help="what lies in the panel's plane: a depth before the camera in scene units, or a point of the picture, X "
-        "of its width from the left and Y of its height from the top, 0..1 each: the surface seen there (default: that "
-        "of the rig, or automatic)",
-    )
-    add(
-        "--depth-amount",
-        type=within(0, 2),
-        metavar="FACTOR",
-        help="how deep the scene is, 0 (flat) to 2: factor of all disparities (default 1)",
-    )
-    add(
-        "--cone",
-        type=within(0, 179, "degrees"),
-        metavar="DEG",
-        help="full angle that the cameras of the views span, in degrees, 0..179 (default: the rig's or the panel's)",
-    )
-    add("--zoom", type=within(0.01, 100), metavar="FACTOR", help="size of the picture, about its middle (default 1)")
-    add(
-        "--pan",
-        type=_pan,
-        metavar="X,Y",
-        help="moves the picture to the right by X of the panel's width and down by Y of its height (default 0,0)",
-    )
-
-
-def add_depth_report(add: Callable[..., argparse.Action]) -> None:
-    add(
-        "--depth-report",
-        action="store_true",
-        help="print how deep the scene is on the panel, in px and mm: disparities, what stands before and behind the "
-        "panel, whether that is comfortable, what is sharp, and what the outermost views show that nobody has seen",
-    )
 
 
 def report_depth(
@@ -118,24 +75,3 @@ def apply_look(args: argparse.Namespace, rig: Rig, panel: Panel, gaussians: Gaus
     if any(look.pan):
         words.append(f"moved by {look.pan[0]:g} of the width and {look.pan[1]:g} of the height")
     return seen, [f"look: {', '.join(words)}"]
-
-
-def _focus(text: str) -> float | tuple[float, ...]:
-    """ "2.5" -> 2.5, a depth; "0.5,0.4" -> (0.5, 0.4), a point of the picture."""
-    if "," not in text:
-        depth = numbers(1)(text)[0]
-        if not 1e-6 <= depth <= 1e12:
-            raise argparse.ArgumentTypeError(f"expected a depth of 1e-06..1e+12 scene units, got '{text}'")
-        return depth
-    point = numbers(2)(text)
-    if not all(0 <= part <= 1 for part in point):
-        raise argparse.ArgumentTypeError(f"expected a point X,Y of the picture, 0..1 each, got '{text}'")
-    return point
-
-
-def _pan(text: str) -> tuple[float, ...]:
-    """ "-0.1,0.2" -> (-0.1, 0.2)."""
-    pan = numbers(2)(text)
-    if not all(math.fabs(part) <= 10 for part in pan):
-        raise argparse.ArgumentTypeError(f"expected shares of the panel's width and height, -10..10, got '{text}'")
-    return pan

@@ -3,40 +3,51 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.base.complaint import note
-from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.depth_map import (
+from lightfield_gs.app.photo_camera import camera_of_photo
+from lightfield_gs.app.photo_depth import (
+    AUTO,
     depth_beside,
+    depth_by_network,
     depth_of_file,
     depth_within,
     has_depth,
     is_depth_inside,
+    is_estimated,
 )
-from lightfield_gs.commands.options.detail import detail_given, detail_words
-from lightfield_gs.commands.options.estimated import AUTO, depth_by_network, is_estimated
-from lightfield_gs.commands.options.network import network_of
-from lightfield_gs.commands.options.photo_camera import camera_of_photo
-from lightfield_gs.commands.options.placing import place_photo
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import FITS, Detail
+from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.photo.side_by_side import depth_side, halves
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from lightfield_gs.io.images import Picture
+    from lightfield_gs.models.config import ModelConfig
+    from lightfield_gs.models.detail_level import DetailLevel
+    from lightfield_gs.models.replayed import ReplayedNet
     from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.margin import Placed
     from lightfield_gs.scene.gaussians import Gaussians
 
-
 _MOST_BESIDE = 200  # files in the folder of a photo up to which a depth map is looked for: each of a batch does so
+
+_MOST_CROPPED = 0.34  # share of the photo beyond which all of it is shown when nothing was said
+_TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: nothing is made up around a cut-out
 
 
 @dataclass
@@ -251,3 +262,99 @@ def _say(args: argparse.Namespace, photo: Photo, more: list[str], notes: list[st
         note(words)
     height, width = photo.pixels.shape[:2]
     print(f"{args.input}: {width} x {height}, {', '.join([*photo.said, *more])}")
+
+
+def network_of(checkpoint: Path | None, device: str) -> ReplayedNet:
+    """The network of --checkpoint, on the device; None: the one inside. The last one is kept, and read again when its
+    file is another. Raises InputError."""
+    version = None
+    if checkpoint is not None:
+        with suppress(OSError):  # its reader says what is wrong with it
+            found = checkpoint.stat()
+            version = found.st_size, found.st_mtime_ns
+    return _network(checkpoint, version, device)
+
+
+@lru_cache(maxsize=1)
+def _network(checkpoint: Path | None, version: tuple[int, int] | None, device: str) -> ReplayedNet:
+    import torch
+
+    from lightfield_gs.models import SplatterNet
+    from lightfield_gs.models.replayed import ReplayedNet
+
+    with torch.inference_mode(False):  # whose weights could not be used outside
+        return ReplayedNet(SplatterNet.from_pretrained(checkpoint).to(device))
+
+
+def detail_given(args: argparse.Namespace) -> tuple[Detail | None, int]:
+    """Detail and budget of SplatterNet.predict, by the options."""
+    from lightfield_gs.models.detail_level import DEFAULT_BUDGET
+
+    detail: Detail | None = None if args.detail == "none" else args.detail or "auto"
+    return detail, DEFAULT_BUDGET if args.detail_budget is None else args.detail_budget
+
+
+def detail_words(level: DetailLevel | None, config: ModelConfig) -> str:
+    """What was decided, in words."""
+    if level is None:
+        return "detail none: the network's own Gaussians"
+    side = level.factor * config.image_size_px
+    return f"detail {level.factor}: the object's square at {side} x {side} px"
+
+
+def place_photo(
+    args: argparse.Namespace,
+    panel: Panel,
+    image: Tensor,
+    depth: Tensor,
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+) -> tuple[tuple[int, int, int, int], list[str]]:
+    """The margin that from_depth makes up, and words on it; the rig is kept in args.placed for `photo_rig`.
+
+    image: [H, W, 4]; depth: [H, W], z. Of a photo whose border is cut out nothing is made up.
+    """
+    args.placed = None
+    alpha = image[..., 3]
+    border = min(float(part.min()) for part in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
+    if border < _TRANSPARENT or not bool(((depth > 0) & depth.isfinite()).any()):
+        return (0, 0, 0, 0), []
+    from lightfield_gs.photo.margin import place
+
+    def placed(fit: str) -> Placed:
+        return place(
+            depth,
+            focal,
+            centre,
+            panel,
+            fit,
+            widest_tan=_widest_tan(args, panel),
+            zoom=getattr(args, "zoom", None) or 1,
+            on_near=is_estimated(args),
+        )
+
+    fit = args.fit or FITS[0]
+    found = placed(fit)
+    if args.fit is None and found.cropped > _MOST_CROPPED:
+        fit = FITS[1]
+        found = placed(fit)
+    args.placed = found
+    words = f"fit {fit}: {found.cropped:.0%} of it cropped, {found.made_up:.0%} of the panel made up"
+    return found.margin_px, [words + ("" if args.fit else " (assumed; --fit cover, --fit contain)")]
+
+
+def photo_rig(args: argparse.Namespace, panel: Panel, gaussians: Gaussians) -> Rig:
+    """The rig of a photo: as it was placed, or fitted to what it shows; of one whose depths are a network's, whose
+    scale means little, with the panel in the subject. Raises InputError."""
+    from lightfield_gs.panels import framing
+
+    placed: Placed | None = getattr(args, "placed", None)
+    rig = framing.frame_photo(gaussians, panel) if placed is None else placed.rig
+    return framing.on_subject(rig, gaussians, panel) if is_estimated(args) else rig
+
+
+def _widest_tan(args: argparse.Namespace, panel: Panel) -> float:
+    """tan(cone / 2) of the outermost views, as --cone and --depth-amount have it."""
+    cone = panel.cone_deg if getattr(args, "cone", None) is None else args.cone
+    amount = 1.0 if getattr(args, "depth_amount", None) is None else args.depth_amount
+    return amount * math.tan(math.radians(cone) / 2)

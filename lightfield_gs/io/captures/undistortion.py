@@ -1,4 +1,4 @@
-"""Photographs freed of their lens, and smaller ones."""
+"""Undistort and reduce images."""
 
 from __future__ import annotations
 
@@ -6,15 +6,80 @@ from functools import lru_cache
 
 import numpy as np
 
-from lightfield_gs.io.captures.camera_models import Lens
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.camera_models import Lens, describe_coefficients, distort_brown
 
-LARGEST_LOSS = 0.25  # share of a picture that a lens may fold away: more is a mistake in its numbers
+LARGEST_FOLDED_FRACTION = 0.25  # share of a picture that a lens may fold away: more is a mistake in its numbers
 _BAND = 256  # rows at a time: in float64 a whole photograph would take 100 bytes a pixel
 _LEAST_ALPHA = 1e-3  # of 255: less, after rounding of float32, is none
 _RAYS, _STEPS = 32, 2048  # where a lens is looked at for the place from which on it folds
 
 
-def source_places(
+def brown_source_positions(
+    intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
+) -> np.ndarray:
+    """Where in the stored picture each pixel of the undistorted one is, [H,W,2] float64: x and y in pixels from the
+    outer corner of the first; NaN where the polynomial folds the plane, so that no lens shows what is there.
+
+    Both pictures have the intrinsics (fx, fy, cx, cy) and the size width_px x height_px.
+    """
+    columns, rows = np.meshgrid(np.arange(width_px) + 0.5, np.arange(height_px) + 0.5)
+    points = (np.stack([columns, rows], -1) - intrinsics[2:]) / intrinsics[:2]
+    with np.errstate(over="ignore", invalid="ignore"):
+        places = distort_brown(points, coefficients) * intrinsics[:2] + intrinsics[2:]
+        k1, k2, k3, k4 = coefficients[:4]
+        r2 = (points**2).sum(-1)
+        growing = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * (7 * k3 + r2 * 9 * k4))) > 0  # d (r radial) / d r
+    first_fold = r2[~growing].min(initial=np.inf)
+    places[(r2 >= first_fold) | ~np.isfinite(places).all(-1)] = np.nan
+    return places
+
+
+def check_distortion(
+    field: str, intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
+) -> None:
+    """Raises InputError, beginning with `field`, for coefficients that leave much of the picture without a place."""
+    lost = np.isnan(_coarse_source_positions(intrinsics, coefficients, width_px, height_px)).any(-1).mean()
+    if lost > LARGEST_FOLDED_FRACTION:
+        raise InputError(
+            f"{field}: bad intrinsics: the lens distortion {describe_coefficients(coefficients)} folds {lost:.0%} of "
+            "the picture onto the rest: expected coefficients for lengths in units of the focal length; or "
+            "undistort the images first and leave them out"
+        )
+
+
+def fraction_beyond(intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int) -> float:
+    """The share 0..1 of the stored picture that lies beyond the frame of the undistorted one, to some 2 %."""
+    places = _coarse_source_positions(intrinsics, coefficients, width_px, height_px)
+    height, width = np.maximum(np.array(places.shape[:2]) // 2, 1)
+    cells = np.floor(places[~np.isnan(places).any(-1)] / 2).astype(int)  # of four pixels, so that few are leapt over
+    cells = cells[((cells >= 0) & (cells < (width, height))).all(-1)]
+    return 1 - len(np.unique(cells @ (1, width))) / (width * height)
+
+
+def _coarse_source_positions(
+    intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
+) -> np.ndarray:
+    """brown_source_positions of a picture of some 128 pixels a side: enough to measure areas."""
+    scale = 128 / max(width_px, height_px)
+    width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
+    return brown_source_positions(intrinsics * scale, coefficients, width, height)
+
+
+def undistort(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """A picture uint8 [H,W,C] looked up at places [H,W,2] of brown_source_positions, bilinearly; 0 beyond its edges."""
+    height, width = image.shape[:2]
+    padded = np.pad(image, ((1, 2), (1, 2), (0, 0))).astype(np.float32)
+    inside = np.nan_to_num(np.clip(places, -0.5, (width + 0.5, height + 0.5)), nan=-0.5) + 0.5  # pixel centres, padded
+    first = np.floor(inside).astype(np.int64)
+    x, y = np.moveaxis(first, -1, 0)
+    right, down = np.moveaxis((inside - first).astype(np.float32)[..., None], -2, 0)
+    upper = padded[y, x] * (1 - right) + padded[y, x + 1] * right
+    lower = padded[y + 1, x] * (1 - right) + padded[y + 1, x + 1] * right
+    return np.rint(upper * (1 - down) + lower * down).astype(np.uint8)
+
+
+def source_positions(
     lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int, rows: range | None = None
 ) -> np.ndarray:
     """Where in the photograph each pixel of a pinhole's picture is, [H,W,2] float64: x and y in pixels from the outer
@@ -30,14 +95,14 @@ def source_places(
     corners = (np.array([(0, 0), (0, height_px), (width_px, 0), (width_px, height_px)]) - intrinsics[2:]) / intrinsics[
         :2
     ]
-    fold = first_fold(lens, float(np.linalg.norm(corners, axis=1).max()))
+    fold = fold_radius(lens, float(np.linalg.norm(corners, axis=1).max()))
     beyond = points[..., 0] ** 2 + points[..., 1] ** 2 >= fold**2  # numpy is slow at sums of two
     places[beyond | ~np.isfinite(places[..., 0] + places[..., 1])] = np.nan
     return places
 
 
 @lru_cache(maxsize=16)  # of the bands of one picture
-def first_fold(lens: Lens, largest: float) -> float:
+def fold_radius(lens: Lens, largest: float) -> float:
     """The radius at depth 1, up to `largest`, from which on the lens shows a point further out nearer to the middle
     than one before it; infinity where there is none. To a thousandth of `largest`."""
     angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
@@ -49,12 +114,12 @@ def first_fold(lens: Lens, largest: float) -> float:
     return np.inf if grows.all() else float(radii[grows.argmin()])
 
 
-def share_folded(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
+def folded_fraction(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
     """The share 0..1 of the pinhole's picture that the lens does not show at all, to some 2 %."""
     scale = 128 / max(width_px, height_px)
     width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
     ratio = np.array([width / width_px, height / height_px] * 2)
-    return float(np.isnan(source_places(lens, intrinsics * ratio, width, height)).any(-1).mean())
+    return float(np.isnan(source_positions(lens, intrinsics * ratio, width, height)).any(-1).mean())
 
 
 @lru_cache(maxsize=2)  # photographs of one camera follow each other
@@ -74,7 +139,7 @@ class Straightening:
         frame = np.empty((height_px, width_px), np.uint8)
         for top in range(0, height_px, _BAND):
             rows = range(top, min(top + _BAND, height_px))
-            places = source_places(lens, intrinsics, width_px, height_px, rows)
+            places = source_positions(lens, intrinsics, width_px, height_px, rows)
             good = (places >= 0) & (places <= (width_px, height_px))  # false for NaN
             inside = good[..., 0] & good[..., 1]
             frame[rows] = np.where(inside, 255, 0)

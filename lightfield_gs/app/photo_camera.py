@@ -1,11 +1,15 @@
-"""The camera of a photo with depths, by --fov, --intrinsics or the file of its depth map."""
+"""The camera of a photo with depths."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import InputError
+
+if TYPE_CHECKING:
+    pass
 
 _OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides of the photo, may be another photo's
 # Angles of the longer side that are usual, and those beyond which intrinsics must be in other units

@@ -7,12 +7,12 @@ import json
 from fractions import Fraction
 from typing import Any
 
+from lightfield_gs.app.provenance import package_versions, software
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.provenance import package_versions, software
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.view_sets.colours import ViewColours

@@ -1,59 +1,30 @@
-"""The rig of a command: given, of a camera file, of what the scene's file brings along, or framed automatically."""
+"""The rig of a command: of its options, of what the scene's file brings along, or framed automatically."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lightfield_gs.app.photo import photo_rig
+from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.commands.options.placing import photo_rig
-from lightfield_gs.commands.options.rig import load_rig
-from lightfield_gs.commands.options.values import camera_choice
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.axes import DEFAULT_UP, UP_AXES, Up, stated_up
+from lightfield_gs.scene.axes import DEFAULT_UP, Up, stated_up
 from lightfield_gs.scene.fitted import drawn_comments, stated_fit, trained_antialiased
 
 if TYPE_CHECKING:
+    from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _OTHERS = "another: --camera, --rig, --up"
-
-
-def add_camera(add: Callable[..., argparse.Action]) -> None:
-    """The cameras of the views, of a scene that has a file; without any, framed automatically."""
-    add(
-        "--rig",
-        type=Path,
-        metavar="YAML",
-        help="cameras of the views, in the file's own axes (default: those that "
-        "the file brings along, else framed automatically)",
-    )
-    add(
-        "--camera",
-        type=camera_choice,
-        metavar="FILE[:INDEX]",
-        help="centre camera of the views, in the file's own "
-        "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
-        "fitted to the panel (default index 0)",
-    )
-    add_up(add)
-
-
-def add_up(add: Callable[..., argparse.Action]) -> None:
-    add(
-        "--up",
-        choices=UP_AXES,
-        metavar="AXIS",
-        help="axis that points up in the file, x, y, z, -x, -y or -z, for "
-        "automatic framing; the Gaussians stay as they are (default: what the file says, else -y)",
-    )
 
 
 @dataclass(frozen=True)
@@ -217,3 +188,55 @@ def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, 
     if file is not None and (args.up or stated_up(file.comments)):
         known.append(f"Vertical Axis: {axes_of(args.up, file).axis}")
     return known + ([] if rig is None else [framing_comment(rig, panel)])
+
+
+def load_rig(args: argparse.Namespace, panel: Panel) -> Rig | None:
+    """The rig of --rig, if there is one; says where it looks like one of another panel. Raises InputError."""
+    from lightfield_gs.panels.rig import Rig
+
+    if args.rig is None:
+        return None
+    rig = Rig.from_yaml(args.rig)
+    _note_of_centre(args.rig, rig.principal_point_px, panel)
+    return rig
+
+
+def load_cameras(args: argparse.Namespace, panel: Panel) -> Cameras:
+    """Those of --cameras; says where they look as if they were in the wrong order, or made for another panel."""
+    from lightfield_gs.encoding.view_files import read_cameras
+
+    cameras = read_cameras(args.cameras, panel)
+    _note_of_centre(args.cameras, cameras.intrinsics()[:, 2:].median(0).values.tolist(), panel)
+    if args.view_map is None:  # a view map has the views in an order of its own
+        _note_of_order(args.cameras, cameras, panel)
+    return cameras
+
+
+def _note_of_centre(path: Path, principal_point_px: Sequence[float], panel: Panel) -> None:
+    """Says where cameras' lengths look as if they counted pixels of another panel: then the principal point is off the
+    middle in both directions alike. In one alone it is where the content is beside the axis and was centred."""
+    size = panel.width_px, panel.height_px
+    places = [centre / pixels for centre, pixels in zip(principal_point_px, size)]
+    if max(places) < 0.3 or min(places) > 0.7:
+        x, y = principal_point_px
+        note(
+            f"{path}: its principal point ({x:g}, {y:g}) is far from the middle of the panel's {size[0]} x {size[1]} "
+            "pixels; if it was made for a panel of another size, scale focal_px and principal_point_px by the ratio"
+        )
+
+
+def _note_of_order(path: Path, cameras: Cameras, panel: Panel) -> None:
+    """Says where the cameras go from left to right, as those of quilts do, and views from right to left, or the other
+    way round."""
+    rotations, moves = cameras.world_to_camera[:, :3, :3], cameras.world_to_camera[:, :3, 3:]
+    centres = -(rotations.transpose(1, 2) @ moves)[..., 0]
+    right = rotations[cameras.count // 2, 0]
+    half = (cameras.count + 1) // 2
+    way = centres[:half].mean(0) - centres[-half:].mean(0)  # from the last to the first
+    to_right = float(way @ right) * (-1 if panel.invert_views else 1)
+    if to_right < -0.1 * float(way.norm()):
+        sides = ("left", "right") if panel.invert_views else ("right", "left")
+        note(
+            f"{path}: view 0 of panel {panel.name} goes to the {sides[0]}-most eye, and camera 0 stands on the "
+            f"{sides[1]}: depth is inside out; write the cameras in the other order"
+        )
