@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.app.photo import photo_rig
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -31,14 +31,15 @@ _OTHERS = "another: --camera, --rig, --up"
 class Given:
     """What the options say of the cameras, in the coordinates of the scene's file.
 
-    rig: of --rig, complete. pose, focal_px, principal_point_px: of --camera, at the panel's resolution. said: lines.
+    rig: of --rig, complete. pose, focal_px, principal_point_px: of --camera, at the panel's resolution. messages:
+    lines.
     """
 
     rig: Rig | None = None
     pose: np.ndarray | None = None
     focal_px: tuple[float, float] = (1.0, 1.0)
     principal_point_px: tuple[float, float] = (0.0, 0.0)
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
 
 
 def read_given(args: argparse.Namespace, panel: Panel) -> Given:
@@ -50,7 +51,7 @@ def read_given(args: argparse.Namespace, panel: Panel) -> Given:
     unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if args.up else []
     if args.rig is not None:
         _refuse_cameras(args.rig)
-        return Given(load_rig(args, panel), said=unused)
+        return Given(load_rig(args, panel), messages=unused)
     path, index = args.camera
     if path.suffix.lower() in (".yaml", ".yml"):
         if index is not None:
@@ -75,7 +76,7 @@ def _refuse_cameras(path: Path) -> None:
         raise InputError(f"{path}: holds the cameras of photographs, no rig; give it as --camera FILE[:INDEX]")
 
 
-def _of_camera_file(path: Path, index: int | None, panel: Panel, said: list[str]) -> Given:
+def _of_camera_file(path: Path, index: int | None, panel: Panel, messages: list[str]) -> Given:
     from lightfield_gs.io.captures.camera_files import read_camera_file
 
     cameras = read_camera_file(path)
@@ -89,7 +90,7 @@ def _of_camera_file(path: Path, index: int | None, panel: Panel, said: list[str]
         words += f"; {camera.assumed}"
     if camera.distorted:
         words += "; its lens distortion is left out"
-    return Given(None, camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), [words, *said])
+    return Given(None, camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), [words, *messages])
 
 
 def choose_rig(
@@ -100,9 +101,9 @@ def choose_rig(
     Raises InputError.
     """
     if given.rig is not None:
-        return given.rig.relative_to(gaussians.origin), given.said
+        return given.rig.relative_to(gaussians.origin), given.messages
     if given.pose is not None:
-        return _looking(given.pose, given.focal_px, given.principal_point_px, panel, gaussians), given.said
+        return _looking(given.pose, given.focal_px, given.principal_point_px, panel, gaussians), given.messages
     if file is None:
         return photo_rig(args, panel, gaussians), []
     own = None if args.up else _own_camera(args.input, file, panel, gaussians)

@@ -24,8 +24,8 @@ from lightfield_gs.app.scene import (
     frame_scene,
     read_source,
 )
-from lightfield_gs.base.arrays import on_host
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import of_other_methods
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lightfield_gs.app.photo import ReadPhoto
-    from lightfield_gs.base.host_copies import HostCopies, HostCopy
+    from lightfield_gs.base.cuda import HostCopies, HostCopy
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
@@ -50,13 +50,13 @@ class Encoding:
     """args.input to args.output: `read`, then `draw`, then `write`, each in any thread.
 
     `draw` alone needs the device; `read` and `write` are the host's work, beside which other inputs are drawn. What can
-    be refused before anything is read is refused when it is made. said: lines on what was decided; stats: those of
+    be refused before anything is read is refused when it is made. messages: lines on what was decided; stats: those of
     `encode`. copies: of one input after the other from CUDA to the host; with them `draw` does not wait for the image,
     and counts nothing for the stats. All raise InputError.
     """
 
     def __init__(self, args: argparse.Namespace, watch: Stopwatch, copies: HostCopies | None = None) -> None:
-        self.args, self.watch, self.said = args, watch, list[str]()
+        self.args, self.watch, self.messages = args, watch, list[str]()
         self.bits = _check_files(args)
         check_options(args)
         self.panel = load_panel(args)
@@ -84,20 +84,22 @@ class Encoding:
         args, panel = self.args, self.panel
         source, self._source = self._source, None  # its memory is of no use any more
         with torch.inference_mode():
-            gaussians, self.file, self.said = drawn_of(args, cast("SceneFile", source), panel, self.device, self.watch)
+            gaussians, self.file, self.messages = drawn_of(
+                args, cast("SceneFile", source), panel, self.device, self.watch
+            )
             _note_slow_ways(args, panel, self.device)
             # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
             if "cameras" in self.views:
                 self.views["cameras"] = self.views["cameras"].relative_to(gaussians.origin)
             else:
                 self.rig, how = frame_scene(args, panel, self.given, gaussians, self.file)
-                self.said += how
+                self.messages += how
             self.gaussians = gaussians
             parts = self._parts(self._drawn(self.stats if self._counts else None))
             if self._copies is not None and parts[0].is_cuda:
                 self._copy = self._copies.begin([*parts, *gaussians.fields().values()])
             else:
-                self._take([on_host(part) for part in parts])
+                self._take([to_numpy(part) for part in parts])
         self.watch.lap("image", self.stats.get("stages_ms"))
 
     def _parts(self, image: Tensor) -> list[Tensor]:
@@ -176,7 +178,7 @@ class Encoding:
             if args.save_gaussians is not None:
                 gaussians.save(args.save_gaussians, comments_of(args, panel, self.file, rig_of_file))
                 along = ", with the framing and what is up" if args.save_gaussians.suffix.lower() == ".ply" else ""
-                self.said.append(f"{args.save_gaussians}: the Gaussians in their own axes{along}")
+                self.messages.append(f"{args.save_gaussians}: the Gaussians in their own axes{along}")
             self.watch.lap("write")
             if args.preview is not None:
                 from lightfield_gs.show.preview import write_preview

@@ -24,7 +24,7 @@ from lightfield_gs.app.photo_depth import (
     is_depth_inside,
     is_estimated,
 )
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import FITS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
@@ -253,7 +253,7 @@ def _scene_of_whole(
     margin, placed = place_photo(args, panel, image, torch.from_numpy(depth.z), *known)
     gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
     watch.lap("depth")
-    _say(args, photo, [depth.said, camera, *placed], source.notes + depth.notes + notes)
+    _say(args, photo, [depth.description, camera, *placed], source.notes + depth.notes + notes)
     return gaussians
 
 
@@ -261,7 +261,7 @@ def _say(args: argparse.Namespace, photo: Photo, more: list[str], notes: list[st
     for words in photo.notes + notes:
         note(words)
     height, width = photo.pixels.shape[:2]
-    print(f"{args.input}: {width} x {height}, {', '.join([*photo.said, *more])}")
+    print(f"{args.input}: {width} x {height}, {', '.join([*photo.messages, *more])}")
 
 
 def network_of(checkpoint: Path | None, device: str) -> ReplayedNet:

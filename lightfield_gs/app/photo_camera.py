@@ -32,11 +32,11 @@ def camera_of_photo(args: argparse.Namespace, height: int, width: int, focal_px:
         focals = focal_px / wide, focal_px
         _, notes = _checked_intrinsics((*focals, width / 2, height / 2), height, width)
         return focals, None, f"focal length {focal_px:.5g} px, of {args.depth.name}{squeezed}", notes
-    said = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
+    description = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
     if args.pixel_aspect is None:
-        return None, None, said, []
+        return None, None, description, []
     focal = focal_length_px(FIELD_OF_VIEW_DEG, height, width * wide)
-    return (focal / wide, focal), None, said, []
+    return (focal / wide, focal), None, description, []
 
 
 def _checked_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) -> tuple[str, list[str]]:

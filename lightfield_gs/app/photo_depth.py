@@ -80,7 +80,9 @@ def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
     numbers = read_numbers(args.depth)
     turn = _turn_with(args, photo, args.map_orientation)
     depth = _mapped(args, args.depth, numbers, args.depth_kind, args.depth_range, photo.pixels.shape[:2], turn)
-    return _fitted(str(args.depth), replace(depth, said=f"depth by {args.depth.name}: {depth.said}"), photo)
+    return _fitted(
+        str(args.depth), replace(depth, description=f"depth by {args.depth.name}: {depth.description}"), photo
+    )
 
 
 def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> DepthMap:
@@ -105,8 +107,10 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
         if is_assumed and args.depth_scale is None
     ]
     near = f", {nearness(kind, limits)}" if kind is not None and is_plain else ""
-    said = f"depth by its {side} half: {depth.said}{near}" + (f" (assumed; {', '.join(assumed)})" if assumed else "")
-    return replace(depth, said=said)
+    description = f"depth by its {side} half: {depth.description}{near}" + (
+        f" (assumed; {', '.join(assumed)})" if assumed else ""
+    )
+    return replace(depth, description=description)
 
 
 def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
@@ -124,14 +128,14 @@ def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
             limits = limits[::-1]  # dark is near in both formats
     turn = _turn_with(args, photo, args.map_orientation or "stored")
     depth = _mapped(args, args.input, inside.numbers(args.input), kind, limits, photo.pixels.shape[:2], turn)
-    said = f"depth inside it ({inside.name}): {depth.said}"
+    description = f"depth inside it ({inside.name}): {depth.description}"
     if args.depth_kind is None and limits is not None:
         near = nearness(str(kind), limits)
-        said += "" if near in said else f", {near}"
+        description += "" if near in description else f", {near}"
         if args.depth_range is None:
-            said += " by its format (--depth-range FAR,NEAR where it is not)"
-            said += "" if inside.near else ", near and far assumed (--depth-range)"
-    return _fitted(f"{args.input}: the depth map inside it", replace(depth, said=said), photo)
+            description += " by its format (--depth-range FAR,NEAR where it is not)"
+            description += "" if inside.near else ", near and far assumed (--depth-range)"
+    return _fitted(f"{args.input}: the depth map inside it", replace(depth, description=description), photo)
 
 
 def _limits_or(args: argparse.Namespace, own: tuple[float, float]) -> tuple[float, float] | None:
@@ -202,5 +206,5 @@ def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
             f"x {shape[0]}; crop one of them, so that both show the same"
         )
     way = "along the photo's edges" if math.prod(shape) <= math.prod(size) else "pixel by pixel"
-    said = f"{depth.said}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
-    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), said=said)
+    description = f"{depth.description}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
+    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), description=description)

@@ -11,7 +11,7 @@ from lightfield_gs.app.cameras import Given, choose_rig
 from lightfield_gs.app.look import apply_look, report_depth
 from lightfield_gs.app.photo import ReadPhoto, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import depth_file, has_depth, is_estimated
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_output_path
@@ -166,29 +166,31 @@ def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str
     comments = file.comments if file is not None and open_ones else ()
     with named(args.input):
         fitted, trained = stated_fit(comments), trained_antialiased(comments)
-    said = []
+    messages = []
     if "antialiased" in open_ones:
         args.antialiased = trained is not None
         if args.antialiased:
-            said.append(f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)")
+            messages.append(
+                f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)"
+            )
     if "background" in open_ones:
         args.background = (fitted and fitted.background) or _WHITE
         if fitted is not None and fitted.background is not None:
-            said.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
-    return said
+            messages.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
+    return messages
 
 
 @dataclass
 class Framed:
     """A scene on the device, and the cameras that look at it, in its coordinates.
 
-    file: what else its file holds; None of a photo. said: lines on what was decided.
+    file: what else its file holds; None of a photo. messages: lines on what was decided.
     """
 
     gaussians: Gaussians
     file: SceneFile | None
     rig: Rig
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
 
     @property
     def rig_of_file(self) -> Rig:
@@ -198,9 +200,9 @@ class Framed:
 
 def load_framed(args: argparse.Namespace, panel: Panel, given: Given, device: str, watch: Stopwatch) -> Framed:
     """Loads the scene of a command, settles how it is drawn, and frames it. Raises InputError."""
-    gaussians, file, said = load_drawn(args, panel, device, watch)
+    gaussians, file, messages = load_drawn(args, panel, device, watch)
     rig, how = frame_scene(args, panel, given, gaussians, file)
-    return Framed(gaussians, file, rig, said + how)
+    return Framed(gaussians, file, rig, messages + how)
 
 
 def load_drawn(

@@ -62,7 +62,7 @@ _MORE_OF_PICTURES = (
 class Shots:
     """count: of frames; take: see video.make.Shots; rig_of_file: of a frame's metadata, in the coordinates of the
     scene's file, None where it is not known before the frame is drawn; job: what the frames hang on beside the options
-    of drawing, JSON values; said: lines on what was decided."""
+    of drawing, JSON values; messages: lines on what was decided."""
 
     count: int
     fps: Fraction
@@ -70,7 +70,7 @@ class Shots:
     take: FrameScenes
     rig_of_file: Callable[[int], Rig | None]
     job: dict[str, Any]
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
 
 
 def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
@@ -80,17 +80,17 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
     check_scene_options(args)
     given = read_given(args, panel)
     path = None if args.path is None else CameraPath.load(args.path, panel)
-    gaussians, file, said = load_drawn(args, panel, device, watch)
+    gaussians, file, messages = load_drawn(args, panel, device, watch)
     fps = args.fps or DEFAULT_FPS
     if path is not None:
         bare = path.relative_to(gaussians.origin).frames(float(fps), args.frames)
         rigs = [apply_look(args, rig, panel, gaussians)[0] for rig in bare]
-        said.append(f"path: {args.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
-        said += report_depth(args, rigs[0], panel, gaussians)
+        messages.append(f"path: {args.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
+        messages += report_depth(args, rigs[0], panel, gaussians)
     else:
         rig, how = frame_scene(args, panel, given, gaussians, file)
         rigs, words = _turntable(args, panel, rig, file, fps)
-        said += [*how, words]
+        messages += [*how, words]
     back = [-part for part in gaussians.origin]
     of_file = [rig.relative_to(back) for rig in rigs]
     job = {
@@ -107,7 +107,7 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
         lambda numbers: ((number, gaussians, rigs[number]) for number in numbers),
         of_file.__getitem__,
         job,
-        said,
+        messages,
     )
 
 
@@ -165,8 +165,8 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     if is_estimated(first):  # also where no object is cut out
         args.depth = first.depth
-    said = [*paired, *halved, *settle_drawing(args, None)]
-    said += [note for part in (pictures, *beside.values()) if part is not None for note in part.notes]
+    messages = [*paired, *halved, *settle_drawing(args, None)]
+    messages += [note for part in (pictures, *beside.values()) if part is not None for note in part.notes]
     rig, how = frame_scene(first, panel, given, gaussians, None)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
@@ -196,7 +196,13 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     words = "each by itself" if args.reframe else f"all as {example} (each by itself: --reframe)"
     watch.lap("first picture")
     return Shots(
-        count, fps, False, take, lambda number: None if args.reframe else rig, job, [*said, *how, f"framing: {words}"]
+        count,
+        fps,
+        False,
+        take,
+        lambda number: None if args.reframe else rig,
+        job,
+        [*messages, *how, f"framing: {words}"],
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from lightfield_gs.app.provenance import package_versions, software
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
@@ -62,8 +62,8 @@ def words_of(args: argparse.Namespace, views, panel: Panel) -> str:
 
 def say_colours(colours: ViewColours) -> None:
     """Says what was done to the colours of the views, and what may be wrong with them."""
-    if colours.said:
-        print(f"colours: {'; '.join(colours.said)}")
+    if colours.messages:
+        print(f"colours: {'; '.join(colours.messages)}")
     for words in colours.notes:
         note(words)
 
@@ -118,7 +118,7 @@ def weave_movie(args: argparse.Namespace, panel: Panel, movie: QuiltMovie, watch
         f"{args.output}: {made} frames of {panel.width_px} x {panel.height_px}{kept}, {float(_fps(movie)):g} a second"
     )
     print(watch.line())
-    print(f"{args.input}: {movie.said}, {words}")
+    print(f"{args.input}: {movie.description}, {words}")
     say_colours(movie.colours)
 
 

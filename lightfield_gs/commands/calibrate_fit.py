@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.app.panel import load_panel, why_no_eye
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_nudge import said_of_change
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance

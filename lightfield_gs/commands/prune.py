@@ -73,9 +73,9 @@ def run(args: argparse.Namespace) -> None:
     drawn_so = settle_drawing(args, file)
     watch.lap("load")
     on_device = scene.to(device)
-    chosen, said = choose_rig(given, args, panel, on_device, file)
+    chosen, messages = choose_rig(given, args, panel, on_device, file)
     rig, looks = apply_look(args, chosen, panel, on_device)
-    said += looks
+    messages += looks
     rig_of_file = rig.relative_to([-part for part in scene.origin])
     kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased, args.view_filter)
     watch.lap("prune")
@@ -94,5 +94,7 @@ def run(args: argparse.Namespace) -> None:
     )
     print(watch.line())
     if args.output.suffix.lower() == ".ply":
-        said.append(f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it")
-    print("\n".join(drawn_so + said))
+        messages.append(
+            f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it"
+        )
+    print("\n".join(drawn_so + messages))

@@ -140,12 +140,12 @@ def run(args: argparse.Namespace) -> None:
             of_file.to_yaml(args.save_rig)
         watch.lap("write")
         if args.save_rgbd is not None:
-            framed.said.append(_write_rgbd(args, gaussians, frame, framed.rig))
+            framed.messages.append(_write_rgbd(args, gaussians, frame, framed.rig))
             watch.lap("RGB-D")
     width, height = layout.tile_px()
     print(f"{args.output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
     print(watch.line())
-    print("".join(f"{line}\n" for line in framed.said), end="")
+    print("".join(f"{line}\n" for line in framed.messages), end="")
 
 
 def chosen_layout(args: argparse.Namespace, panel: Panel | None) -> QuiltLayout:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from lightfield_gs.app.panel import at_distance, load_panel, profile, stored_panel, why_no_eye
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance

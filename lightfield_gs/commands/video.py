@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> None:
     print(f"{result.path}: {shots.count} frames of {width} x {height}, {_words(result)}{kept}, {rate}")
     print(made.words())
     print(watch.line())
-    print("".join(f"{line}\n" for line in shots.said), end="")
+    print("".join(f"{line}\n" for line in shots.messages), end="")
     if args.bridge is not None and result.layout is not None:
         cast(result.path, result.layout.columns, result.layout.rows, result.layout.aspect, url=args.bridge)
         print(f"{result.path}: shown by Looking Glass Bridge")

@@ -56,5 +56,5 @@ def run(args: argparse.Namespace) -> None:
     drawn_as = args.background, args.antialiased, args.input.name, args.view_filter
     stage = Stage(framed.gaussians, panel, framed.rig, *drawn_as)
     print(f"{args.input}: {framed.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
-    print("\n".join([watch.line(), *framed.said]))
+    print("\n".join([watch.line(), *framed.messages]))
     serve(args, steering_routes(stage, exports(stage)), "/")

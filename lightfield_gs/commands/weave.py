@@ -179,7 +179,8 @@ def run(args: argparse.Namespace) -> None:
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
     print(
-        f"{args.input}: {found.said}, {views.width_px} x {views.height_px} pixels each; {words_of(args, views, panel)}"
+        f"{args.input}: {found.description}, {views.width_px} x {views.height_px} pixels each; "
+        f"{words_of(args, views, panel)}"
     )
     say_colours(found.colours)
 

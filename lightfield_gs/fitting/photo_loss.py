@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.native import check_tensor, core_of, optional_address, stream_of
 
@@ -76,7 +76,7 @@ class _Job:
 
     def run(self) -> tuple[Tensor, Tensor]:
         image, photo, sizes = self.image, self.photo, tuple(self.image.shape[:3])
-        with guard(image.device):
+        with device_guard(image.device):
             stages = _core.cuda if image.is_cuda else _core
             derivatives = image.new_empty(3, *image.shape)
             partials = image.new_empty(stages.photo_loss_partials(*sizes), dtype=torch.float64)

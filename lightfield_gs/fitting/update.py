@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.checks import expect, real_number, whole_number
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.native import check_tensor, core_of, optional_address, stream_of
 
@@ -149,7 +149,7 @@ def update(
         epsilon=real_number("epsilon", epsilon, 1e-30, 1),
         seed=whole_number("seed", seed, 0, 2**64 - 1),
     )
-    with guard(device):
+    with device_guard(device):
         if like.is_cuda:
             _core.cuda.update(native, stream_of(device))
         else:

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.cuda_graph import captured
+from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.base.options import Detail
 from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
 from lightfield_gs.models.splatter_net import SplatterNet, checked_photo, seen
@@ -61,7 +61,7 @@ class _Graph:
         with torch.inference_mode(False), torch.no_grad():  # tensors that can be written to in any mode
             self._cropped, self._fine = cropped.clone(), None if fine is None else fine.clone()
             self._intrinsics = net.photo_intrinsics()
-            self._graph, self._gaussians = captured(
+            self._graph, self._gaussians = capture_graph(
                 lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level)
             )
 

@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail
@@ -207,7 +207,7 @@ def seen(gaussians: Gaussians) -> Gaussians:
 
 def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
     """The photo as a tensor [H,W,4], uint8 or float32, on its device. Raises InputError for other shapes and types."""
-    photo = dense_tensor("photo", rgba)
+    photo = to_tensor("photo", rgba)
     if photo.ndim != 3 or photo.shape[2] != 4 or 0 in photo.shape:
         raise InputError(f"photo: expected an array [H,W,4] (RGB and alpha), got {list(photo.shape)}")
     if photo.dtype == torch.uint8:

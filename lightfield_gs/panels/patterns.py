@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
+from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel, subpixel_phases
@@ -192,7 +192,7 @@ def bars(panel: Panel, shift: int | None = None) -> np.ndarray:
     turn = 2 * math.pi
 
     def shade(x: np.ndarray, _: slice) -> np.ndarray:
-        return srgb_of_light(BAR_MEAN + BAR_AMPLITUDE * np.cos(turn * (x / panel.views - shifts / 3)))
+        return encode_srgb(BAR_MEAN + BAR_AMPLITUDE * np.cos(turn * (x / panel.views - shifts / 3)))
 
     return draw(panel, shade)
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cuda_graph import captured
+from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
@@ -119,14 +119,14 @@ class PhotoEncoder:
         with torch.cuda.device(self.net.device):
             if self._captured is None or not self._captured.takes(photo):
                 self._captured = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
-            captured = self._captured
+            graphs = self._captured
             with stats.stage("crop"):
-                captured.crop(photo)
+                graphs.crop(photo)
             with stats.stage("network"):
-                captured.network()
+                graphs.network()
             with stats.stage("framing"):
-                self.gaussians = captured.gaussians
-                self.rig = self._looked(captured.rig(self.panel), self.gaussians)
+                self.gaussians = graphs.gaussians
+                self.rig = self._looked(graphs.rig(self.panel), self.gaussians)
             with stats.stage("encode"):
                 return self._draw_frame(self.gaussians, self.rig)
 
@@ -151,11 +151,13 @@ class _Capture:
         self.host = torch.empty(photo.shape, dtype=photo.dtype, pin_memory=True)
         self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
         self.photo.copy_(photo)
-        self._crop, (self.cropped, self.fine, self.checks) = captured(self._cropped)
-        self._network, self.gaussians = captured(
+        self._crop, (self.cropped, self.fine, self.checks) = capture_graph(self._cropped)
+        self._network, self.gaussians = capture_graph(
             lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level)
         )
-        self._framing, self.numbers = captured(lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]))
+        self._framing, self.numbers = capture_graph(
+            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)])
+        )
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype

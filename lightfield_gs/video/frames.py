@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.srgb import light_of_srgb, srgb_of_light
 from lightfield_gs.io.images import MAX_PIXELS
 from lightfield_gs.video.av_library import av_library
 
@@ -200,8 +200,8 @@ def _to_srgb(codes: np.ndarray, curve: int, primaries: int) -> np.ndarray:
         power = values ** (1 / m2)
         light = (np.maximum(power - c1, 0) / (c2 - c3 * power)) ** (1 / m1) * (10000 / _WHITE_NITS)
     else:
-        light = light_of_srgb(values)
+        light = decode_srgb(values)
     linear = light.astype(np.float32)[codes]
     if primaries in _TO_BT709:
         linear = linear @ _TO_BT709[primaries].T.astype(np.float32)
-    return (srgb_of_light(linear.clip(0, 1)) * 255 + 0.5).astype(np.uint8)
+    return (encode_srgb(linear.clip(0, 1)) * 255 + 0.5).astype(np.uint8)

@@ -12,7 +12,7 @@ import numpy as np
 from torch import Tensor
 from tqdm import tqdm
 
-from lightfield_gs.base.arrays import on_host
+from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -48,7 +48,7 @@ class NoFiles:
 
     def fetch(self, image: Tensor) -> np.ndarray:
         """The frame on the host."""
-        return on_host(image)
+        return to_numpy(image)
 
     def put(self, number: int, image: np.ndarray) -> None:
         """Nothing is done with it."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, bytes_of
+from lightfield_gs.base.arrays import Colour, to_bytes
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
@@ -96,4 +96,4 @@ class EyeFrames:
         share = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
         side = -1 if self._panel.invert_views else 1
         place = small.views / 2 - side * share * (small.views - 1) / 2
-        return bytes_of(render_views(gaussians, small, rig, [place], **self._drawing.of_views())[0])
+        return to_bytes(render_views(gaussians, small, rig, [place], **self._drawing.of_views())[0])

@@ -15,12 +15,12 @@ class ViewColours:
     """Reads views in three channels of sRGB, and keeps what it did to them.
 
     background: red, green and blue in 0..1 behind pictures with alpha. keeps_linear: linear ones stay so, for a file of
-    linear samples. said: what was done to the colours, each once. notes: what may be wrong with them.
+    linear samples. messages: what was done to the colours, each once. notes: what may be wrong with them.
     """
 
     def __init__(self, background: Sequence[float] = (0, 0, 0), keeps_linear: bool = False):
         self.background, self.keeps_linear = background, keeps_linear
-        self.said: dict[str, None] = {}
+        self.messages: dict[str, None] = {}
         self.notes: dict[str, None] = {}
 
     def read(self, path: Path) -> np.ndarray:
@@ -36,10 +36,10 @@ class ViewColours:
         # A pixel tells what would be done: converting takes time, and 16 bits are kept where nothing is to be converted
         probe = in_srgb(pixels[:1, :1, :channels], picture)
         if self.keeps_linear and is_linear(picture):
-            self.said["linear, and kept so"] = None
-        elif probe.said:
+            self.messages["linear, and kept so"] = None
+        elif probe.description:
             colours = in_srgb(pixels[..., :channels], picture)
-            self.said |= {colours.said: None}
+            self.messages |= {colours.description: None}
             self.notes |= {f"{path.name} {words}": None for words in colours.notes if not self.notes}
             converted = colours.pixels
             if pixels.shape[2] in (2, 4):

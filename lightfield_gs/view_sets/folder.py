@@ -78,8 +78,8 @@ def folder_views(
         inner = [entry.name for entry in entries if entry.is_dir() and not entry.name.startswith(".")][:_MOST_NAMED]
         way = f"; give the folder in it that has them ({', '.join(inner)})" if inner else f" ({', '.join(_PICTURES)})"
         raise InputError(f"{folder}: expected a picture for each view, found none{way}")
-    paths, said = _found(folder, names, pictures, colours, tiles, row)
-    return paths[:: -1 if right_to_left else 1], said
+    paths, description = _found(folder, names, pictures, colours, tiles, row)
+    return paths[:: -1 if right_to_left else 1], description
 
 
 def _found(

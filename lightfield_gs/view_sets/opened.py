@@ -21,11 +21,11 @@ from lightfield_gs.view_sets.quilts import QuiltViews, Stated, layout_of_file
 @dataclass(frozen=True)
 class ViewSet:
     """Views, the left-most camera's first. aspect: width by height of one as it is seen, None where nothing says it.
-    said: what was found. colours: what was done to their colours."""
+    description: what was found. colours: what was done to their colours."""
 
     views: QuiltViews | FileViews | FrameViews
     aspect: float | None
-    said: str
+    description: str
     colours: ViewColours
 
 
@@ -42,7 +42,7 @@ class QuiltMovie:
         if not self.numbers:
             raise InputError(f"{movie.path}: --frames takes none of its {movie.count} frames")
         self.fps = None if movie.fps is None else movie.fps / span.step
-        self.said = f"a movie of {len(self.numbers)} quilts of {self.layout.columns} x {self.layout.rows} views"
+        self.description = f"a movie of {len(self.numbers)} quilts of {self.layout.columns} x {self.layout.rows} views"
         self.colours, self._movie = colours, movie
         self._top_first, self._right_to_left = top_first, right_to_left
 
@@ -109,12 +109,12 @@ def open_views(
 def _of_folder(
     path: Path, colours: ViewColours, tiles: tuple[int, int] | None, row: int | None, right_to_left: bool
 ) -> ViewSet:
-    paths, said = folder_views(path, colours, tiles, row, right_to_left)
+    paths, description = folder_views(path, colours, tiles, row, right_to_left)
     if len(paths) < 2 or len(paths) > MAX_VIEWS:
         raise InputError(f"{path}: expected 2..{MAX_VIEWS} views, got {len(paths)}")
     views = FileViews(paths, colours)
     aspect = views.width_px / views.height_px
-    return ViewSet(views, aspect, f"{said}, from {paths[0].name} to {paths[-1].name}", colours)
+    return ViewSet(views, aspect, f"{description}, from {paths[0].name} to {paths[-1].name}", colours)
 
 
 def _of_quilt(
@@ -133,10 +133,12 @@ def _of_quilt(
         views.leave_out_plain(str(path))
     views.tell_of_joins(str(path))
     used = "" if views.count == layout.views else f", {views.count} used"
-    said = f"a quilt of {layout.columns} x {layout.rows} views{used}"
+    description = f"a quilt of {layout.columns} x {layout.rows} views{used}"
     if any(left := views.layout.left_over_px()):
-        said += f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
-    return ViewSet(views, layout.aspect if is_known else None, said, colours)
+        description += (
+            f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
+        )
+    return ViewSet(views, layout.aspect if is_known else None, description, colours)
 
 
 def _of_movie(
@@ -160,5 +162,5 @@ def _of_movie(
     if top_first:
         raise InputError(f"{path}: --top-first is about quilts, and its frames are views; leave it out")
     views = FrameViews(movie, span, colours, right_to_left)
-    said = f"{views.count} frames as views, from {views.first_frame} to {views.last_frame}"
-    return ViewSet(views, views.width_px / views.height_px, said, colours)
+    description = f"{views.count} frames as views, from {views.first_frame} to {views.last_frame}"
+    return ViewSet(views, views.width_px / views.height_px, description, colours)

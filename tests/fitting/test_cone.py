@@ -139,7 +139,7 @@ def test_a_rig_stands_upright_though_photographs_are_stored_on_their_side(tags, 
     np.testing.assert_allclose(display.rig.world_to_camera, upright.world_to_camera, atol=1e-12)
     np.testing.assert_allclose(display.rig.focal_px, upright.focal_px)
     np.testing.assert_allclose(display.rig.principal_point_px, upright.principal_point_px)
-    assert [line for line in display.said if words in line]
+    assert [line for line in display.messages if words in line]
 
 
 def test_most_photographs_say_where_up_is():
@@ -150,8 +150,8 @@ def test_most_photographs_say_where_up_is():
     stored.photographs[2] = replace(stored.photographs[2], orientation=1)
     display = Display.of(stored, shown, "02.png")
     np.testing.assert_allclose(display.rig.world_to_camera, upright.rig.world_to_camera, atol=1e-12)
-    assert [line for line in display.said if "so that 4 of 5 photographs stand upright" in line]
-    assert not [line for line in upright.said if "Exif" in line]
+    assert [line for line in display.messages if "so that 4 of 5 photographs stand upright" in line]
+    assert not [line for line in upright.messages if "Exif" in line]
 
 
 def test_a_cone_is_a_panel_or_an_angle():

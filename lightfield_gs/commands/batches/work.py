@@ -15,7 +15,7 @@ from typing import Any
 from lightfield_gs.app.encoding import Encoding, outputs_of, use_threads
 from lightfield_gs.app.photo_depth import AUTO
 from lightfield_gs.app.scene import files_read
-from lightfield_gs.base.host_copies import HostCopies
+from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.hashes import facts
 from lightfield_gs.batch.item import Item
@@ -91,7 +91,7 @@ class EncodeTask:
 
     def record(self) -> Record:
         """Status, inputs and outputs, as far as they are known."""
-        said = getattr(getattr(self, "encoding", None), "said", [])
+        said = getattr(getattr(self, "encoding", None), "messages", [])
         return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": list(said)}
 
     def files(self) -> list[Path | str | None]:
