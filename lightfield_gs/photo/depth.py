@@ -32,7 +32,7 @@ class DepthNumbers:
 
     values: [H, W], integers or floats. orientation: the Exif orientation that was undone. kind: "distance" or
     "disparity", and focal_px: the focal length in pixels; None where the file does not say it. is_along_ray: whether
-    they are, or are made of, distances along the pixels' rays. description: which part of the file they are, in words, where
+    they are, or are made of, distances along the pixels' rays. description: the part of the file that they are, where
     it has several; notes: what may not be as it was meant.
     """
 
