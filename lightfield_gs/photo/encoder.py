@@ -17,14 +17,15 @@ from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.models import crop
-from lightfield_gs.models.crop_cuda import crop_on_device
-from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
+from lightfield_gs.models.crop import crop_on_device
+from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
 from lightfield_gs.panels import framing
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
 from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.frame_cuda import Frames
 from lightfield_gs.rasterizer.lens_job import LensJob
@@ -38,7 +39,7 @@ class PhotoEncoder:
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
     ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
-    framing of each photo; it may be set between photos. detail, budget: those of SplatterNet.predict. On CUDA the U-Net
+    framing of each photo; it may be set between photos. detail, budget: those of detail_level. On CUDA the U-Net
     runs in bfloat16, crop, network and framing are CUDA graphs, captured for the first photo of each size, and the host
     waits for the device once a photo, to learn where the object is. Raises InputError.
     """

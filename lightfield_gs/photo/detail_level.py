@@ -1,14 +1,14 @@
-"""How finely the photo is laid over the network's Gaussians: as finely as the panel shows, within a budget."""
+"""Choose the resolution of the photo on the network's Gaussians: as fine as the panel shows, within a budget."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from lightfield_gs.base.checks import shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DETAILS, Detail
 from lightfield_gs.models.config import ModelConfig
+from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.panels.panel import Panel
 
 DEFAULT_BUDGET = 1_500_000  # Gaussians
@@ -17,22 +17,24 @@ _FACTORS = (1, 2, 4)
 _SQUARE = 0.92 * 1.16
 
 
-@dataclass(frozen=True)
-class DetailLevel:
-    """factor: texels to a side of each pixel of the network's grid. texel_px: width of one on the screen, in pixels."""
-
-    factor: int
-    texel_px: float = 1.0
-
-
 def detail_level(
     detail: Detail | None, config: ModelConfig, photo_px: int, panel: Panel | None = None, budget: int = DEFAULT_BUDGET
 ) -> DetailLevel | None:
-    """The level that was asked for: 1, 2 or 4 texels to a side of a pixel, or "auto", the fewest that give all that a
-    view of the panel and the photo, photo_px along its longer side, resolve, in at most `budget` Gaussians. None, for
-    the network's own Gaussians, stays None, as does "auto" where not even factor 1 is within the budget.
+    """Choose the level of detail of a photo.
 
-    Without a panel texels are taken to be a pixel wide where they are drawn. Raises InputError.
+    Args:
+        detail: 1, 2 or 4 texels per side of a pixel; "auto", the fewest that resolve all that a view of the panel and
+            the photo do, within the budget; or None, the network's own Gaussians.
+        config: of the network.
+        photo_px: longer side of the photo.
+        panel: the panel that shows it; None: texels are displayed a pixel wide.
+        budget: Gaussians at most, for "auto".
+
+    Returns:
+        The level; None for detail None, and for "auto" where even factor 1 exceeds the budget.
+
+    Raises:
+        InputError: for other values of detail or budget.
     """
     whole_number("budget", budget, 1, 1 << 31)
     if detail is None:
@@ -48,7 +50,7 @@ def detail_level(
 
 
 def count(config: ModelConfig, factor: int) -> int:
-    """Gaussians of a photo at this factor, those that are not seen included."""
+    """Return the number of Gaussians of a photo at this factor, invisible ones included."""
     return config.image_size_px**2 * (factor**2 + config.layers)
 
 

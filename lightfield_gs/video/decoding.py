@@ -1,4 +1,4 @@
-"""The frames of a video as they are seen: in time, upright, with square pixels, and in the colours of sRGB."""
+"""Decode videos: in time, upright, with square pixels, and in the colours of sRGB."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy as np
 from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.images import MAX_PIXELS
-from lightfield_gs.video.av_library import av_library
 
 # Numbers of ITU-T H.273
 _BT2020, _P3 = 9, 12  # primaries
@@ -29,6 +29,15 @@ _WHITE_NITS = 203.0  # of diffuse white in PQ (ITU-R BT.2408); in HLG it has the
 _PAUSE = 1.5  # between two frames, in typical steps, from which on the frame before is repeated
 _MOST_REPEATS = 100  # of a frame on average; beyond that, times are taken for wrong
 _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own leave alpha out
+
+
+def av_library(purpose: str) -> ModuleType:
+    """The module `av`. Raises InputError where it is not installed; purpose: what it is needed for."""
+    try:
+        import av
+    except ImportError:
+        raise InputError(f"{purpose} needs PyAV, which is not installed: pip install 'lightfield-gs[video]'") from None
+    return av
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 
 def timeline(path: Path, in_time: bool = True) -> Timeline:
-    """Which frame of a video is seen when. Nothing is decoded but the first frame. Raises InputError.
+    """Which frame of a video is seen when. Nothing is decode but the first frame. Raises InputError.
 
     Args:
         path: the video.
@@ -92,7 +101,7 @@ def timeline(path: Path, in_time: bool = True) -> Timeline:
     return Timeline(order, fps, tuple(f"{path.name}: {note}" for note in notes))
 
 
-def decoded(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
+def decode(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
     """The frames, uint8 [H, W, 3], or [H, W, 4] where the video has alpha. Raises InputError.
 
     Args:

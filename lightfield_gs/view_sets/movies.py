@@ -1,4 +1,4 @@
-"""Pictures that move: videos, and animated GIF, WebP, PNG and AVIF files, frame by frame."""
+"""Videos and animated GIF, WebP, PNG and AVIF files, frame by frame, and their frames as views."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS, refuse_large_no_imag
 from lightfield_gs.io.pillow_images import pillow_complaints
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.video.sequence import Sequence, open_sequence
-from lightfield_gs.view_sets.colours import ViewColours
-from lightfield_gs.view_sets.joins import goes_back, small
+from lightfield_gs.view_sets.pixels import ViewColours, plays_back_and_forth, thumbnail
 
 _ANIMATIONS = (".gif", ".webp", ".png", ".apng", ".avif")
 _ANIMATED_BIT = 2  # of the flags of a WebP's VP8X chunk
@@ -94,7 +93,7 @@ class FrameViews:
         self.height_px, self.width_px = shape[:2]
         self.first_frame, self.last_frame = numbers[0], last
         self._right_to_left = right_to_left
-        if self.count <= _MOST_TO_AND_FRO and goes_back([small(view) for view in self._views]):
+        if self.count <= _MOST_TO_AND_FRO and plays_back_and_forth([thumbnail(view) for view in self._views]):
             assume(
                 f"the frames of {movie.path} go one way across the views, though they seem to go there and back; "
                 f"one way may be --frames {numbers[0]}:{numbers[self.count // 2]}:{span.step}"
