@@ -33,10 +33,10 @@ from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.io.text_files import read_object
 from lightfield_gs.models.config import ModelConfig
-from lightfield_gs.panels.own_camera import photo_camera, stored_framing
-from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.framing import photo_camera, stored_framing
+from lightfield_gs.panels.simulate import Psf
 from lightfield_gs.photo.depth import read_depth
-from lightfield_gs.photo.inside import facts_inside
+from lightfield_gs.photo.embedded_depth import facts_inside
 from lightfield_gs.scene.axes import find_up
 
 CORPUS = Path(__file__).parent / "corpus"

@@ -1,4 +1,4 @@
-"""What of a scene counts as content, and how far it reaches: robust statistics of Gaussians, on any device."""
+"""Robust statistics of Gaussians: which of them count as content, and how far the content reaches."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _ENOUGH = 20_000  # Gaussians that show well enough how far all of them reach
 _MANY = 1 << 17  # that show it to a thousandth or two
 
 
-def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
+def content_extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
     """What `fit` needs to know, [7]: left, right (x/z), top, bottom (y/z), near and far of the content, weight of it.
 
     The edges are robust (see framing.frame); the weight is the opacity of what lies in front of the camera. None: the
     Gaussians are in the camera's axes. Nothing here waits for a device.
     """
-    points, sizes, weights = gaussians.means, sizes_of(gaussians), weights_of(gaussians)
+    points, sizes, weights = gaussians.means, middle_scales(gaussians), content_weights(gaussians)
     if world_to_camera is not None:
         points = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     depths = points[:, 2]
@@ -46,18 +46,18 @@ def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tenso
     return torch.cat([edges.flatten(), near, far, weights.sum()[None]])
 
 
-def bounds_of(gaussians: Gaussians, turn: Tensor | None = None) -> Tensor:
+def content_bounds(gaussians: Gaussians, turn: Tensor | None = None) -> Tensor:
     """Robust bounds [3, 2] (low, high) of the content; turn: a rotation [3, 3] into the axes that they are along."""
     means = gaussians.means if turn is None else gaussians.means @ turn.T
-    return _bounds(*_ordered(_sides(means.T, sizes_of(gaussians)), weights_of(gaussians)))
+    return _bounds(*_ordered(_sides(means.T, middle_scales(gaussians)), content_weights(gaussians)))
 
 
-def some(gaussians: Gaussians) -> Gaussians:
+def subsample(gaussians: Gaussians) -> Gaussians:
     """Some of them, as many as show how far they reach."""
-    return part(gaussians, slice(None, None, 1 + gaussians.count // _ENOUGH))
+    return select(gaussians, slice(None, None, 1 + gaussians.count // _ENOUGH))
 
 
-def spread(gaussians: Gaussians) -> Gaussians:
+def hashed_subsample(gaussians: Gaussians) -> Gaussians:
     """All of them, or of more than _MANY one of each few that are stored side by side, as if at random, so that those
     of a grid's columns and rows are met alike. Which ones, their number decides alone; nothing waits for a device."""
     few = -(-gaussians.count // _MANY)
@@ -65,21 +65,21 @@ def spread(gaussians: Gaussians) -> Gaussians:
         return gaussians
     place = torch.arange(gaussians.count // few, device=gaussians.device)
     # Knuth's multiplicative hash, The Art of Computer Programming, vol. 3, section 6.4
-    return part(gaussians, few * place + (place * 2654435761 >> 16) % few)
+    return select(gaussians, few * place + (place * 2654435761 >> 16) % few)
 
 
-def part(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
+def select(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
     """The Gaussians that `which` selects, a slice, bool [N] or their numbers in a row."""
     return from_tensors(field[which] for field in gaussians.fields().values())
 
 
-def sizes_of(gaussians: Gaussians) -> Tensor:
+def middle_scales(gaussians: Gaussians) -> Tensor:
     """The middle standard deviations [N]."""
     a, b, c = gaussians.scales.unbind(1)
     return torch.maximum(torch.minimum(a, b), torch.minimum(torch.maximum(a, b), c))
 
 
-def weights_of(gaussians: Gaussians) -> Tensor:
+def content_weights(gaussians: Gaussians) -> Tensor:
     """Opacities [N] of the Gaussians that make up the scene, 0 of haze; what is usual depends on how it was made.
 
     Those too faint to be drawn do not count, unless all are: whoever left them out must find the same.

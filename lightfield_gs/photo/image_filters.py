@@ -1,7 +1,8 @@
-"""The largest value and the sum of the square around each pixel, in time that hardly depends on the square's size; and
-maps at half their size."""
+"""Filters over windows of pixels, half-size images, and large images a strip at a time."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -45,3 +46,9 @@ def total(values: Tensor, radius: int) -> Tensor:
 def halved(values: Tensor) -> Tensor:
     """Means of 2 x 2 pixels of maps [C, H, W]; of those that there are, at an odd end."""
     return functional.avg_pool2d(values[None], 2, 2, ceil_mode=True, count_include_pad=False)[0]
+
+
+def strips(height: int, width: int, pixels: int) -> Iterator[tuple[int, int]]:
+    """Rows top .. bottom - 1 of about so many pixels, one after the other."""
+    rows = max(1, pixels // width)
+    return ((top, min(height, top + rows)) for top in range(0, height, rows))

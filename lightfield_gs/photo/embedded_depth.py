@@ -1,4 +1,4 @@
-"""What the file of a photo holds beside its picture: its depths, another eye's picture, more pictures in a row.
+"""Depth maps and further pictures in the file of a photo.
 
 Sources: Depthmap Metadata (Google, 2014), whose namespace is usually GDepth, with the map in base64; Dynamic Depth 1.0
 (Google, 2019), with the map behind the picture. In both a number d of 0..1 is the distance near + d (far - near), or
@@ -20,7 +20,7 @@ from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.images import read_layer
 from lightfield_gs.io.pillow_images import count_pictures, decode_picture, is_heif
 from lightfield_gs.io.xmp import jpeg_xmp
-from lightfield_gs.photo.depth_files import DepthNumbers, depth_channel, grey_numbers
+from lightfield_gs.photo.depth import DepthNumbers, depth_channel, grey_numbers
 
 _GDEPTH, _DYNAMIC = "http://ns.google.com/photos/1.0/depthmap/", "http://ns.google.com/photos/dd/1.0/depthmap/"
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
