@@ -9,8 +9,8 @@ import numpy as np
 from lightfield_gs.panels.cells import LENS_WIDTH, cell_table
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture
-from lightfield_gs.rasterizer.lens_view import Lens, LensView
+from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
+from lightfield_gs.rasterizer.lenticular_camera import Lens, LensView
 
 
 def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
