@@ -252,7 +252,7 @@ def workspace_of(
     room: int | None = None,
 ) -> Workspace:
     """For `images` images of one size. lens, colour_order, compensated, state: see workspace.Splats; room: see
-    dense_job.DenseJob."""
+    image_render.DenseJob."""
     if scene.device.type == "cuda":
         return CudaWorkspace(
             scene, images, width, height, colour_order, stats, lens, state, compensated=compensated, room=room
