@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lightfield_gs.fitting.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.comfort import DepthReport, depth_report
+    from lightfield_gs.panels.framing import frame_scene
     from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
@@ -50,6 +51,7 @@ _HOMES = {
     "depth_report": "panels.comfort",
     "encode": "encoding.encode",
     "fit": "fitting.fit",
+    "frame_scene": "panels.framing",
     "from_depth": "photo.rgbd",
     "interlace": "encoding.classic",
     "load_photo": "photo.load",
@@ -79,6 +81,7 @@ __all__ = [
     "depth_report",
     "encode",
     "fit",
+    "frame_scene",
     "from_depth",
     "interlace",
     "load_photo",

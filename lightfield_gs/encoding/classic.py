@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, bytes_of, dense_tensor
+from lightfield_gs.base.arrays import Colour, to_bytes, to_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.arguments import check_view_filter
@@ -106,7 +106,7 @@ def encode_classic(
         stats.add_render(one)
         with stats.stage("interlace"):
             if dtype == torch.uint8:
-                images = bytes_of(images)
+                images = to_bytes(images)
             _take_over(out, images.view(cameras.count, -1), places, first)
     return out.view(panel.height_px, panel.width_px, 3)
 
@@ -157,7 +157,7 @@ def interlace(views: Tensor, panel: Panel) -> Tensor:
     N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
     tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
     """
-    views = dense_tensor("views", views)
+    views = to_tensor("views", views)
     expect("panel", panel, Panel)
     expected = (panel.views, panel.height_px, panel.width_px, 3)
     if tuple(views.shape) != expected:

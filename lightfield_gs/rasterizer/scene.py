@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import Colour, dense_tensor, guard
+from lightfield_gs.base.arrays import Colour, to_tensor
 from lightfield_gs.base.checks import shown
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 
 
@@ -92,7 +93,7 @@ class Scene:
     @property
     def guard(self) -> AbstractContextManager:
         """Selects the device of the Gaussians; another one each time, for torch's is not made to be entered twice."""
-        return guard(self.device)
+        return device_guard(self.device)
 
     def native(self) -> _core._Stages.Gaussians:
         """Their addresses for the core, which hold as long as this scene does."""
@@ -168,7 +169,7 @@ def _checked_background(background: Colour, dtype: torch.dtype, device: torch.de
     """
     plain = True
     if isinstance(background, (Tensor, np.ndarray)):
-        plain, background = False, dense_tensor("background", background)
+        plain, background = False, to_tensor("background", background)
     there = isinstance(background, Tensor) and background.is_cuda
     try:
         colour = torch.as_tensor(background, dtype=dtype, device=device)
