@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lightfield_gs.base.errors import InputError
-    from lightfield_gs.encoding.encode import encode, interlace
+    from lightfield_gs.encoding.classic import interlace
+    from lightfield_gs.encoding.encode import encode
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.quilt import quilt
@@ -53,7 +54,7 @@ _HOMES = {
     "fit": "fitting.fit",
     "frame_scene": "panels.framing",
     "from_depth": "photo.rgbd",
-    "interlace": "encoding.encode",
+    "interlace": "encoding.classic",
     "load_photo": "photo.load",
     "prune": "encoding.pruning",
     "quilt": "encoding.quilt",

@@ -11,8 +11,8 @@ import numpy as np
 
 from lightfield_gs.panels.panel import LENS_WIDTH, Panel, subpixel_offsets, subpixel_phases
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture
-from lightfield_gs.rasterizer.lens_view import Lens, LensView
+from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
+from lightfield_gs.rasterizer.lenticular_camera import Lens, LensView
 
 
 class CellTable(NamedTuple):

@@ -26,10 +26,10 @@ from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
-from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.rasterizer.direct import LensJob
 from lightfield_gs.rasterizer.frame_cuda import Frames
-from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 

@@ -9,7 +9,7 @@ from command_line import PANEL, complaint, run, scene
 
 from lightfield_gs import InputError, Panel, QuiltLayout, encode, interlace, quilt, weave
 from lightfield_gs.base.assumptions import Assumption
-from lightfield_gs.encoding.weave_passes import TorchPasses
+from lightfield_gs.encoding.weave_sampling import TorchPasses
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.quilt import QUILT_PRESETS, layout_of_panel, stated_layout, with_suffix

@@ -13,7 +13,8 @@ from photo_cases import photo, tiny_net
 import lightfield_gs
 from lightfield_gs import Cameras, Encoder, PhotoEncoder, Quality, SortedPlan, from_depth, load_photo, prune
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.encoding.encode import encode, interlace
+from lightfield_gs.encoding.classic import interlace
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig

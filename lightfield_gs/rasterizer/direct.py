@@ -1,46 +1,61 @@
-"""The sub-pixels of a panel as a torch operator with its reverse: torch.ops.lightfield_gs.render_lens.
-
-Its stages are project, order, bin and composite (docs/design.md); each sub-pixel is seen from the camera offset of its
-own view. The result is deterministic: the same bits whatever the number of threads. On CUDA, images without gradients
-are drawn as frames, see frame_cuda.py.
-"""
+"""The sub-pixels of a panel as a torch operator with its backward: torch.ops.lightfield_gs.render_lens."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor
 
-from lightfield_gs.rasterizer.first_derivatives import differentiable_once
-from lightfield_gs.rasterizer.frame_cuda import frames_of
-from lightfield_gs.rasterizer.lens_job import LensJob
-from lightfield_gs.rasterizer.lens_view import LensView
+from lightfield_gs.rasterizer.autograd import differentiable_once
+from lightfield_gs.rasterizer.lenticular_camera import LensView
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import check
+from lightfield_gs.rasterizer.scene import Scene, check
 from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import Workspace, workspace_of
+
+# Orders of the polynomials for colours that vary over a rig. float64 takes the higher one: it is there to be exact
+COLOUR_ORDER, EXACT_COLOUR_ORDER = 8, 16
 
 
-def draw_lens(
-    job: LensJob,
-    as_bytes: bool = False,
-    quality: Quality = EXACT,
-    stats: Stats | None = None,
-    threads: int | None = None,
-    out: Tensor | None = None,
-) -> Tensor:
-    """The image [H, W, 3] without gradients. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`, and `out`
-    where it is given: an image of that size and type, which the caller has checked.
+class LensJob:
+    """One light-field image to be drawn.
 
-    On CUDA the fast kernels of a frame draw it: within 1/255, except where a sample lies on a threshold, such as the
-    alpha from which on a splat counts.
+    fields: means [N,3], quaternions, scales, opacities and sh of one scene. background: [3]. view: what the panel's
+    sub-pixels see. antialiased: see encoding.encode. Raises InputError for tensors of other shapes, types or devices.
     """
-    stats, threads = stats or Stats(), threads or torch.get_num_threads()
-    if job.scene.device.type == "cuda":
-        return frames_of(job, quality).draw(job, as_bytes, stats, out)
-    work = job.workspace(stats, threads, quality)
-    with stats.stage("composite"):
-        out = job.image(as_bytes) if out is None else out
-        work.composite_lens(job.native, quality, job.background, out)
-    return out
+
+    def __init__(self, fields: Iterable[Tensor], background: Tensor, view: LensView, antialiased: bool = False):
+        self.scene = Scene(*(t.unsqueeze(0) for t in fields))
+        self.background = check("background", background, (3,), self.scene)
+        self.view, self.antialiased, self.native = view, antialiased, view.native(antialiased)
+        self.compensated = antialiased or view.aperture > 0  # whether opacities are lowered for what widens footprints
+        self.width, self.height = view.lens.width_px, view.lens.height_px
+        exact = background.dtype == torch.float64
+        self.colour_order = 0 if self.scene.degree == 0 else EXACT_COLOUR_ORDER if exact else COLOUR_ORDER
+
+    def image(self, as_bytes: bool = False) -> Tensor:
+        """Memory for the image [H, W, 3], of the scene's dtype or, with as_bytes, uint8."""
+        return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
+
+    def workspace(self, stats: Stats, threads: int, quality: Quality = EXACT) -> Workspace:
+        """The workspace after all stages up to the composite."""
+        with self.scene.guard:
+            with stats.stage("project"):
+                work = workspace_of(
+                    self.scene,
+                    1,
+                    self.width,
+                    self.height,
+                    stats,
+                    threads,
+                    lens=True,
+                    colour_order=self.colour_order,
+                    compensated=self.compensated,
+                )
+                stats.colour_error = work.project_lens(self.native, quality)
+            work.order_and_bin()
+        return work
 
 
 def _job(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased) -> LensJob:

@@ -1,4 +1,4 @@
-"""Ordinary images without autograd: their stages, and the gradients that follow from gradients of the images."""
+"""Ordinary images without autograd: their stages, their gradients, and many images in parts."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.scene import Scene, State, check
+from lightfield_gs.rasterizer.scene import DenseGradients, Scene, State, Wanted, check
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import DenseGradients, Wanted
+from lightfield_gs.rasterizer.workspace import workspace_of
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, project_dense_backward
-from lightfield_gs.rasterizer.workspaces import workspace_of
 
 
 class DenseImages(NamedTuple):
@@ -189,3 +188,68 @@ class DenseJob:
     def _shapes(self) -> list[tuple[int, ...]]:
         size = (*self.arguments.lead, self.arguments.height, self.arguments.width)
         return [(*size, 3), size, size]
+
+
+# Of what is held beside the images: views go in parts that take about so much, or one at a time if one takes more
+PART_BYTES = 1 << 29
+# Numbers for a splat in one view: itself, its colour, its place in the order, and its pairs where it has a few
+_SPLAT_NUMBERS = 48
+
+
+def dense_in_parts(
+    fields: list[Tensor],
+    background: Tensor,
+    views: list[Tensor],
+    width: int,
+    height: int,
+    antialiased: bool,
+    *,
+    alpha: bool = False,
+    depth: bool = False,
+    stats: Stats | None = None,
+    threads: int | None = None,
+    aperture: Aperture = PINHOLE,
+) -> DenseImages:
+    """What render_dense draws of one scene: image [1, V, H, W, 3], and alpha and depth [1, V, H, W] if asked for.
+
+    fields, background and views as render_dense takes them, with B = 1. Of V images of H x W pixels and N Gaussians it
+    takes 12 + 4 (alpha) + 4 (depth) bytes a pixel (of float32) for the images, and beside them those of as many views
+    as fit PART_BYTES, each 192 N bytes, and 4 a pixel for each of alpha and depth that is not asked for. Every bit is
+    that of render_dense. Raises InputError.
+    """
+    arguments: list[Any] = [*fields, *views, width, height, antialiased]
+    whole = DenseArguments(*arguments, aperture=aperture)
+    scene, count = whole.scene, whole.images
+    image = scene.new(1, count, height, width, 3)
+    found = [scene.new(1, count, height, width) if wanted else None for wanted in (alpha, depth)]
+    unasked = sum(t is None for t in found) * width * height
+    of_one = image.element_size() * (_SPLAT_NUMBERS * scene.count + unasked)
+    step = max(1, PART_BYTES // max(of_one, 1))
+    for first in range(0, count, step):
+        part = slice(first, first + step)
+        one = Stats(device=None if stats is None else stats.device)
+        job = DenseJob.of(
+            *fields,
+            background[:, part],
+            *(t[:, part] for t in views),
+            width,
+            height,
+            antialiased,
+            stats=one,
+            threads=threads,
+            aperture=aperture,
+        )
+        drawn = job.draw(DenseImages(image[:, part], *(None if t is None else t[:, part] for t in found)))
+        if stats is not None:
+            one.add_buffers(*(t for t, mine in zip(drawn[1:], found) if mine is None and t is not None))
+            stats.add_render(one)
+        del job, drawn  # or the next part would be held beside this one
+    return DenseImages(image, *found)
+
+
+def divide_by_alpha(depth: Tensor, alpha: Tensor) -> Tensor:
+    """The expected depth [1, V, H, W] from the sum of weight * z, in its place: a view at a time, whose temporary is
+    all that it takes."""
+    for of_view, coverage in zip(depth[0], alpha[0]):
+        torch.div(of_view, coverage.clamp_min(1e-10), out=of_view)
+    return depth

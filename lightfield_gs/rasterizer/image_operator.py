@@ -1,8 +1,4 @@
-"""Ordinary images as a torch operator with its reverse: torch.ops.lightfield_gs.render_dense.
-
-Its stages are project, order, bin and composite (docs/design.md). The result is deterministic: the same bits whatever
-the number of threads. Every argument is checked here, and every buffer is a torch tensor.
-"""
+"""Ordinary images as a torch operator with its backward: torch.ops.lightfield_gs.render_dense."""
 
 from __future__ import annotations
 
@@ -13,12 +9,10 @@ from torch import Tensor
 from torch.nn import Parameter
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture, DenseImages, DenseJob
-from lightfield_gs.rasterizer.dense_nodes import in_two_nodes
-from lightfield_gs.rasterizer.first_derivatives import differentiable_once
-from lightfield_gs.rasterizer.scene import State
+from lightfield_gs.rasterizer.autograd import differentiable_once
+from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture, DenseArguments, DenseImages, DenseJob
+from lightfield_gs.rasterizer.scene import State, Wanted
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import Wanted
 
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
 
@@ -294,3 +288,83 @@ class _RenderDense(torch.autograd.Function):
 def _is_for_cuda(means: Tensor) -> bool:
     """Whether the stages are those of CUDA, whose reverse has two halves."""
     return means.is_cuda
+
+
+def in_two_nodes(
+    fields: tuple[Tensor, ...],
+    background: Tensor,
+    views: tuple[Tensor, ...],
+    width: int,
+    height: int,
+    antialiased: bool,
+    screen: Tensor | None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """render_dense by way of splats. fields: its first five arguments, contiguous, or those of one scene without B;
+    views: world_to_camera, intrinsics and limits."""
+    made: list[DenseJob] = []
+    options = (width, height, antialiased)
+    state = _Project.apply(*fields, *views, background.detach(), options, screen, made)
+    absolute = screen is not None and screen.shape[-1] == 4
+    return _Composite.apply(*state, background, made.pop(), absolute)
+
+
+class _Project(torch.autograd.Function):
+    """Gaussians to the State of a render. As the gradient of its splats it takes the sums that DenseJob.sums finds."""
+
+    @staticmethod
+    def forward(ctx, *inputs):
+        """made: a list to which the job is added, ready for the composite."""
+        *tensors, background, options, screen, made = inputs
+        ctx.batched = tensors[0].dim() == 3
+        job = DenseJob(_arguments(tensors, options), background)
+        made.append(job)
+        ctx.save_for_backward(*tensors)
+        ctx.options, ctx.screen_numbers = options, 0 if screen is None else screen.shape[-1]
+        state = job.work.state()
+        ctx.mark_non_differentiable(state.colours, state.lists)
+        ctx.set_materialize_grads(False)
+        return tuple(state)
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx, sums, *_):
+        if sums is None:
+            return (None,) * 12
+        arguments = _arguments(ctx.saved_tensors, ctx.options)
+        wanted = Wanted(ctx.screen_numbers, ctx.needs_input_grad[5])
+        fields, g_cameras, screen = arguments.of_sums(sums.contiguous(), wanted)
+        return (
+            *(fields if ctx.batched else (g.squeeze(0) for g in fields)),
+            g_cameras.view(*arguments.lead, 4, 4) if wanted.cameras else None,
+            *(None,) * 4,  # intrinsics, limits, background and options
+            screen.view(*arguments.lead, arguments.scene.count, ctx.screen_numbers) if ctx.screen_numbers else None,
+            None,
+        )
+
+
+class _Composite(torch.autograd.Function):
+    """The State of a render to images. The gradient of splats is as _Project takes it."""
+
+    @staticmethod
+    def forward(ctx, splats, colours, lists, background, job, absolute):
+        ctx.arguments, ctx.absolute = job.arguments.without_values(), absolute
+        images = tuple(job.draw())
+        ctx.save_for_backward(splats, colours, lists, background, *images)
+        ctx.set_materialize_grads(False)
+        return images
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx, g_image, g_alpha, g_depth):
+        splats, colours, lists, background, image, alpha, depth = ctx.saved_tensors
+        job = DenseJob(ctx.arguments, background, state=State(splats, colours, lists))
+        g_image = torch.zeros_like(image) if g_image is None else g_image
+        sums, parts = job.sums(DenseImages(image, alpha, depth), DenseImages(g_image, g_alpha, g_depth), ctx.absolute)
+        g_background = parts.view(*ctx.arguments.lead, -1, 3).sum(2) if ctx.needs_input_grad[3] else None
+        return sums, None, None, g_background, None, None
+
+
+def _arguments(tensors, options) -> DenseArguments:
+    """Of five fields, with B or without, and world_to_camera, intrinsics and limits."""
+    fields = tensors[:5] if tensors[0].dim() == 3 else [t.unsqueeze(0) for t in tensors[:5]]
+    return DenseArguments(*fields, *tensors[5:], *options)
