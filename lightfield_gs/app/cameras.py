@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.app.options import CameraOptions
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, render_comments
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.axes import DEFAULT_UP, Up, stated_up
-from lightfield_gs.scene.fitted import drawn_comments, stated_fit, trained_antialiased
+from lightfield_gs.scene.axes import DEFAULT_UP, Up, find_up
 
 if TYPE_CHECKING:
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.scene.cameras import Cameras
-    from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _OTHERS = "another: --camera, --rig, --up"
@@ -67,7 +67,7 @@ def read_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
 def _read_rig(path: Path, panel: Panel) -> Rig:
     """Read a rig, and note where it looks like the rig of another panel. Raises InputError."""
     from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
-    from lightfield_gs.io.json_file import read_json
+    from lightfield_gs.io.text_files import read_json
 
     if path.suffix.lower() == ".json" and is_camera_file(read_json(path, LIMIT_BYTES)):
         raise InputError(f"{path}: holds the cameras of photographs, no rig; give it as --camera FILE[:INDEX]")
@@ -123,7 +123,7 @@ def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussian
 
 def _own_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
     """Return the rig of the cameras that the scene's file brings along, and a line on it."""
-    from lightfield_gs.panels.own_camera import photo_camera, stored_framing
+    from lightfield_gs.panels.framing import photo_camera, stored_framing
 
     with named(path):
         if (stored := stored_framing(file.comments, panel)) is not None:
@@ -151,26 +151,28 @@ def _look_from(
 
 
 def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
+    from lightfield_gs.panels.framing import frame_scene
+
     axis = scene_up(up, file)
     notes: list[str] = []
-    rig = Rig.frame(gaussians, panel, up=axis.axis, notes=notes)
+    rig = frame_scene(gaussians, panel, up=axis.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
-    return rig, [f"axes: {axis.words()}", *(f"framing: {words}; {others}" for words in notes)]
+    return rig, [f"axes: {axis.describe()}", *(f"framing: {words}; {others}" for words in notes)]
 
 
 def scene_up(up: str | None, file: SceneFile) -> Up:
     """Return the axis that points up: the option's, else the file's, else the default."""
     if up:
         return Up(up, "--up")
-    return stated_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
+    return find_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
 
 
 def fit_and_cameras(file: SceneFile) -> list[tuple[str, str]]:
     """Return what a scene's file says of its fit and of cameras, for `info`."""
     try:
-        fitted = stated_fit(file.comments)
-        fit = [] if fitted is None else [("fitted", fitted.words())]
-        if trained_antialiased(file.comments) == "trained":
+        fitted = find_fit_record(file.comments)
+        fit = [] if fitted is None else [("fitted", fitted.describe())]
+        if antialiasing_source(file.comments) == "trained":
             fit.append(("anti-aliasing", "trained with it, the file says, and drawn with it"))
     except InputError as error:
         fit = [("fitted", str(error))]
@@ -178,7 +180,7 @@ def fit_and_cameras(file: SceneFile) -> list[tuple[str, str]]:
 
 
 def _cameras_in(file: SceneFile) -> list[tuple[str, str]]:
-    from lightfield_gs.panels.own_camera import photo_camera, stored_size
+    from lightfield_gs.panels.framing import photo_camera, stored_size
 
     try:
         if (size := stored_size(file.comments)) is not None:
@@ -201,10 +203,10 @@ def scene_comments(
         file: the file that the scene is from.
         rig: the cameras, in the coordinates of the file.
     """
-    from lightfield_gs.panels.own_camera import framing_comment
+    from lightfield_gs.panels.framing import framing_comment
 
-    known = drawn_comments(file.comments if file is not None else (), antialiased)
-    if file is not None and (up or stated_up(file.comments)):
+    known = render_comments(file.comments if file is not None else (), antialiased)
+    if file is not None and (up or find_up(file.comments)):
         known.append(f"Vertical Axis: {scene_up(up, file).axis}")
     return known + ([] if rig is None else [framing_comment(rig, panel)])
 

@@ -24,25 +24,25 @@ from lightfield_gs.app.scene import (
     frame_scene,
     read_source,
 )
-from lightfield_gs.base.arrays import on_host
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import of_other_methods
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.io.png_cuda import compressed_image, deflated, deflates
-from lightfield_gs.io.png_file import CompressedImage
+from lightfield_gs.io.png import CompressedImage
+from lightfield_gs.io.png_cuda import compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from lightfield_gs.app.photo import ReadPhoto
-    from lightfield_gs.base.host_copies import HostCopies, HostCopy
+    from lightfield_gs.base.cuda import HostCopies, HostCopy
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.files import SceneFile
 
 
 class Encoding:
@@ -120,15 +120,15 @@ class Encoding:
             if self._copies is not None and parts[0].is_cuda:
                 self._copy = self._copies.begin([*parts, *gaussians.fields().values()])
             else:
-                self._take([on_host(part) for part in parts])
+                self._take([to_numpy(part) for part in parts])
         self.watch.lap("image", self.stats.get("stages_ms"))
 
     def _parts_to_copy(self, image: Tensor) -> list[Tensor]:
         """Return the parts of the image that the host needs: its pixels, or facts of the compressed image, or both."""
         options = self.options
-        if not deflates(image, options.output, options.compression):
+        if not is_deflated_on_gpu(image, options.output, options.compression):
             return [image]
-        self._deflated, facts = deflated(image)
+        self._deflated, facts = deflate(image)
         return [facts] if options.preview is None else [facts, image]
 
     def _take(self, parts: Sequence[np.ndarray]) -> None:
@@ -166,7 +166,7 @@ class Encoding:
 
     def write(self) -> None:
         """Write all files that are asked for."""
-        from lightfield_gs.scene.gaussians import of_tensors
+        from lightfield_gs.scene.gaussians import from_tensors
 
         if self._copy is None:
             self._write()
@@ -180,7 +180,7 @@ class Encoding:
             with torch.cuda.stream(torch.cuda.Stream(self.device)):  # on which nothing is queued that is drawn since
                 self._take([copy.numpy() for copy in copies[:count]])
             if self.options.preview is None:  # a preview is drawn on the device
-                self.scene.gaussians = replace(of_tensors(copies[count:]), origin=gaussians.origin)
+                self.scene.gaussians = replace(from_tensors(copies[count:]), origin=gaussians.origin)
             self._write()
         finally:
             for name in ("scene", "image", "stored"):  # their memory is written over by other inputs

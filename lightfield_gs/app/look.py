@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import LookOptions
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
 
@@ -69,10 +69,10 @@ def report_depth(
     if not options.depth_report and not given_look(options):
         if not may_fill:
             return []
-        from lightfield_gs.panels.unseen import share_past, words_on_past
+        from lightfield_gs.panels.visibility import background_fraction, background_warning
 
-        past = share_past(gaussians, panel, rig)
-        if past is not None and (words := words_on_past(past)) is not None:
+        past = background_fraction(gaussians, panel, rig)
+        if past is not None and (words := background_warning(past)) is not None:
             note(words)
         return []
     from lightfield_gs.panels.comfort import depth_report

@@ -9,10 +9,10 @@ from functools import lru_cache
 from pathlib import Path
 
 from lightfield_gs.app.options import PanelOptions
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.simulate import unknown_of

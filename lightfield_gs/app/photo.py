@@ -22,7 +22,7 @@ from lightfield_gs.app.photo_depth import (
     has_depth,
     is_depth_inside,
 )
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import FITS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from lightfield_gs.io.images import Picture
     from lightfield_gs.models.config import ModelConfig
-    from lightfield_gs.models.detail_level import DetailLevel
+    from lightfield_gs.models.detail import DetailLevel
     from lightfield_gs.models.replayed import ReplayedNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
@@ -157,7 +157,7 @@ def _other_ways(path: Path, picture: Picture, side: str | None) -> list[str]:
     side: the half that looks like a depth map; its note is the first.
     """
     from lightfield_gs.io.depth_names import depth_maps_beside
-    from lightfield_gs.photo.inside import notes_inside
+    from lightfield_gs.photo.embedded_depth import notes_inside
 
     notes = []
     if side is not None:
@@ -175,7 +175,7 @@ def _other_ways(path: Path, picture: Picture, side: str | None) -> list[str]:
 
 def _notes_on_eyes(path: Path, picture: Picture) -> list[str]:
     """Return a note on a picture that looks like a stereo pair."""
-    from lightfield_gs.photo.stereo_pair import stereo_layout
+    from lightfield_gs.photo.side_by_side import stereo_layout
 
     layout = None if quilt_in_name(path) else stereo_layout(picture.pixels)
     if layout is None:
@@ -187,15 +187,15 @@ def _notes_on_eyes(path: Path, picture: Picture) -> list[str]:
 
 
 def _scene_of_object(source: ReadPhoto, panel: Panel, device: str, watch: Stopwatch) -> Gaussians:
-    from lightfield_gs.models.detail_level import detail_level
+    from lightfield_gs.photo.detail_level import detail_level
 
     photo, options = source.photo, source.options
     network = _load_network(options.checkpoint, device)
     watch.lap("load")
     detail, budget = network_detail(options)
-    gaussians = network.predict(photo.pixels, detail, panel, budget)
-    watch.lap("network")
     level = detail_level(detail, network.config, max(photo.pixels.shape[:2]), panel, budget)
+    gaussians = network.predict(photo.pixels, level)
+    watch.lap("network")
     _say(source, [detail_words(level, network.config)], source.notes)
     return gaussians
 
@@ -222,7 +222,7 @@ def _trying(refused: InputError) -> Iterator[None]:
 def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo that is shown whole, with its depth map unless a network estimates it."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.inside import notes_inside
+    from lightfield_gs.photo.embedded_depth import notes_inside
     from lightfield_gs.photo.load import photo_of
     from lightfield_gs.photo.rgbd import check_photo_size
 
@@ -280,7 +280,7 @@ def _scene_of_whole(
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
     gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
     watch.lap("depth")
-    _say(source, [depth.said, camera, *words], source.notes + depth.notes + notes)
+    _say(source, [depth.description, camera, *words], source.notes + depth.notes + notes)
     return gaussians, PhotoPlacement(options, is_whole=True, placed=placed)
 
 
@@ -341,7 +341,7 @@ def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
     for words in source.photo.notes + notes:
         note(words)
     height, width = source.photo.pixels.shape[:2]
-    print(f"{source.path}: {width} x {height}, {', '.join([*source.photo.said, *more])}")
+    print(f"{source.path}: {width} x {height}, {', '.join([*source.photo.messages, *more])}")
 
 
 def _load_network(checkpoint: Path | None, device: str) -> ReplayedNet:
@@ -369,8 +369,8 @@ def _network(checkpoint: Path | None, version: tuple[int, int] | None, device: s
 
 
 def network_detail(options: PhotoOptions) -> tuple[Detail | None, int]:
-    """Return detail and budget as `SplatterNet.predict` takes them."""
-    from lightfield_gs.models.detail_level import DEFAULT_BUDGET
+    """Return detail and budget as `detail_level` takes them."""
+    from lightfield_gs.photo.detail_level import DEFAULT_BUDGET
 
     detail = None if options.detail == "none" else cast(Detail, options.detail or "auto")
     return detail, DEFAULT_BUDGET if options.detail_budget is None else options.detail_budget

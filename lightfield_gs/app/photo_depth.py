@@ -16,11 +16,10 @@ if TYPE_CHECKING:
     import numpy as np
 
     from lightfield_gs.io.images import Picture
-    from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.depth_files import DepthNumbers
+    from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
 
-# How a depth map beside its photo is taken when nothing else is said: bright is near, as Looking Glass has it
+# How a depth map beside its photo is taken when nothing else is description: bright is near, as Looking Glass has it
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
 _OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides of the photo, may be another photo's
 # Usual angles of the longer side, and those beyond which intrinsics must be in other units
@@ -51,20 +50,20 @@ def is_depth_inside(path: Path, options: PhotoOptions) -> bool:
     others = (options.depth, options.rgbd, options.mask, options.checkpoint, options.detail, options.detail_budget)
     if is_named_so(path) or options.remove_background or any(value is not None for value in others):
         return False
-    from lightfield_gs.photo.inside import depth_inside
+    from lightfield_gs.photo.embedded_depth import depth_inside
 
     return depth_inside(path) is not None
 
 
 def depth_from_file(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
     """Read the depth map of --depth, at the photo's size. Raises InputError."""
-    from lightfield_gs.photo.depth_files import read_numbers
+    from lightfield_gs.photo.depth import read_numbers
 
     numbers = read_numbers(path)
     turn = _turn_with(options, photo, options.map_orientation)
     size = photo.pixels.shape[:2]
     depth = _map_numbers(path, options, numbers, options.depth_kind, options.depth_range, size, turn)
-    return _resize_to_photo(str(path), replace(depth, said=f"depth by {path.name}: {depth.said}"), photo)
+    return _resize_to_photo(str(path), replace(depth, description=f"depth by {path.name}: {depth.description}"), photo)
 
 
 def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str) -> DepthMap:
@@ -88,14 +87,16 @@ def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str)
         if is_assumed and options.depth_scale is None
     ]
     near = f", {nearness(kind, limits)}" if kind is not None and is_plain else ""
-    said = f"depth by its {side} half: {depth.said}{near}" + (f" (assumed; {', '.join(assumed)})" if assumed else "")
-    return replace(depth, said=said)
+    description = f"depth by its {side} half: {depth.description}{near}" + (
+        f" (assumed; {', '.join(assumed)})" if assumed else ""
+    )
+    return replace(depth, description=description)
 
 
 def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
     """Read the depth map inside the photo's file. The defaults are those of its format. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
-    from lightfield_gs.photo.inside import depth_inside
+    from lightfield_gs.photo.embedded_depth import depth_inside
 
     inside = depth_inside(path)
     assert inside is not None
@@ -107,14 +108,14 @@ def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
             limits = limits[::-1]  # dark is near in both formats
     turn = _turn_with(options, photo, options.map_orientation or "stored")
     depth = _map_numbers(path, options, inside.numbers(path), kind, limits, photo.pixels.shape[:2], turn)
-    said = f"depth inside it ({inside.name}): {depth.said}"
+    description = f"depth inside it ({inside.name}): {depth.description}"
     if options.depth_kind is None and limits is not None:
         near = nearness(str(kind), limits)
-        said += "" if near in said else f", {near}"
+        description += "" if near in description else f", {near}"
         if options.depth_range is None:
-            said += " by its format (--depth-range FAR,NEAR where it is not)"
-            said += "" if inside.near else ", near and far assumed (--depth-range)"
-    return _resize_to_photo(f"{path}: the depth map inside it", replace(depth, said=said), photo)
+            description += " by its format (--depth-range FAR,NEAR where it is not)"
+            description += "" if inside.near else ", near and far assumed (--depth-range)"
+    return _resize_to_photo(f"{path}: the depth map inside it", replace(depth, description=description), photo)
 
 
 def _limits_or(options: PhotoOptions, own: tuple[float, float]) -> tuple[float, float] | None:
@@ -150,7 +151,7 @@ def _turn_with(
     options: PhotoOptions, photo: Photo, choice: str | None
 ) -> Callable[[DepthNumbers], tuple[np.ndarray, bool]]:
     """Return the function that turns a map's numbers as the photo was turned. choice: of --map-orientation."""
-    from lightfield_gs.photo.orientation import turned_with_photo
+    from lightfield_gs.photo.load import turned_with_photo
 
     return lambda numbers: turned_with_photo(
         str(options.depth),
@@ -186,7 +187,7 @@ def _ray_lengths(
 def _resize_to_photo(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """Return the map at the photo's size. Raises InputError where it has another shape."""
     from lightfield_gs.photo.joint_upsampling import at_size_of_photo
-    from lightfield_gs.photo.orientation import is_alike
+    from lightfield_gs.photo.load import is_alike
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
     if shape == size:
@@ -197,8 +198,8 @@ def _resize_to_photo(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
             f"x {shape[0]}; crop one of them, so that both show the same"
         )
     way = "along the photo's edges" if math.prod(shape) <= math.prod(size) else "pixel by pixel"
-    said = f"{depth.said}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
-    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), said=said)
+    description = f"{depth.description}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
+    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), description=description)
 
 
 def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float | None) -> tuple:
@@ -231,11 +232,11 @@ def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float
         _, notes = _check_intrinsics((*focals, width / 2, height / 2), height, width)
         name = "its file" if options.depth is None else options.depth.name
         return focals, None, f"focal length {focal_px:.5g} px, of {name}{squeezed}", notes
-    said = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
+    description = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
     if options.pixel_aspect is None:
-        return None, None, said, []
+        return None, None, description, []
     focal = focal_length_px(FIELD_OF_VIEW_DEG, height, width * wide)
-    return (focal / wide, focal), None, said, []
+    return (focal / wide, focal), None, description, []
 
 
 def _check_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) -> tuple[str, list[str]]:

@@ -11,18 +11,18 @@ from lightfield_gs.app.look import apply_look, report_depth
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_output_path
-from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
-from lightfield_gs.io.unread import refuse_unread
+from lightfield_gs.io.file_kinds import refuse_unread
+from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb
+from lightfield_gs.io.scenes.files import check_written_suffix, is_scene_path
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene.fitted import rgb, stated_fit, trained_antialiased
 
 if TYPE_CHECKING:
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _DEPTH_OPTIONS: tuple[str, ...] = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "pixel_aspect", "fov")
@@ -132,7 +132,7 @@ def check_scene_path(path: Path) -> None:
 
 def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
     """Read a file of Gaussians, and note what looks wrong in it and what was left out. Raises InputError."""
-    from lightfield_gs.scene.files import read_scene
+    from lightfield_gs.io.scenes.files import read_scene
 
     scene = read_scene(path, skip_invalid=skip_invalid, time=time)
     for words in scene.notes:
@@ -216,7 +216,7 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
     antialiased, background = options.antialiased, options.background
     comments = file.comments if file is not None and None in (antialiased, background) else ()
     with named(path):
-        fitted, trained = stated_fit(comments), trained_antialiased(comments)
+        fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     messages = []
     if antialiased is None:
         antialiased = trained is not None
@@ -227,7 +227,9 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
     if background is None:
         background = (fitted and fitted.background) or WHITE
         if fitted is not None and fitted.background is not None:
-            messages.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
+            messages.append(
+                f"background: {format_rgb(fitted.background)}, which the scene was fitted before (--background)"
+            )
     return RenderSettings(background, antialiased, options.view_filter), messages
 
 

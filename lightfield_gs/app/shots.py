@@ -26,19 +26,17 @@ from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_opt
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.io.atomic import scratch_folder
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.atomic import scratch_folder, sha256
+from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
-from lightfield_gs.io.not_what_it_says import refuse_video
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.side_by_side import depth_side, is_named_so
-from lightfield_gs.scene.axes import stated_up, upright
+from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.video.camera_path import CameraPath
-from lightfield_gs.video.make import Shots as FrameScenes
+from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
+from lightfield_gs.video.rendering import FrameSource
 from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, pictures_and_maps
-from lightfield_gs.video.turntable import MOST_FRAMES, turntable
 
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is: frames in a folder must have the same ones
@@ -64,7 +62,7 @@ class Shots:
         count: of frames.
         fps: frames a second.
         is_one_scene: whether all frames show the same scene.
-        take: see `video.make.Shots`.
+        take: see `FrameSource`.
         rig_of_file: the rig for a frame's metadata, in the coordinates of the scene's file. None: not known before the
             frame is drawn.
         render: how frames are drawn.
@@ -75,7 +73,7 @@ class Shots:
     count: int
     fps: Fraction
     is_one_scene: bool
-    take: FrameScenes
+    take: FrameSource
     rig_of_file: Callable[[int], Rig | None]
     render: RenderSettings
     job: dict[str, Any]
@@ -134,9 +132,9 @@ def _turntable(
     degrees = (_PHOTO_DEGREES if file is None else 360.0) if motion.degrees is None else motion.degrees
     up: np.ndarray | None = None
     axis = "the camera's vertical"
-    if file is not None and (options.camera.up or stated_up(file.comments)):
+    if file is not None and (options.camera.up or find_up(file.comments)):
         axis = scene_up(options.camera.up, file).axis
-        up = -upright(axis)[1]
+        up = -upright_rotation(axis)[1]
     is_said = motion.turntable is not None or motion.degrees is not None
     assumed = "" if is_said else " (assumed; another: --turntable, --degrees, --path)"
     words = f"turntable: {degrees:g} degrees about {axis} in {float(frames / fps):g} s{assumed}"
@@ -200,7 +198,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
         "reframe": motion.reframe,
         **{name: getattr(look, name) for name in _LOOK_OF_JOB},
         **({"depth_model": photo.depth_network} if photo.is_estimated else {}),
-        "checkpoint": photo.checkpoint and sha256_of(photo.checkpoint),
+        "checkpoint": photo.checkpoint and sha256(photo.checkpoint),
     }
     name = first.path.name if pictures.files else source.name
     example = f"{name}, {f'frame {shown}' if shown else 'the first'}"

@@ -177,7 +177,7 @@ def _even_multiple(side_px: int, tiles: int) -> int:
 
 def frame_drawer(options: VideoOptions, panel: Panel, target: VideoTarget, shots: Shots) -> Any:
     """Return what draws a frame. Raises InputError."""
-    from lightfield_gs.video.pictures import Drawing, EyeFrames, NativeFrames, QuiltFrames
+    from lightfield_gs.video.rendering import Drawing, EyeFrames, NativeFrames, QuiltFrames
 
     render = shots.render
     drawing = Drawing(options.views, render.background, options.quality, render.antialiased, render.view_filter)

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.provenance import package_versions, software
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression, Device, Views
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.atomic import sha256
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.view_sets.colours import ViewColours
-from lightfield_gs.view_sets.frames import Span
-from lightfield_gs.view_sets.opened import QuiltMovie
+from lightfield_gs.view_sets.movies import Span
+from lightfield_gs.view_sets.pixels import ViewColours
+from lightfield_gs.view_sets.view_set import QuiltMovie
 
 if TYPE_CHECKING:
     import numpy as np
@@ -122,8 +122,8 @@ def interpolation_words(options: WeaveOptions, views: Any, panel: Panel) -> str:
 
 def say_colours(colours: ViewColours) -> None:
     """Print how the colours of the views were converted, and note what may be wrong with them."""
-    if colours.said:
-        print(f"colours: {'; '.join(colours.said)}")
+    if colours.messages:
+        print(f"colours: {'; '.join(colours.messages)}")
     for words in colours.notes:
         note(words)
 
@@ -177,7 +177,7 @@ def weave_movie(options: WeaveOptions, panel: Panel, movie: QuiltMovie, watch: S
     size = f"{panel.width_px} x {panel.height_px}"
     print(f"{options.output}: {made} frames of {size}{kept}, {float(_fps(movie)):g} a second")
     print(watch.line())
-    print(f"{options.input}: {movie.said}, {words}")
+    print(f"{options.input}: {movie.description}, {words}")
     say_colours(movie.colours)
 
 
@@ -199,7 +199,7 @@ def _sink(options: WeaveOptions, panel: Panel, movie: QuiltMovie) -> Any:
     job = {
         "software": software(),
         "input": options.input.name,
-        "pictures": sha256_of(options.input),
+        "pictures": sha256(options.input),
         "panel": panel.to_dict(),
         "quilt": [layout.columns, layout.rows, options.aspect or movie.aspect],
         "order": [options.top_first, options.right_to_left],

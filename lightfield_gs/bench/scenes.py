@@ -19,9 +19,10 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 ZERO_DEPTH = 2.0
 NARROW_PX = 40.0  # disparity over all views of a point at 4/5 of the zero plane's depth, cone "narrow"
@@ -128,7 +129,7 @@ def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> flo
 def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
     """The rig of a scene: that of the synthetic ones, or automatic framing of a .ply file; its cone always stated."""
     if Path(scene).suffix.lower() == ".ply":
-        rig = Rig.frame(gaussians, panel)
+        rig = frame_scene(gaussians, panel)
         return replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
     focal, centre = (panel.width_px, panel.width_px), (panel.width_px / 2, panel.height_px / 2)
     return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_degrees(cone, panel, panel.width_px))
@@ -142,4 +143,4 @@ def _gaussians(
     stored = colours.astype(np.float32)
     harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / SH_CONSTANT
     fields = (np.ascontiguousarray(field, np.float32) for field in (means, unit, scales, opacities, harmonics))
-    return of_tensors(torch.from_numpy(field) for field in fields)
+    return from_tensors(torch.from_numpy(field) for field in fields)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.provenance import package_versions
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import named
 from lightfield_gs.commands.options.encoding import add_encoding
 from lightfield_gs.commands.options.parser import read_options, whole

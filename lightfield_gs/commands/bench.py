@@ -11,7 +11,7 @@ from lightfield_gs.bench.tables import machine_line
 from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.benches import light_field
 from lightfield_gs.io.atomic import check_output_path, check_outputs
-from lightfield_gs.io.json_file import write_json
+from lightfield_gs.io.text_files import write_json
 
 USUAL = "light-field"
 BENCHMARKS = {

@@ -17,9 +17,9 @@ from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.parser import read_options, whole, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.panels import pattern_fans, patterns
+from lightfield_gs.panels import patterns
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.panels.pattern_fans import Fan
+from lightfield_gs.panels.patterns import Fan
 
 KINDS = {
     "hues": "each view in one hue, red (view 0) to magenta: an eye at the viewing distance sees one colour all over",
@@ -133,8 +133,8 @@ def draw_pattern(panel: Panel, options: PatternOptions) -> np.ndarray:
     if kind in ("phase", "rgb"):
         return patterns.bars(panel, None if kind == "rgb" else options.shift or 0)
     if kind == "depth":
-        return pattern_fans.depth_ramp(panel, options.span, options.bands)
-    return pattern_fans.fan(panel, cast(Fan, kind), options.span, options.bands)
+        return patterns.depth_ramp(panel, options.span, options.bands)
+    return patterns.fan(panel, cast(Fan, kind), options.span, options.bands)
 
 
 def write_pattern(path: Path, panel: Panel, kind: str, image: np.ndarray) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.encoding import add_device, add_encoding
 from lightfield_gs.commands.options.parser import read_options
@@ -71,8 +71,8 @@ def _say(encoding: Encoding) -> None:
 
 
 def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
-    from lightfield_gs.rasterizer import skips
+    from lightfield_gs.rasterizer.stats import skipped_lines
 
     each = stats["evaluations_per_subpixel"]
-    lines = [f"pairs of tile and Gaussian: {stats['pairs']}", *skips.lines(stats.get("skipped", {}), gaussians)]
+    lines = [f"pairs of tile and Gaussian: {stats['pairs']}", *skipped_lines(stats.get("skipped", {}), gaussians)]
     return lines if each is None else [*lines, f"evaluations per sub-pixel: {each:.1f}"]

@@ -11,7 +11,7 @@ from typing import cast
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import at_distance, load_panel, parse_panel, stored_panel, why_no_eye
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
@@ -19,8 +19,7 @@ from lightfield_gs.commands.options.parser import numbers, read_options, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.psf import Psf
-from lightfield_gs.panels.simulate import row_of_eyes, simulate_eyes
+from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate_eyes
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # sub-pixels show the same whatever they are
 

@@ -78,7 +78,7 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     import torch
 
     from lightfield_gs.app.shots import sequence_shots, still_shots
-    from lightfield_gs.video.make import make_video
+    from lightfield_gs.video.rendering import make_video
     from lightfield_gs.video.sequence import is_sequence
 
     if options.threads is not None:

@@ -110,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _span(text: str):
     """Parse "FIRST:LAST:STEP", of which any may be left out, to the frames that are taken."""
-    from lightfield_gs.view_sets.frames import Span
+    from lightfield_gs.view_sets.movies import Span
 
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
     first, last, step = (int(part) if part else None for part in (match.groups() if match else ("", "", "0")))
@@ -156,8 +156,8 @@ def _weave(options: WeaveOptions, watch: Stopwatch) -> None:
     from lightfield_gs.app.weaving import interpolation_words, say_colours, weave_arguments, weave_metadata, weave_movie
     from lightfield_gs.encoding.view_files import read_view_map
     from lightfield_gs.encoding.weave import weave
-    from lightfield_gs.view_sets.frames import is_movie
-    from lightfield_gs.view_sets.opened import QuiltMovie, open_views
+    from lightfield_gs.view_sets.movies import is_movie
+    from lightfield_gs.view_sets.view_set import QuiltMovie, open_views
 
     source, output = options.input, options.output
     if not is_movie(source):  # the tiles of a movie decide what it becomes
@@ -191,7 +191,7 @@ def _weave(options: WeaveOptions, watch: Stopwatch) -> None:
     print(f"{output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
     size = f"{views.width_px} x {views.height_px} pixels each"
-    print(f"{source}: {found.said}, {size}; {interpolation_words(options, views, panel)}")
+    print(f"{source}: {found.description}, {size}; {interpolation_words(options, views, panel)}")
     say_colours(found.colours)
 
 

@@ -15,15 +15,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
 from lightfield_gs.encoding.sorted_plan import checked_view_map
-from lightfield_gs.encoding.weave_fan import Fan
-from lightfield_gs.encoding.weave_passes import Held, NativePasses, TorchPasses, full_scale, stored
-from lightfield_gs.encoding.weave_places import Fit, Window, window_of
-from lightfield_gs.encoding.weave_samples import reduced_picture
+from lightfield_gs.encoding.weave_geometry import Fan, Fit, Window, window_of
+from lightfield_gs.encoding.weave_sampling import Held, NativePasses, TorchPasses, full_scale, reduced_picture, stored
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
 Interpolation = Literal["linear", "nearest"]
@@ -48,7 +46,7 @@ class _Stack:
     """Views that are all there, [M, H, W, 3]."""
 
     def __init__(self, views: np.ndarray | Tensor):
-        self.views = dense_tensor("views", views)
+        self.views = to_tensor("views", views)
         if self.views.dim() != 4 or self.views.shape[3] != 3 or 0 in self.views.shape:
             raise InputError(f"views: expected [M, H, W, 3], got {list(self.views.shape)}")
         self.count, self.height_px, self.width_px = self.views.shape[:3]
@@ -148,7 +146,7 @@ def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most
 
 def _picture(source: ViewSource, number: int, window: Window, device: str) -> Tensor:
     """A view at the resolution that it is sampled at. Raises InputError."""
-    picture = dense_tensor("views", source.view(number)).to(device)
+    picture = to_tensor("views", source.view(number)).to(device)
     if picture.dtype not in _TYPES:
         raise InputError(f"views: expected uint8, uint16 or float32, got {picture.dtype}")
     return reduced_picture(picture, window)

@@ -10,9 +10,9 @@ from capture_scene import CENTRE, FOCAL, HEIGHT, WIDTH, dots, ring, said, write_
 from PIL import Image
 from transforms_scene import OPENGL
 
+from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.captures.colmap import read_model
 from lightfield_gs.io.captures.pinhole import pose_matrix
@@ -224,7 +224,7 @@ def test_linear_photographs_are_encoded(tmp_path):
         write_image(tmp_path / "images" / name, light)
     capture, assumed = said(tmp_path)
     assert "3 of 3 photographs hold linear light, as 0.exr: it is encoded as sRGB" in assumed
-    np.testing.assert_array_equal(capture.image(0), np.rint(255 * srgb_of_light(light.clip(0, 1))))
+    np.testing.assert_array_equal(capture.image(0), np.rint(255 * encode_srgb(light.clip(0, 1))))
 
 
 def test_names_are_matched_after_normalising(tmp_path):

@@ -8,8 +8,7 @@ from PIL import Image
 
 import lightfield_gs as lf
 from lightfield_gs.io.images import write_image
-from lightfield_gs.photo.depth import depth_map, read_depth
-from lightfield_gs.photo.depth_files import read_numbers
+from lightfield_gs.photo.depth import depth_map, read_depth, read_numbers
 
 Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
 
@@ -106,7 +105,7 @@ def test_the_depth_channel_of_an_exr_is_taken_beside_a_picture(tmp_path, name, g
     write_channels(tmp_path / "z.exr", picture | other | {name: Z})
     numbers = read_numbers(tmp_path / "z.exr")
     assert np.array_equal(numbers.values, Z.astype(np.float32)) and numbers.kind == "distance"
-    assert depth_map("z.exr", numbers).said.startswith(f"channel {name}: distance as z ")
+    assert depth_map("z.exr", numbers).description.startswith(f"channel {name}: distance as z ")
 
 
 def test_the_depth_part_of_an_exr_of_several_is_taken(tmp_path):

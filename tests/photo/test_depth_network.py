@@ -15,7 +15,7 @@ from lightfield_gs.io.images import read_info, write_image
 from lightfield_gs.panels.framing import frame_photo, on_subject
 from lightfield_gs.photo import depth_network
 from lightfield_gs.photo.depth_network import depth_from_network, estimated_depth
-from lightfield_gs.photo.estimated_depth import z_of_disparities, z_of_distances
+from lightfield_gs.photo.joint_upsampling import z_of_disparities, z_of_distances
 
 LINE = "encode busy.png -o o.png --panel p.yaml --device cpu"
 
@@ -93,7 +93,7 @@ def test_metric_networks_give_distances(folder, transformers):
     with torch.no_grad():
         network = depth_network._network(model, "cpu")
         values = depth_network._predicted(model, network, photo)
-    assert "distances" in found.said and found.focal_px is None
+    assert "distances" in found.description and found.focal_px is None
     assert float(values.min()) * 0.999 <= found.z.min() <= found.z.max() <= float(values.max()) * 1.001
     with pytest.raises(lf.InputError, match="--depth-range is for disparities"):
         depth_from_network(photo, model, "cpu", limits=(1, 2))

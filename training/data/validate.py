@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import describe_coefficients
 from lightfield_gs.io.captures.objects import ObjectViews

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import AUTO, EncodeOptions
-from lightfield_gs.base.host_copies import HostCopies
+from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.hashes import facts
 from lightfield_gs.batch.item import Item

@@ -177,24 +177,14 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 def settings_given(args: argparse.Namespace) -> dict[str, Any]:
     """The fields of FitSettings, by the options."""
-    names = (
-        "steps",
-        "gaussians",
-        "density",
-        "absolute_gradients",
-        "sh_degree",
-        "exposure",
-        "poses",
-        "dropout",
-        "background",
-    )
-    others = {"views": args.views_per_step, "masks": args.masks}
-    return {name: getattr(args, name) for name in (*names, "antialiased", "seed")} | others
+    names = ("steps", "density", "sh_degree", "exposure", "poses", "masks", "dropout", "background", "antialiased")
+    renamed = {"cap_max": args.gaussians, "absgrad": args.absolute_gradients, "batch_size": args.views_per_step}
+    return {name: getattr(args, name) for name in (*names, "seed")} | renamed
 
 
 def names_in(path: Path | None) -> list[str] | None:
     """The photographs that a text file names, one a line; empty lines and those that begin with # are none."""
-    from lightfield_gs.io.text_file import read_text
+    from lightfield_gs.io.text_files import read_text
 
     if path is None:
         return None

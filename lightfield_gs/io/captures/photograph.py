@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.captures.camera_models import Lens
 from lightfield_gs.io.captures.photo_files import RAW_SUFFIXES, Places, too_few
 from lightfield_gs.io.captures.undistortion import Straightening, reduced, resampled, straightening
@@ -138,7 +138,7 @@ def _encoded(pixels: np.ndarray, alpha: bool) -> np.ndarray:
     """Linear light [H,W,C] as uint8: sRGB, and alpha, where it has that, as it is; further channels are left out."""
     colours = 1 if pixels.shape[2] < 3 else 3
     pixels = np.nan_to_num(pixels[..., : colours + alpha], posinf=1.0).clip(0, 1)
-    pixels[..., :colours] = srgb_of_light(pixels[..., :colours])
+    pixels[..., :colours] = encode_srgb(pixels[..., :colours])
     return np.rint(255 * pixels).astype(np.uint8)
 
 
