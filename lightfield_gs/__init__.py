@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lightfield_gs.base.errors import InputError
-    from lightfield_gs.encoding.encode import encode, interlace
+    from lightfield_gs.encoding.classic import interlace
+    from lightfield_gs.encoding.encode import encode
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.quilt import quilt
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from lightfield_gs.fitting.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.comfort import DepthReport, depth_report
+    from lightfield_gs.panels.framing import frame_scene
     from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
@@ -49,8 +51,9 @@ _HOMES = {
     "depth_report": "panels.comfort",
     "encode": "encoding.encode",
     "fit": "fitting.fit",
+    "frame_scene": "panels.framing",
     "from_depth": "photo.rgbd",
-    "interlace": "encoding.encode",
+    "interlace": "encoding.classic",
     "load_photo": "photo.load",
     "prune": "encoding.pruning",
     "quilt": "encoding.quilt",
@@ -78,6 +81,7 @@ __all__ = [
     "depth_report",
     "encode",
     "fit",
+    "frame_scene",
     "from_depth",
     "interlace",
     "load_photo",

@@ -21,7 +21,7 @@ from lightfield_gs.io.captures.objects import ObjectViews
 from lightfield_gs.io.images import write_image
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel
 from training.data.background import Choice
 from training.data.distance import OBJECT_DISTANCE, distance_doubt
 from training.data.images import find_cutout, read_view

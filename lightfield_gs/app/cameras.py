@@ -111,7 +111,7 @@ def choose_rig(
 
 
 def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
-    from lightfield_gs.panels.own_camera import photo_camera, stored_framing
+    from lightfield_gs.panels.framing import photo_camera, stored_framing
 
     with named(path):
         if (stored := stored_framing(file.comments, panel)) is not None:
@@ -143,7 +143,9 @@ def _looking(
 def _automatic(args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile) -> tuple[Rig, list[str]]:
     up = axes_of(args.up, file)
     notes: list[str] = []
-    rig = Rig.frame(gaussians, panel, up=up.axis, notes=notes)
+    from lightfield_gs.panels.framing import frame_scene
+
+    rig = frame_scene(gaussians, panel, up=up.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
     return rig, [f"axes: {up.words()}", *(f"framing: {words}; {others}" for words in notes)]
 
@@ -168,7 +170,7 @@ def brought_along(file: SceneFile) -> list[tuple[str, str]]:
 
 
 def _cameras_along(file: SceneFile) -> list[tuple[str, str]]:
-    from lightfield_gs.panels.own_camera import photo_camera, stored_size
+    from lightfield_gs.panels.framing import photo_camera, stored_size
 
     try:
         if (size := stored_size(file.comments)) is not None:
@@ -181,7 +183,7 @@ def _cameras_along(file: SceneFile) -> list[tuple[str, str]]:
 
 def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, rig: Rig | None) -> list[str]:
     """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
-    from lightfield_gs.panels.own_camera import framing_comment
+    from lightfield_gs.panels.framing import framing_comment
 
     known = drawn_comments(file.comments if file is not None else (), args.antialiased)
     if file is not None and (args.up or stated_up(file.comments)):

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from lightfield_gs.io.images import Picture
     from lightfield_gs.models.config import ModelConfig
-    from lightfield_gs.models.detail_level import DetailLevel
+    from lightfield_gs.models.detail import DetailLevel
     from lightfield_gs.models.replayed import ReplayedNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
@@ -118,7 +118,7 @@ def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) ->
     """Lines on what a picture may be beside a photo, and what its file holds and others beside it, that is not used;
     side: the half that looks like a depth map, which comes first."""
     from lightfield_gs.io.depth_names import depth_maps_beside
-    from lightfield_gs.photo.inside import notes_inside
+    from lightfield_gs.photo.embedded_depth import notes_inside
 
     notes = []
     if side is not None:
@@ -137,7 +137,7 @@ def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) ->
 
 def _notes_on_eyes(args: argparse.Namespace, picture: Picture) -> list[str]:
     """A line on a picture that looks like a stereo pair."""
-    from lightfield_gs.photo.stereo_pair import stereo_layout
+    from lightfield_gs.photo.side_by_side import stereo_layout
 
     layout = None if quilt_in_name(args.input) else stereo_layout(picture.pixels)
     if layout is None:
@@ -151,15 +151,15 @@ def _notes_on_eyes(args: argparse.Namespace, picture: Picture) -> list[str]:
 def _scene_of_object(
     args: argparse.Namespace, source: ReadPhoto, device: str, watch: Stopwatch, panel: Panel
 ) -> Gaussians:
-    from lightfield_gs.models.detail_level import detail_level
+    from lightfield_gs.photo.detail_level import detail_level
 
     photo = source.photo
     network = network_of(args.checkpoint, device)
     watch.lap("load")
     detail, budget = detail_given(args)
-    gaussians = network.predict(photo.pixels, detail, panel, budget)
-    watch.lap("network")
     level = detail_level(detail, network.config, max(photo.pixels.shape[:2]), panel, budget)
+    gaussians = network.predict(photo.pixels, level)
+    watch.lap("network")
     _say(args, photo, [detail_words(level, network.config)], source.notes)
     return gaussians
 
@@ -200,7 +200,7 @@ def _tried(refused: InputError | None) -> Iterator[None]:
 def _read_whole(args: argparse.Namespace) -> ReadPhoto:
     """All that a photo shows, with its depth map unless that is estimated."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.inside import notes_inside
+    from lightfield_gs.photo.embedded_depth import notes_inside
     from lightfield_gs.photo.load import photo_of
     from lightfield_gs.photo.rgbd import check_photo_size
 
@@ -287,8 +287,8 @@ def _network(checkpoint: Path | None, version: tuple[int, int] | None, device: s
 
 
 def detail_given(args: argparse.Namespace) -> tuple[Detail | None, int]:
-    """Detail and budget of SplatterNet.predict, by the options."""
-    from lightfield_gs.models.detail_level import DEFAULT_BUDGET
+    """Detail and budget of detail_level, by the options."""
+    from lightfield_gs.photo.detail_level import DEFAULT_BUDGET
 
     detail: Detail | None = None if args.detail == "none" else args.detail or "auto"
     return detail, DEFAULT_BUDGET if args.detail_budget is None else args.detail_budget

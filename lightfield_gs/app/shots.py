@@ -37,10 +37,9 @@ from lightfield_gs.photo.side_by_side import depth_side, is_named_so
 from lightfield_gs.scene.axes import stated_up, upright
 from lightfield_gs.scene.files import SceneFile
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.video.camera_path import CameraPath
-from lightfield_gs.video.make import Shots as FrameScenes
+from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
+from lightfield_gs.video.rendering import FrameSource as FrameScenes
 from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, pictures_and_maps
-from lightfield_gs.video.turntable import MOST_FRAMES, turntable
 
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is; of a folder of frames, they belong to its job

@@ -15,8 +15,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.view_sets.colours import ViewColours
-from lightfield_gs.view_sets.opened import QuiltMovie
+from lightfield_gs.view_sets.pixels import ViewColours
+from lightfield_gs.view_sets.view_set import QuiltMovie
 
 _SAME_ASPECT = 1.03  # of tiles and panel, up to which the tiles' pixels are taken for square
 _DEFAULT_FPS = Fraction(30)

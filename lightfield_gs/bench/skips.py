@@ -21,16 +21,15 @@ from lightfield_gs.bench.pareto import Subject, drawing
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene, with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encode import draw_lens, encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.rasterizer.direct import COLOUR_ORDER, LensJob
 from lightfield_gs.rasterizer.frame_cuda import Frames
-from lightfield_gs.rasterizer.lens import draw_lens
-from lightfield_gs.rasterizer.lens_job import COLOUR_ORDER, LensJob
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 SCENES = ("cloud:65536",)

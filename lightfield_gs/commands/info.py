@@ -130,7 +130,7 @@ def _digits(centres: Tensor) -> int:
 
 def _image(path: Path) -> list[tuple[str, object]]:
     from lightfield_gs.io.images import read_info
-    from lightfield_gs.photo.inside import facts_inside
+    from lightfield_gs.photo.embedded_depth import facts_inside
 
     info = read_info(path)
     return [

@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> None:
     import torch
 
     from lightfield_gs.app.shots import sequence_shots, still_shots
-    from lightfield_gs.video.make import make_video
+    from lightfield_gs.video.rendering import make_video
     from lightfield_gs.video.sequence import is_sequence
 
     if args.threads is not None:
@@ -115,7 +115,7 @@ def _words(result: Result) -> str:
 
 def _draw(args: argparse.Namespace, panel: Panel, result: Result, fps: Fraction, is_one_scene: bool):
     """What draws a frame; args: with background and anti-aliasing settled."""
-    from lightfield_gs.video.pictures import Drawing, EyeFrames, NativeFrames, QuiltFrames
+    from lightfield_gs.video.rendering import Drawing, EyeFrames, NativeFrames, QuiltFrames
 
     drawing = Drawing(args.views, args.background, args.quality, args.antialiased, args.view_filter)
     if result.kind != "native" and (args.views, args.quality) != ("integer", "exact"):

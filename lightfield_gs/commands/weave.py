@@ -104,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _span(text: str):
     """ "FIRST:LAST:STEP", of which any may be left out -> which frames. Raises ArgumentTypeError."""
-    from lightfield_gs.view_sets.frames import Span
+    from lightfield_gs.view_sets.movies import Span
 
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
     first, last, step = (int(part) if part else None for part in (match.groups() if match else ("", "", "0")))
@@ -144,8 +144,8 @@ def run(args: argparse.Namespace) -> None:
     from lightfield_gs.app.weaving import metadata_of, say_colours, weave_movie, weaving_of, words_of
     from lightfield_gs.encoding.view_files import read_view_map
     from lightfield_gs.encoding.weave import weave
-    from lightfield_gs.view_sets.frames import is_movie
-    from lightfield_gs.view_sets.opened import QuiltMovie, open_views
+    from lightfield_gs.view_sets.movies import is_movie
+    from lightfield_gs.view_sets.view_set import QuiltMovie, open_views
 
     if not is_movie(args.input):  # of which it hangs on the tiles what it becomes
         check_image_path(args.output)

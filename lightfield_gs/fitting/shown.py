@@ -20,8 +20,8 @@ from lightfield_gs.fitting.frame import PROTOCOL, Frame, framed
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
-from lightfield_gs.rasterizer.dense_job import DenseImages
-from lightfield_gs.rasterizer.workspace import Wanted
+from lightfield_gs.rasterizer.image_render import DenseImages
+from lightfield_gs.rasterizer.scene import Wanted
 from lightfield_gs.scene.gaussians import Gaussians, mapped
 
 # Of the mean error that colours of 0..1 may have for what is pruned: 1/39 of a step of 8 bits, a third of what `prune`

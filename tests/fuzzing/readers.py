@@ -32,10 +32,10 @@ from lightfield_gs.io.captures.objects import read_intrinsics, read_pose, read_t
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
 from lightfield_gs.models.config import ModelConfig
-from lightfield_gs.panels.own_camera import photo_camera, stored_framing
-from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.framing import photo_camera, stored_framing
+from lightfield_gs.panels.simulate import Psf
 from lightfield_gs.photo.depth import read_depth
-from lightfield_gs.photo.inside import facts_inside
+from lightfield_gs.photo.embedded_depth import facts_inside
 from lightfield_gs.scene.axes import stated_up
 from lightfield_gs.scene.files import read_scene
 

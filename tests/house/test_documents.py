@@ -1,4 +1,4 @@
-"""README.md, CONTRIBUTING.md and docs/: commands run, what they point at is there, and nothing is said twice.
+"""README.md and docs/: commands run, what they point at is there, and nothing is said twice.
 
 Commands run in this process, one document after the other, each in a folder of its own with stand-ins for the files
 that it names. What would take minutes is made small: the panel, the scenes and repeats of benchmarks, the steps and

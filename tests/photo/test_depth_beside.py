@@ -17,11 +17,10 @@ from lightfield_gs import cli
 from lightfield_gs.io.depth_names import depth_maps_beside, is_named_as_beside
 from lightfield_gs.io.images import read_picture, write_image
 from lightfield_gs.io.pillow_images import pictures_in
-from lightfield_gs.photo.inside import depth_inside, facts_inside, notes_inside
+from lightfield_gs.photo.embedded_depth import depth_inside, facts_inside, notes_inside
 from lightfield_gs.photo.joint_upsampling import at_size_of_photo
 from lightfield_gs.photo.load import photo_of
-from lightfield_gs.photo.side_by_side import beside_numbers, depth_side, is_named_so
-from lightfield_gs.photo.stereo_pair import stereo_layout
+from lightfield_gs.photo.side_by_side import beside_numbers, depth_side, is_named_so, stereo_layout
 from lightfield_gs.show.preview import to_integers
 
 REST = "-o o.png --panel p.yaml"
