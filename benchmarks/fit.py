@@ -34,7 +34,7 @@ from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import Capture, read_capture
-from lightfield_gs.io.json_file import write_json
+from lightfield_gs.io.text_files import write_json
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians

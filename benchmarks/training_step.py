@@ -26,7 +26,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 OBJECTS, SCENES, VIEWS, SIZE_PX = 8, 32, 4, 128
 CONE_DEG = 40.0
@@ -40,13 +40,13 @@ def objects() -> Gaussians:
         front, back = sheet(SIZE_PX, 2 * index), sheet(SIZE_PX, 2 * index + 1)
         back.means *= 1 + LAYER_DISTANCE / back.means[:, 2:]
         layered.append([torch.cat(pair) for pair in zip(front.fields().values(), back.fields().values())])
-    return of_tensors(torch.stack(field).requires_grad_() for field in zip(*layered))
+    return from_tensors(torch.stack(field).requires_grad_() for field in zip(*layered))
 
 
 def scenes() -> Gaussians:
     """The batch of scenes on the GPU, leaf tensors that ask for gradients."""
     sheets = [sheet(SIZE_PX, index).fields().values() for index in range(SCENES)]
-    return of_tensors(torch.stack(field).cuda().requires_grad_() for field in zip(*sheets))
+    return from_tensors(torch.stack(field).cuda().requires_grad_() for field in zip(*sheets))
 
 
 def cameras() -> Cameras:

@@ -24,7 +24,7 @@ from lightfield_gs.bench.timing import ms_in_a_row, timed_by_turns
 from lightfield_gs.commands.options.parser import whole_numbers
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 OURS = "lightfield-gs"
 COUNTS = {"cpu": (10_000,), "cuda": (100_000, 500_000, 1_000_000, 3_000_000)}
@@ -92,7 +92,7 @@ def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussia
     base, others = _HARMONIC_DEVIATIONS
     sh = np.concatenate([base * random.normal(size=(count, 1, 3)), others * random.normal(size=(count, 15, 3))], axis=1)
     fields = (means, quaternions, scales, opacities, sh)
-    return of_tensors(torch.from_numpy(np.ascontiguousarray(field, np.float32)) for field in fields)
+    return from_tensors(torch.from_numpy(np.ascontiguousarray(field, np.float32)) for field in fields)
 
 
 def camera(width_px: int, height_px: int, device: str) -> Cameras:
@@ -149,7 +149,7 @@ def _rows_of(
     gradient = np.random.default_rng(1).normal(size=(1, height, width, 3)).astype(np.float32)
     weights, steps = torch.from_numpy(gradient).to(device), []
     for draw in programs.values():
-        own = of_tensors(field.to(device, copy=True).requires_grad_() for field in gaussians.fields().values())
+        own = from_tensors(field.to(device, copy=True).requires_grad_() for field in gaussians.fields().values())
         steps.append(Step(own, draw(cameras), lambda image: (image * weights).sum()))
     peaks = [_peak_bytes(step, cuda) for step in steps]
     first = steps[0].image_and_gradients()

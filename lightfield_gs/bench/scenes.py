@@ -23,7 +23,7 @@ from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 ZERO_DEPTH = 2.0
 NARROW_PX = 40.0  # disparity over all views of a point at 4/5 of the zero plane's depth, cone "narrow"
@@ -144,7 +144,7 @@ def _gaussians(
     stored = colours.astype(np.float32)
     harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / SH_CONSTANT
     fields = (np.ascontiguousarray(field, np.float32) for field in (means, unit, scales, opacities, harmonics))
-    return of_tensors(torch.from_numpy(field) for field in fields)
+    return from_tensors(torch.from_numpy(field) for field in fields)
 
 
 ORACLE_SAMPLES = 20_000

@@ -30,7 +30,7 @@ from lightfield_gs.rasterizer.direct import COLOUR_ORDER, LensJob
 from lightfield_gs.rasterizer.frame_cuda import Frames
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rasterizer.scene import background_tensor
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 SCENES = ("cloud:65536",)
 OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error
@@ -161,7 +161,7 @@ def _culling(subject: Subject, skipped: dict[str, Any]) -> Skip:
     forward = scene.means.new_tensor(axis)
     depths = scene.means @ forward + shift
     behind = replace(scene, means=scene.means - (depths + depths.abs() + 1)[:, None] * forward)
-    both = of_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values()))
+    both = from_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values()))
     return Skip(
         "culling",
         ", ".join(f"{n} {why}" for why, n in skipped["gaussians"].items()),
@@ -188,7 +188,7 @@ def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
         scene.means.new_full((1,), 1.1 / 255),
         torch.zeros_like(scene.sh[:1]),
     )
-    veiled = of_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), veil))
+    veiled = from_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), veil))
     empty = skipped.get("tiles", {}).get("empty")
     return Skip(
         "empty tiles",
@@ -264,7 +264,7 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
             return encode(scene, subject.panel, rig)
 
         film, anew = (
-            _Film(of_tensors(t.clone() for t in subject.gaussians.fields().values()), subject.rig, change, draw)
+            _Film(from_tensors(t.clone() for t in subject.gaussians.fields().values()), subject.rig, change, draw)
             for draw in (repeat, draw_anew)
         )
         for _ in range(3):

@@ -9,7 +9,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench.benchmarks import BENCHMARKS, DEFAULT, load
 from lightfield_gs.bench.timing import machine, machine_line
 from lightfield_gs.io.atomic import check_output_path, check_outputs
-from lightfield_gs.io.json_file import write_json
+from lightfield_gs.io.text_files import write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
