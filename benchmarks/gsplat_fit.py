@@ -14,8 +14,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from lightfield_gs.bench import peers
-from lightfield_gs.bench.fit_data import BLACK
+from benchmarks import peers
 from lightfield_gs.fitting.photo_loss import photo_loss
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import RECIPE_STEPS, FitSettings
@@ -25,6 +24,7 @@ from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
+BLACK = (0.0, 0.0, 0.0)
 SH_DEGREE, SH_DEGREE_INTERVAL, SSIM_LAMBDA = 3, 1000, 0.2
 MEANS_LR, MEANS_LR_DECAY = 1.6e-4, 0.01  # of the extent, which is 1; the latter over the whole fit
 RATES = {"means": MEANS_LR, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}

@@ -5,9 +5,9 @@ import types
 import pytest
 import torch
 
+from benchmarks import peers
 from lightfield_gs import encode
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.bench import peers
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.images import render
