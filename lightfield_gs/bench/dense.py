@@ -90,7 +90,7 @@ def rows(
 
 
 def _ours(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
-    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0))
+    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0)).image
 
 
 def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
