@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.sorted_plan import SortedPlan
     from lightfield_gs.encoding.weave import weave
     from lightfield_gs.fitting.fit import FitResult, fit
+    from lightfield_gs.io.scenes.files import read_scene, write_scene
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.comfort import DepthReport, depth_report
     from lightfield_gs.panels.framing import frame_scene
@@ -58,8 +59,10 @@ _HOMES = {
     "load_photo": "photo.load",
     "prune": "encoding.pruning",
     "quilt": "encoding.quilt",
+    "read_scene": "io.scenes.files",
     "render": "rasterizer.images",
     "weave": "encoding.weave",
+    "write_scene": "io.scenes.files",
 }
 # Spelled out for type checkers: they take no other name as public, and would not run a line that makes it from _HOMES
 __all__ = [
@@ -89,8 +92,10 @@ __all__ = [
     "load_photo",
     "prune",
     "quilt",
+    "read_scene",
     "render",
     "weave",
+    "write_scene",
 ]
 __version__ = "0.1.0"
 

@@ -18,7 +18,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 _SIZE_PX = 256  # width of the picture that is looked at, so large that thin things do not blend with what is behind
 _SHARE_SIZE_PX = 128  # width of the picture where it only matters how much of the content shows
@@ -69,7 +69,7 @@ def _nearest(disparities: Tensor, weights: Tensor, share: float) -> float:
 def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
     """How much of the content, as it would be seen alone, the cameras see past the rest of the scene, 0..1: the least
     of the outermost two and the one in the middle."""
-    both = of_tensors(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values()))
+    both = from_tensors(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values()))
     white = torch.zeros(both.count, 1, 3).to(both.means)
     white[: content.count], white[content.count :] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT
     small_panel, small_rig = reduced(panel, rig, _SHARE_SIZE_PX)

@@ -24,7 +24,7 @@ from lightfield_gs.io.captures.photo_files import first_names, photographs_in
 from lightfield_gs.io.captures.photograph import Shot, Shots, readable
 from lightfield_gs.io.captures.pinhole import TO_OPENCV, check_intrinsics, check_pose, nearest_rotation, pose_matrix
 from lightfield_gs.io.captures.point_files import points_beside
-from lightfield_gs.io.json_file import read_json, read_object
+from lightfield_gs.io.text_files import read_json, read_object
 
 _LIMIT_BYTES = 256 << 20
 _POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))

@@ -27,7 +27,7 @@ from lightfield_gs.io.captures.pinhole import (
     unscaled,
 )
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_json
+from lightfield_gs.io.text_files import read_json
 
 LIMIT_BYTES = 256 << 20
 _ORTHONORMAL = 1e-3  # how far rows may be off: numbers of a few digits are made a rotation again
