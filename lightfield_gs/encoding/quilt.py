@@ -9,7 +9,7 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour, to_bytes
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.encoding.views import render_views
+from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig

@@ -12,7 +12,7 @@ import numpy as np
 from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import Picture, as_floats
-from lightfield_gs.photo.strips import strips
+from lightfield_gs.photo.image_filters import strips
 
 _LINEAR_FORMATS = ("openexr", "hdr")
 _SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1  # a gamma that differs by less from that of sRGB is taken for it

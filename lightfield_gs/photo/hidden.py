@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.photo.depth_edges import joined
-from lightfield_gs.photo.exemplar import complete
-from lightfield_gs.photo.membrane import solve_membrane
-from lightfield_gs.photo.windows import largest, total
+from lightfield_gs.photo.image_filters import largest, total
+from lightfield_gs.photo.inpainting import complete, solve_membrane
 
 FRINGE = 3  # pixels of the far side next to an edge that may have colours of the near one: they are made anew as well
 _WIDEST_TAN = 0.58  # tan 30 degrees: half of the widest cone whose cameras look behind the edges without a hole

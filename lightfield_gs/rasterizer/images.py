@@ -8,15 +8,19 @@ from typing import Any, Literal, overload
 import torch
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.background import background_tensor
-from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats, render_scene
-from lightfield_gs.rasterizer.dense_job import DenseImages
-from lightfield_gs.rasterizer.dense_parts import dense_in_parts, divide_by_alpha
-from lightfield_gs.rasterizer.first_derivatives import refuse_tangents
-from lightfield_gs.rasterizer.screen import radii_px
+from lightfield_gs.rasterizer.autograd import refuse_tangents
+from lightfield_gs.rasterizer.image_operator import (
+    dense_forward,
+    dense_forward_with_splats,
+    dense_with_splats,
+    render_scene,
+)
+from lightfield_gs.rasterizer.image_render import DenseImages, dense_in_parts, divide_by_alpha
+from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.cameras import Cameras, about_cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -238,3 +242,19 @@ def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tenso
     if not screen.requires_grad:
         raise InputError("screen: nothing but its gradient means anything; make it with requires_grad=True")
     return screen if gaussians.is_batched else screen.unsqueeze(0)
+
+
+def radii_px(splats: Tensor) -> Tensor:
+    """Half the longest extent of what each splat [..., SPLAT_FIELDS] covers, [...] in pixels; 0 where not drawn.
+
+    That is where its alpha is 1/255 or more. A splat is stored in conditional form (csrc/math/projection.h): in units
+    of log2 its inverse covariance is [[1/S, -c0/S], [-c0/S, tau + c0^2/S]], so its covariance [[S + c0^2/tau, c0/tau],
+    [c0/tau, 1/tau]].
+    """
+    log2_opacity, square, tau, c0 = (splats[..., k] for k in _core.SPLAT_SHAPE_INDICES)
+    down = 1 / tau
+    across = square + c0 * c0 * down
+    middle = (across + down) / 2
+    longest = middle + torch.sqrt(((across - down) / 2).square() + (c0 * down).square())
+    radii = torch.sqrt(longest * (log2_opacity - _core.LOG2_MIN_ALPHA).clamp_min(0))
+    return torch.where(splats[..., _core.SPLAT_REACH_INDEX] >= 0, radii, torch.zeros_like(radii))

@@ -10,9 +10,8 @@ import torch
 
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.psf import Psf
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.simulate import row_of_eyes, simulate, zone_width_mm
+from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate, zone_width_mm
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.reference.metrics import psnr_db, ssim
 from lightfield_gs.scene.gaussians import Gaussians

@@ -26,7 +26,7 @@ from lightfield_gs.fitting.shown import NEAR_SHARE, photographed, shown_by
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.photograph import Photograph
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.io.scenes.files import read_scene
 
 MIDDLE = np.array([3.0, -2.0, 7.0])  # what the cameras of a ring look at
 RADIUS = 4.0

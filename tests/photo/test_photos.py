@@ -14,7 +14,7 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.models.crop import Square, object_square
 from lightfield_gs.photo import load as photos
 from lightfield_gs.photo.load import load_photo
-from lightfield_gs.photo.pieces import Pieces
+from lightfield_gs.photo.plain import Pieces
 from lightfield_gs.show.preview import to_integers
 
 

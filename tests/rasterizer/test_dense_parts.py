@@ -8,7 +8,7 @@ from rasterizer_cases import panel, random_scene
 from sorted_cases import toe_in
 
 from lightfield_gs import render
-from lightfield_gs.rasterizer import dense_parts
+from lightfield_gs.rasterizer import image_render
 
 VIEWS, GAUSSIANS, WIDTH, HEIGHT = 24, 1500, 60, 44
 
@@ -32,7 +32,7 @@ def peak_bytes(draw) -> int:
 def test_parts_are_the_whole(alpha, depth, monkeypatch):
     scene, cameras = case()
     whole = render(scene, cameras, alpha=alpha, depth=depth)
-    monkeypatch.setattr(dense_parts, "PART_BYTES", 5 * 4 * dense_parts._SPLAT_NUMBERS * GAUSSIANS)
+    monkeypatch.setattr(image_render, "PART_BYTES", 5 * 4 * image_render._SPLAT_NUMBERS * GAUSSIANS)
     parts = render(scene, cameras, alpha=alpha, depth=depth)
     for a, b in zip(*((t,) if isinstance(t, torch.Tensor) else t for t in (whole, parts)), strict=True):
         assert torch.equal(a, b)
@@ -48,7 +48,7 @@ def test_parts_are_the_whole(alpha, depth, monkeypatch):
 def test_memory_is_that_of_the_images_and_of_a_view(alpha, depth, monkeypatch):
     """Beside the images no more than 192 bytes a Gaussian and 8 a pixel of one view, whatever the number of views."""
     scene, cameras = case()
-    monkeypatch.setattr(dense_parts, "PART_BYTES", 1)
+    monkeypatch.setattr(image_render, "PART_BYTES", 1)
     kept = 12 + 4 * (alpha or depth) + 4 * depth
     bound = VIEWS * WIDTH * HEIGHT * kept + 192 * GAUSSIANS + 8 * WIDTH * HEIGHT + 20_000
     used = peak_bytes(lambda: render(scene, cameras, alpha=alpha, depth=depth))

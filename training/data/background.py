@@ -13,8 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from lightfield_gs.photo.pieces import Pieces
-from lightfield_gs.photo.plain import full_squares
+from lightfield_gs.photo.plain import Pieces, full_squares
 
 Choice = Literal["auto", "white", "black", "none"]
 CHOICES = get_args(Choice)

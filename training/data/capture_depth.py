@@ -16,9 +16,9 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.files import read_scene
 from training.command import with_line_errors
 
 _COVERED = 0.1  # alpha from which on a pixel has a depth: what is dark in a photograph may be hardly covered by a fit

@@ -28,7 +28,7 @@ from lightfield_gs.io.captures.photo_files import find_photographs, first_names
 from lightfield_gs.io.captures.photograph import PosedCapture, PosedPhotograph, readable_files
 from lightfield_gs.io.captures.pinhole import TO_OPENCV, check_intrinsics, check_pose, nearest_rotation, pose_matrix
 from lightfield_gs.io.captures.point_files import find_points
-from lightfield_gs.io.json_file import read_json, read_object
+from lightfield_gs.io.text_files import read_json, read_object
 
 _LIMIT_BYTES = 256 << 20
 _POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))

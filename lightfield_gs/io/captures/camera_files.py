@@ -29,7 +29,7 @@ from lightfield_gs.io.captures.pinhole import (
     remove_scale,
 )
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_json
+from lightfield_gs.io.text_files import read_json
 
 LIMIT_BYTES = 256 << 20
 _ORTHONORMAL = 1e-3  # tolerance of rows; few digits are rounded to a rotation

@@ -39,7 +39,7 @@ from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
 from lightfield_gs.io.captures.camera_models import COLMAP_MODELS
 from lightfield_gs.io.captures.pinhole import pose_matrix
-from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.text_files import read_text
 
 _MAX_SIZE_PX = 1 << 20
 _LONGEST_NAME = 4096  # longer than any path

@@ -49,7 +49,7 @@ from lightfield_gs.io.captures.pinhole import (
 )
 from lightfield_gs.io.captures.undistortion import check_distortion
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.text_files import read_object
 
 _LIMIT_BYTES = 64 << 20
 _FISHEYE = ("is_fisheye", "fisheye")

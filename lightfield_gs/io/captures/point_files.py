@@ -9,8 +9,7 @@ import numpy as np
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.scenes.ply_data import read_elements
-from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
+from lightfield_gs.io.ply_file import HEADER_LIMIT_BYTES, read_elements, read_header
 
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _HARMONICS = ("f_dc_0", "f_dc_1", "f_dc_2")  # of a scene of Gaussians

@@ -48,7 +48,7 @@ from lightfield_gs.io.captures.pinhole import (
 )
 from lightfield_gs.io.captures.point_files import find_points, read_points
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.text_files import read_object
 
 _LIMIT_BYTES = 256 << 20
 _WHOLE, _TRAIN = "transforms.json", "transforms_train.json"
