@@ -16,11 +16,9 @@ from lightfield_gs.batch.item import COMMANDS, Command, Item
 from lightfield_gs.io.captures.colmap import model_folder
 from lightfield_gs.io.captures.transforms import transforms_file
 from lightfield_gs.io.depth_names import depth_maps_beside
-from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
-from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
-from lightfield_gs.io.text_file import read_text
-from lightfield_gs.io.unread import refuse_unread
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_unread
+from lightfield_gs.io.scenes.files import SUFFIXES, is_scene_path
+from lightfield_gs.io.text_files import parse_json, read_text
 from lightfield_gs.video.sequence import PICTURES, is_sequence
 
 _LIST_LIMIT_BYTES = 1 << 30

@@ -12,11 +12,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.cameras import add_up
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.scene import add_reading
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
-from lightfield_gs.io.scenes.stored import is_scene_path
-from lightfield_gs.io.text_file import read_text
-from lightfield_gs.io.unread import refuse_unread
-from lightfield_gs.io.yaml_file import MOST_BYTES
+from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unread
+from lightfield_gs.io.scenes.files import is_scene_path
+from lightfield_gs.io.text_files import MOST_BYTES, read_text
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
@@ -89,7 +87,7 @@ def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -
         ("gaussians", scene.count),
         ("sh_degree", scene.sh_degree),
         ("sha256", scene_hash(scene)),
-        ("axes", axes_of(up, file).words()),
+        ("axes", axes_of(up, file).describe()),
         *brought_along(file),
         ("opacity", _range(scene.opacities)),
         ("median opacity", f"{scene.opacities.median():.3f}"),
@@ -146,7 +144,7 @@ def _is_rig(path: Path) -> bool:
 
 def _is_camera_file(path: Path) -> bool:
     from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
-    from lightfield_gs.io.json_file import read_json
+    from lightfield_gs.io.text_files import read_json
 
     return is_camera_file(read_json(path, LIMIT_BYTES))
 

@@ -1,8 +1,9 @@
-"""Files that appear complete or not at all, and the folders they go to."""
+"""Files and folders that appear complete or not at all, checks of output paths, locks and checksums."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import importlib.util
 import itertools
 import os
@@ -12,12 +13,13 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 
 # Names of what is being written: the stem, a number, the suffix; in versions before, twelve digits for the number
 _TEMPORARY = re.compile(r"\..*\.(partial-\d+|[0-9a-f]{12})(\.[^.]*)?", re.DOTALL)
 _LOOKED_AT = 4  # so many numbers are looked at for what killed processes left, more where all of them are taken
+_HASH_CHUNK_BYTES = 1 << 20
 _HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows
 
 
@@ -271,3 +273,13 @@ def scratch_folder(beside: Path | None = None) -> Iterator[Path]:
         except OSError as error:
             raise InputError(f"cannot write in {target.parent}: {error.strerror or error}") from error
         yield folder
+
+
+def sha256(*paths: str | Path) -> str:
+    """Return the hexadecimal SHA-256 of the contents of files, one after the other; raise InputError."""
+    digest = hashlib.sha256()
+    for path in paths:
+        with reading(path), open(path, "rb") as file:
+            while chunk := file.read(_HASH_CHUNK_BYTES):
+                digest.update(chunk)
+    return digest.hexdigest()

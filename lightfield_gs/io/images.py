@@ -16,13 +16,10 @@ from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.options import Compression
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.heif import decoded_heif, heif_orientation, is_heif, opened_heif
-from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_video
-from lightfield_gs.io.png_chunks import png_damage
-from lightfield_gs.io.png_colour import png_colour
-from lightfield_gs.io.png_file import CompressedImage, write_png
-from lightfield_gs.io.unread import refuse_no_picture, refuse_unread
+from lightfield_gs.io.file_kinds import refuse_large_no_image, refuse_no_picture, refuse_unread, refuse_video
+from lightfield_gs.io.pillow_images import decode_heif, heif_orientation, is_heif, open_heif
+from lightfield_gs.io.png import CompressedImage, png_colour, png_damage, write_png
+from lightfield_gs.io.text_files import parse_json
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
@@ -166,7 +163,7 @@ def read_info(path: str | Path) -> ImageInfo:
     """Header of an image file. Raises InputError as read_image does."""
     path = _checked_file(path)
     if is_heif(path):
-        with opened_heif(path, partial(_check_size, path)) as image:
+        with open_heif(path, partial(_check_size, path)) as image:
             bands, turned = len(image.getbands()), heif_orientation(path, image)
             return ImageInfo(*image.size, bands, "uint8", orientation=turned, has_alpha=bands in (2, 4))
     with _opened(path) as source:
@@ -205,8 +202,8 @@ def read_picture(path: str | Path, turn: bool = True) -> Picture:
     read_image does. turn: see read_image."""
     path = _checked_file(path)
     if is_heif(path):
-        with opened_heif(path, partial(_check_size, path)) as image:
-            pixels, orientation, colour = decoded_heif(path, image)
+        with open_heif(path, partial(_check_size, path)) as image:
+            pixels, orientation, colour = decode_heif(path, image)
         return _picture(pixels, orientation, colour, turn)
     with _opened(path, pixels=True) as source:
         spec = source.spec()
@@ -270,7 +267,9 @@ def read_layer(path: str | Path, choose: Callable[[Sequence[str]], int | None]) 
 
 
 def _picture(pixels: np.ndarray, orientation: int, colour: dict[str, Any], turn: bool) -> Picture:
-    return Picture(np.ascontiguousarray(upright(pixels, orientation) if turn else pixels), orientation, colour)
+    return Picture(
+        np.ascontiguousarray(apply_orientation(pixels, orientation) if turn else pixels), orientation, colour
+    )
 
 
 def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:
@@ -353,7 +352,7 @@ def _webp_size(path: Path) -> tuple[int, int]:
     return int.from_bytes(start[26:28], "little") & 0x3FFF or 1, int.from_bytes(start[28:30], "little") & 0x3FFF or 1
 
 
-def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
+def apply_orientation(pixels: np.ndarray, orientation: int) -> np.ndarray:
     """Undoes the rotation and mirroring of the Exif orientation 1..8, of pixels [H, W, ...]."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)

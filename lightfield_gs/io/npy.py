@@ -17,7 +17,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.file_kinds import refuse_stand_in
 
 _PARSE_ERRORS = (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError)
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, struct.error, KeyError)

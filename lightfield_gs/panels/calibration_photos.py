@@ -13,7 +13,7 @@ from lightfield_gs.base.arrays import decode_srgb
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.images import as_floats, read_image
-from lightfield_gs.io.yaml_file import check_keys, read_mapping
+from lightfield_gs.io.text_files import check_keys, read_mapping
 
 MOST_CELLS = 256  # along the longer side of the panel: bars are far wider
 _MOST_POINTS = 6  # each way, that a cell is the mean of

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 _HAZE = 0.1  # Gaussians fainter than this share of the usual opacity do not count as content
 _LEAST_WEIGHT = 1e-6  # that a Gaussian has, so that bounds exist even where all opacities are 0
@@ -70,7 +70,7 @@ def hashed_subsample(gaussians: Gaussians) -> Gaussians:
 
 def select(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
     """The Gaussians that `which` selects, a slice, bool [N] or their numbers in a row."""
-    return of_tensors(field[which] for field in gaussians.fields().values())
+    return from_tensors(field[which] for field in gaussians.fields().values())
 
 
 def middle_scales(gaussians: Gaussians) -> Tensor:

@@ -20,7 +20,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_files import FileCamera
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels import subject, visibility
 from lightfield_gs.panels.extent import (
     content_bounds,
@@ -33,7 +33,7 @@ from lightfield_gs.panels.extent import (
 )
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.axes import DEFAULT_UP, upright
+from lightfield_gs.scene.axes import DEFAULT_UP, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 
 _FILL = 0.92  # share of the panel's height or width that the content fills
@@ -78,7 +78,7 @@ def frame_scene(
     Raises InputError on a batch, on no Gaussians, or when none lies in front of the camera.
     """
     gaussians = _checked(gaussians, panel)
-    turn = upright(up)
+    turn = upright_rotation(up)
     if world_to_camera is not None:
         world_to_camera = Rig(world_to_camera, (1.0, 1.0), (0.0, 0.0), 1.0).world_to_camera  # checks the matrix
     found = _subject(gaussians)

@@ -17,9 +17,7 @@ from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.json_file import read_json
-from lightfield_gs.io.text_file import read_text
-from lightfield_gs.io.yaml_file import MOST_BYTES
+from lightfield_gs.io.text_files import MOST_BYTES, read_json, read_text
 from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values, find_calibration, with_values
 from lightfield_gs.panels.panel import Panel
 

@@ -18,7 +18,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEFAULT_CONE_DEG
-from lightfield_gs.io.json_file import parse_json, read_json
+from lightfield_gs.io.text_files import parse_json, read_json
 from lightfield_gs.panels.cells import PATTERNS
 
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration

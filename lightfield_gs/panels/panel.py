@@ -32,7 +32,7 @@ from lightfield_gs.base.options import (
     SubpixelOrder,
 )
 from lightfield_gs.base.paths import config_path
-from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.io.text_files import read_mapping, write_mapping
 from lightfield_gs.panels.cells import PATTERNS, PERIOD, Cell, cell_numbers, checked_cells
 from lightfield_gs.panels.looking_glass import panel_fields
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.io.text_files import read_mapping, write_mapping
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.text_files import read_text
 from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.panel import Panel, subpixel_offsets
 

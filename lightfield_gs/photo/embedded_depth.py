@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.heif import is_heif
 from lightfield_gs.io.images import read_layer
-from lightfield_gs.io.jpeg_segments import xmp_of_jpeg
-from lightfield_gs.io.pillow_images import decoded, pictures_in
+from lightfield_gs.io.pillow_images import count_pictures, decode_picture, is_heif
+from lightfield_gs.io.xmp import jpeg_xmp
 from lightfield_gs.photo.depth import DepthNumbers, depth_channel, grey_numbers
 
 _GDEPTH, _DYNAMIC = "http://ns.google.com/photos/1.0/depthmap/", "http://ns.google.com/photos/dd/1.0/depthmap/"
@@ -51,7 +50,7 @@ class DepthInside:
     def numbers(self, path: str | Path) -> DepthNumbers:
         """What the map holds. Raises InputError."""
         name = f"{path}: the depth map inside it"
-        found = grey_numbers(name, decoded(name, self.data))
+        found = grey_numbers(name, decode_picture(name, self.data))
         return DepthNumbers(found.values, is_along_ray=self.is_along_ray, notes=found.notes)
 
 
@@ -73,8 +72,8 @@ def notes_inside(path: str | Path, is_depth_used: bool) -> list[str]:
     with reading(path):
         if not is_depth_used and (words := _unused_depth(path)):
             notes.append(f"{path}: {words}")
-        count, are_eyes = pictures_in(path)
-        if are_eyes or f'"{_GIMAGE}"' in xmp_of_jpeg(path) and not depth_inside(path):
+        count, are_eyes = count_pictures(path)
+        if are_eyes or f'"{_GIMAGE}"' in jpeg_xmp(path) and not depth_inside(path):
             notes.append(
                 f"{path}: it is a stereo photo, and the first of its two pictures is taken, one eye's; the other is "
                 "left out"
@@ -97,7 +96,7 @@ def facts_inside(path: str | Path) -> list[tuple[str, str]]:
             facts.append(("depth inside", f"{width} x {height}, {inside.name}, near {inside.near}, far {inside.far}"))
         elif words := _unused_depth(path):
             facts.append(("depth inside", words))
-        count, are_eyes = pictures_in(path)
+        count, are_eyes = count_pictures(path)
         if count > 1:
             facts.append(("pictures", f"{count}" + (", of two eyes" if are_eyes else "")))
     return facts
@@ -106,7 +105,7 @@ def facts_inside(path: str | Path) -> list[tuple[str, str]]:
 @functools.lru_cache(maxsize=8)
 def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
     """changed, size: of the file, so that another file of the same name is read again."""
-    xmp = xmp_of_jpeg(path)
+    xmp = jpeg_xmp(path)
     for namespace, name, find in ((_GDEPTH, "GDepth", _of_base64), (_DYNAMIC, "Dynamic Depth", _behind)):
         if f'"{namespace}"' not in xmp:
             continue
@@ -175,9 +174,9 @@ def _unused_depth(path: Path) -> str:
     if _is_exr(path):
         layer = read_layer(path, depth_channel)
         return "" if layer is None else f"its channel {layer.name} holds distances: --depth {path} takes them"
-    if xmp_of_jpeg(path):
+    if jpeg_xmp(path):
         for namespace, name in ((_GDEPTH, "GDepth"), (_DYNAMIC, "Dynamic Depth")):
-            if f'"{namespace}"' in xmp_of_jpeg(path):
+            if f'"{namespace}"' in jpeg_xmp(path):
                 return f"a depth map should be in it ({name}), and is not found; give one with --depth FILE"
     with open(path, "rb") as file:
         if file.read(2) != b"\xff\xd8":

@@ -11,7 +11,7 @@ import numpy as np
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import MAP_ORIENTATIONS
-from lightfield_gs.io.images import Picture, as_floats, read_picture, upright
+from lightfield_gs.io.images import Picture, apply_orientation, as_floats, read_picture
 from lightfield_gs.photo.colour import check_finite, in_srgb
 from lightfield_gs.photo.image_filters import row_strips
 from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_components, plain_background_mask
@@ -57,7 +57,7 @@ def turned_with_photo(
             "upright"
         )
     turned = choice == "stored" or choice is None and fits_stored
-    return upright(values, orientation) if turned else values, turned
+    return apply_orientation(values, orientation) if turned else values, turned
 
 
 _INSTALL = "pip install 'lightfield-gs[rembg]'"

@@ -19,7 +19,7 @@ from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
 from lightfield_gs.photo.image_filters import max_filter
 from lightfield_gs.photo.margin import made_up
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24
@@ -98,7 +98,7 @@ def from_depth(
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
         full = torch.full_like(z, _OPACITY)
         parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner, torn=False))
-    return of_tensors(torch.cat(fields) for fields in zip(*parts))
+    return from_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
 def _layers(

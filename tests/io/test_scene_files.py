@@ -15,12 +15,11 @@ from lightfield_gs import InputError, SplatterNet, cli
 from lightfield_gs.commands.info import describe
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.io.npy import open_array
-from lightfield_gs.io.scenes.ply_data import read_elements
-from lightfield_gs.io.scenes.ply_header import read_header
+from lightfield_gs.io.ply_file import read_elements, read_header
+from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
-from lightfield_gs.scene.files import read_scene
 from lightfield_gs.scene.gaussians import Gaussians
 
 FAR = (500123.0, 5412345.0, -420.0)

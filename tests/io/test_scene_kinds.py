@@ -18,9 +18,8 @@ from PIL import Image
 from test_gaussians_ply import NAMES, VALUES, random_gaussians, write
 
 from lightfield_gs import InputError
-from lightfield_gs.io.scenes.stored import SUFFIXES
-from lightfield_gs.io.unread import SCENE_SUFFIXES
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.io.file_kinds import SCENE_SUFFIXES
+from lightfield_gs.io.scenes.files import SUFFIXES, read_scene
 from lightfield_gs.scene.gaussians import Gaussians
 
 MOTION = [f"motion_{i}" for i in range(9)]

@@ -16,7 +16,7 @@ import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.io.depth_names import depth_maps_beside, is_named_as_beside
 from lightfield_gs.io.images import read_picture, write_image
-from lightfield_gs.io.pillow_images import pictures_in
+from lightfield_gs.io.pillow_images import count_pictures
 from lightfield_gs.photo.embedded_depth import depth_inside, facts_inside, notes_inside
 from lightfield_gs.photo.joint_upsampling import at_size_of_photo
 from lightfield_gs.photo.load import photo_of
@@ -334,7 +334,7 @@ def test_the_second_eye_of_a_stereo_photo_is_said(tmp_path):
         ("c.mpo", right.resize((20, 16)), (1, False)),
     ):
         left.save(tmp_path / name, "MPO", save_all=True, append_images=[second])
-        assert pictures_in(tmp_path / name) == expected
+        assert count_pictures(tmp_path / name) == expected
     assert "stereo photo" in notes_inside(tmp_path / "a.mpo", is_depth_used=False)[0]
 
 

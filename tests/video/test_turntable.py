@@ -9,7 +9,7 @@ from command_line import PANEL, scene
 
 from lightfield_gs import Gaussians, InputError, Rig, encode
 from lightfield_gs.panels.framing import frame_scene
-from lightfield_gs.scene.axes import upright
+from lightfield_gs.scene.axes import upright_rotation
 from lightfield_gs.video.camera_path import pivot_point, turned, turntable
 
 
@@ -96,5 +96,5 @@ def test_an_axis_without_a_direction_is_refused(up):
 def test_the_axis_of_an_upright_camera_is_what_is_up():
     for up in ("z", "y", "-y"):
         rig = frame_scene(scene(), PANEL, up=up)
-        one, other = turned(rig, PANEL, 25), turned(rig, PANEL, 25, -upright(up)[1])
+        one, other = turned(rig, PANEL, 25), turned(rig, PANEL, 25, -upright_rotation(up)[1])
         np.testing.assert_allclose(one.world_to_camera, other.world_to_camera, atol=1e-12)
