@@ -15,7 +15,7 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_output_path
-from lightfield_gs.io.file_kinds import refuse_unread
+from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb
 from lightfield_gs.io.scenes.files import check_written_suffix, is_scene_path
 from lightfield_gs.panels.panel import Panel
@@ -57,7 +57,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
     else:
-        refuse_unread(args.input)
+        refuse_unsupported(args.input)
         _refuse(args, ("skip_invalid", "time", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
     if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
