@@ -174,7 +174,13 @@ def _turn_with(
     from lightfield_gs.photo.load import turned_with_photo
 
     return lambda numbers: turned_with_photo(
-        str(args.depth), numbers.values, numbers.orientation, photo.pixels.shape[:2], photo.load, choice, any_size=True
+        str(args.depth),
+        numbers.values,
+        numbers.orientation,
+        photo.pixels.shape[:2],
+        photo.orientation,
+        choice,
+        any_size=True,
     )
 
 

@@ -6,17 +6,20 @@ row's note says what was changed. Where there is none such, the row has no time,
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from lightfield_gs.bench import options
 from lightfield_gs.bench.pareto import Subject, drawing
-from lightfield_gs.bench.scenes import with_harmonics
-from lightfield_gs.bench.tables import aligned, in_ms, or_dash
+from lightfield_gs.bench.report import aligned, in_ms, or_dash
+from lightfield_gs.bench.scenes import benchmark_rig, load_scene, with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import draw_lens, encode
 from lightfield_gs.encoding.encoder import Encoder
@@ -270,3 +273,30 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
         film()
         spared = [stage for stage, n in encoder.stats["reused"].items() if n > before[stage]]
         yield Skip(f"reuse, {change}", ", ".join(spared) or "no stage", film, anew, note)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    options.add_scene(parser, SCENES)
+    options.add_panel(parser)
+    options.add_cone(parser)
+    options.add_sh_degree(parser)
+    options.add_repeats(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every skip, for every scene and cone, and their text."""
+    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.panel_of(args)
+    cones, count = options.cones(args.cone), options.one_thread_count(args.threads)
+    degrees, found = options.sh_degrees(args.sh_degree), []
+    options.check_scenes(scenes, degrees)
+    for scene in scenes:
+        for degree in degrees:
+            gaussians = load_scene(scene, degree).to(args.device)
+            for cone in cones:
+                rig = benchmark_rig(scene, gaussians, panel, cone)
+                subject = Subject(Path(scene).name, gaussians, panel, rig)
+                options.progress(f"{subject.name}, {rig.cone_deg:g} degrees: with and without every skip by turns")
+                found += rows(subject, args.repeats, count)
+    return {"rows": found}, table(found)

@@ -119,7 +119,9 @@ def classic_with_gradients(
     order, taken = [], []
     for first in range(0, len(x), chunk := _views_at_a_time(panel)):
         cameras = rig.cameras_at(panel, x[first : first + chunk])
-        images = render(gaussians, cameras, background=background, antialiased=antialiased).view(cameras.count, -1)
+        images = render(gaussians, cameras, background=background, antialiased=antialiased).image.view(
+            cameras.count, -1
+        )
         mine = _shown_by(places, first, cameras.count)
         order.append(mine)
         taken.append(images[places[mine].to(torch.int64) - first, mine])

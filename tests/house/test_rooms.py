@@ -28,7 +28,9 @@ ROOMS = (
     "lightfield_gs.fitting",
     "training",
     "lightfield_gs.app",
+    "lightfield_gs.commands.options",
     "lightfield_gs.bench",
+    "benchmarks",
     "lightfield_gs.batch",
     "lightfield_gs.commands",
     "lightfield_gs.cli",
@@ -37,7 +39,7 @@ ROOMS = (
 
 
 def modules() -> dict[str, Path]:
-    paths = [path for top in ("lightfield_gs", "training") for path in sorted((ROOT / top).rglob("*.py"))]
+    paths = [path for top in ("lightfield_gs", "training", "benchmarks") for path in sorted((ROOT / top).rglob("*.py"))]
     names = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in paths}
     return {name.removesuffix(".__init__"): path for name, path in names.items()}
 

@@ -285,7 +285,7 @@ def test_numbers_that_are_none_are_named_with_their_index(how, field, bad):
     scene = CASES["needles end-on"].scene().to(dtype=torch.float32)
     scene.fields()[field].view(40, -1)[17, -1] = bad
     calls = {
-        "render": lambda: render(scene, CAMERAS.to(torch.float32)),
+        "render": lambda: render(scene, CAMERAS.to(torch.float32)).image,
         "frame": lambda: frame_scene(scene, PANEL),
         "save": lambda: scene.save("/nowhere/a.ply"),
         "high": lambda: encode(scene, PANEL, RIG, quality="high"),

@@ -41,11 +41,6 @@ def gsplat() -> Any:
     return module
 
 
-def versions(methods: list[str]) -> dict[str, str]:
-    """The versions of the peers among the methods of a benchmark."""
-    return {"gsplat": gsplat().__version__} if set(methods) & set(PEERS) else {}
-
-
 class GsplatClassic:
     """The classic pipeline with gsplat: N dense views, several in a call, and their sub-pixels taken over on the GPU.
 
@@ -93,9 +88,6 @@ class GsplatClassic:
             "evaluations_per_subpixel": None,
             "work_bytes": None,
         }
-
-
-PEERS = {"gsplat-classic": GsplatClassic}
 
 
 def gsplat_images(gaussians: Gaussians, cameras: Cameras) -> tuple[Tensor, Tensor]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import argparse
 from contextlib import ExitStack
 from dataclasses import asdict
 from fractions import Fraction
@@ -11,8 +11,11 @@ from typing import Any
 
 import torch
 
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.bench import options
+from lightfield_gs.bench.report import aligned
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
-from lightfield_gs.bench.tables import aligned
+from lightfield_gs.commands.options.parser import whole
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.camera_path import turntable
@@ -26,9 +29,7 @@ _FPS = Fraction(30)
 
 
 @torch.inference_mode()
-def rows(
-    scene: str, panel: Panel, frames: int, sinks: tuple[str, ...], device: str, progress: Callable[[str], None]
-) -> list[dict[str, Any]]:
+def rows(scene: str, panel: Panel, frames: int, sinks: tuple[str, ...], device: str) -> list[dict[str, Any]]:
     """A row for each of `sinks`, of SINKS: frames a second and where the time went, s; bytes of a frame's file.
 
     Raises InputError.
@@ -38,7 +39,7 @@ def rows(
     size = panel.width_px, panel.height_px
     found = []
     for name in sinks:
-        progress(f"{frames} frames to {name}")
+        options.progress(f"{frames} frames to {name}")
         draw = NativeFrames(panel, Drawing(), is_one_scene=True)
         for rig in rigs[:2]:  # memory comes, and on CUDA kernels load
             draw(gaussians, rig, 0)
@@ -89,3 +90,36 @@ def table(rows: list[dict[str, Any]]) -> str:
         for row in rows
     ]
     return "\n".join(aligned([head, *lines]))
+
+
+SCENE = "sheet:128"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.add_argument("--scene", default=SCENE, help="sheet:S, cloud:N or a .ply (default: %(default)s)")
+    parser.add_argument(
+        "--files",
+        default="none,png",
+        help=f"where frames go, with commas: {', '.join(SINKS)}; the last two by PyAV (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--frames",
+        type=whole(1, 100_000),
+        metavar="N",
+        help=f"of the turntable (default: {FRAMES['cuda']}, on the CPU {FRAMES['cpu']})",
+    )
+    options.add_panel(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """A row of each kind of files, and their text."""
+    options.check_scenes([args.scene])
+    sinks = tuple(args.files.split(","))
+    if not set(sinks) <= set(SINKS):
+        raise InputError(f"--files: expected some of {', '.join(SINKS)}, with commas, got {args.files!r}")
+    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
+    frames = args.frames or FRAMES[args.device]
+    found = rows(args.scene, options.panel_of(args), frames, sinks, args.device)
+    return {"rows": found}, table(found)

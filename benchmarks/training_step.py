@@ -6,6 +6,7 @@ CUDA: 32 scenes of one such layer before 4 cameras each, image and alpha; Gaussi
 
 from __future__ import annotations
 
+import argparse
 import statistics
 from collections.abc import Callable
 from typing import Any, cast
@@ -14,9 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.bench import peers
+from benchmarks import peers
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.bench import options
+from lightfield_gs.bench.dense import OURS, Step
+from lightfield_gs.bench.report import in_ms
 from lightfield_gs.bench.scenes import ZERO_DEPTH, sheet
-from lightfield_gs.bench.tables import in_ms
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -27,7 +31,6 @@ from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 OBJECTS, SCENES, VIEWS, SIZE_PX = 8, 32, 4, 128
 CONE_DEG = 40.0
 LAYER_DISTANCE = 0.3  # scene units
-OURS = "lightfield-gs"
 
 
 def objects() -> Gaussians:
@@ -53,65 +56,34 @@ def cameras() -> Cameras:
     return Rig(np.eye(4), (SIZE_PX, 2 * SIZE_PX), (SIZE_PX / 2, SIZE_PX / 2), ZERO_DEPTH).cameras(panel)
 
 
-class Step:
-    """A training step in two parts: images of Gaussians that ask for gradients, and the gradients of a loss."""
-
-    def __init__(self, gaussians: Gaussians, draw: Callable[[Gaussians], Any], loss: Callable[[Any], Tensor]) -> None:
-        self.gaussians, self._draw, self._loss = gaussians, draw, loss
-        self._outputs: Any = None
-
-    def forward(self) -> None:
-        """draw(gaussians)."""
-        for field in self.gaussians.fields().values():
-            field.grad = None
-        self._outputs = self._draw(self.gaussians)
-
-    def backward(self) -> None:
-        """Through loss(outputs) to the fields of the Gaussians."""
-        self._loss(self._outputs).backward()
-
-    def both(self) -> None:
-        """Forward and backward."""
-        self.forward()
-        self.backward()
-
-    def kept(self) -> dict[str, Tensor]:
-        """The image of the last step, and the gradient of every field."""
-        gradients = {name: cast(Tensor, field.grad) for name, field in self.gaussians.fields().items()}
-        return {"image": self._outputs.detach(), **gradients}
-
-    def release(self) -> None:
-        """Lets go of what was drawn; the gradients stay."""
-        self._outputs = None
-
-    def row(self, cuda: bool, repeats: int | None) -> dict[str, Any]:
-        """What was drawn, and medians of ms_forward, ms_backward and ms_total."""
-        _, times = timed_in_turn((self.forward, self.backward), cuda, repeats)
-        forward, backward, total = map(statistics.median, (*zip(*times), map(sum, times)))
-        scenes = self.gaussians.means.shape[0]
-        return {
-            "objects": scenes,
-            "views": VIEWS,
-            "images": scenes * VIEWS,
-            "size_px": SIZE_PX,
-            "gaussians": self.gaussians.count,
-            "ms_forward": forward,
-            "ms_backward": backward,
-            "ms_total": total,
-        }
+def step_row(step: Step, cuda: bool, repeats: int | None) -> dict[str, Any]:
+    """What was drawn, and medians of ms_forward, ms_backward and ms_total."""
+    _, times = timed_in_turn((step.forward, step.backward), cuda, repeats)
+    forward, backward, total = map(statistics.median, (*zip(*times), map(sum, times)))
+    scenes = step.gaussians.means.shape[0]
+    return {
+        "objects": scenes,
+        "views": VIEWS,
+        "images": scenes * VIEWS,
+        "size_px": SIZE_PX,
+        "gaussians": step.gaussians.count,
+        "ms_forward": forward,
+        "ms_backward": backward,
+        "ms_total": total,
+    }
 
 
 def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, Any]]:
     """A row for each number of threads (None: those torch uses), after a step to warm up."""
     views = cameras()
-    step = Step(objects(), lambda gaussians: render(gaussians, views), lambda image: image.square().mean())
+    step = Step(objects(), lambda gaussians: render(gaussians, views).image, lambda image: image.square().mean())
     before, found = torch.get_num_threads(), []
     try:
         for count in threads:
             torch.set_num_threads(before if count is None else count)
             step.both()
             found.append(
-                {"device": "cpu", "program": OURS, **step.row(False, repeats), "threads": torch.get_num_threads()}
+                {"device": "cpu", "program": OURS, **step_row(step, False, repeats), "threads": torch.get_num_threads()}
             )
     finally:
         torch.set_num_threads(before)
@@ -120,7 +92,12 @@ def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, A
 
 def cuda_row(repeats: int | None) -> dict[str, Any]:
     """Ours on CUDA: image and alpha, and the gradients of their sum."""
-    return _cuda_row(OURS, lambda gaussians, views: render(gaussians, views, alpha=True), repeats)
+
+    def images(gaussians: Gaussians, cameras: Cameras) -> tuple[Tensor, Tensor]:
+        image, alpha, *_ = render(gaussians, cameras, alpha=True)
+        return image, cast(Tensor, alpha)
+
+    return _cuda_row(OURS, images, repeats)
 
 
 def gsplat_row(repeats: int | None) -> dict[str, Any]:
@@ -137,7 +114,7 @@ def _cuda_row(
         return cast(Tensor, sum(map(torch.sum, outputs)))
 
     step = Step(scenes(), lambda gaussians: draw(gaussians, views), loss)
-    return {"device": "cuda", "program": program, **step.row(True, repeats), "card": torch.cuda.get_device_name()}
+    return {"device": "cuda", "program": program, **step_row(step, True, repeats), "card": torch.cuda.get_device_name()}
 
 
 def table(found: list[dict[str, Any]]) -> str:
@@ -160,3 +137,22 @@ def _line(row: dict[str, Any]) -> str:
         f"{row['program']}: {row['objects']} objects x {row['views']} views, {row['size_px']} px, "
         f"{row['gaussians']} Gaussians, {where}: forward {forward}, backward {backward}, both {both} ms"
     )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    options.add_repeats(parser)
+    options.add_machine(parser, several_threads=True)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """A row for each number of threads, on CUDA one, and gsplat's where it can be had; and their text."""
+    if args.device == "cpu":
+        found = cpu_rows(options.thread_counts(args.threads), args.repeats)
+    else:
+        found = [cuda_row(args.repeats)]
+        try:
+            found.append(gsplat_row(args.repeats))
+        except InputError as error:
+            options.progress(f"no row of gsplat: {error}")
+    return {"rows": found}, table(found)

@@ -10,10 +10,11 @@ import torch
 from bench_cases import arguments
 from fit_capture import write_capture
 
+from benchmarks import fit, fit_report, peers
+from benchmarks.fit import Photographs
+from benchmarks.gsplat_fit import RATES
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.bench import dense, fit, fit_report, peers, timing
-from lightfield_gs.bench.fit_data import Photographs
-from lightfield_gs.bench.fit_peer import RATES
+from lightfield_gs.bench import dense, timing
 from lightfield_gs.commands import bench as command
 from lightfield_gs.fitting.evaluate import evaluated
 from lightfield_gs.fitting.schedule import Schedule
@@ -60,7 +61,7 @@ def stand_in(means, quats, scales, opacities, colors, viewmats, Ks, width, heigh
     cameras = Cameras(viewmats, Ks, width_px=width, height_px=height)
     flat = 0 * means[None, :, :2]
     scene = Gaussians(means, quats, scales, opacities, colors[:, : (sh_degree + 1) ** 2].contiguous())
-    image, alpha = render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha, *_ = render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
     return image + flat.sum(), alpha[..., None], {"means2d": flat}
 
 

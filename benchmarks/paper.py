@@ -7,10 +7,12 @@ of the stages (geometry, image, binning) before and after buffers are used again
 
 from __future__ import annotations
 
+import argparse
 from statistics import fmean
 from typing import Any
 
-from lightfield_gs.bench.tables import aligned, in_ms, megabytes, or_dash
+from lightfield_gs.bench import light_field
+from lightfield_gs.bench.report import aligned, in_ms, megabytes, or_dash
 
 SCENES = (
     "sheet:64",
@@ -98,3 +100,14 @@ def _memory_table(rows: list[dict[str, Any]]) -> list[str]:
     held = [f"{TABLE_3_MB[stage]} -> ?" for stage in STAGES]
     lines.append(("paper 128 x 128", "sorted", *held, f"{before_mb} -> {after_mb}"))
     return aligned(lines)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    light_field.add_arguments(parser, SCENES, METHODS)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Return the rows of light-field images, for the scenes and methods of the paper by default, and its tables."""
+    result = light_field.measure_cases(args, SCENES, METHODS)
+    return result, "\n".join([tables(result["rows"]), *map(light_field.cost_line, result["harmonics"])])

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.bench import options
+from lightfield_gs.bench.light_field import SCENES
 from lightfield_gs.bench.pareto import Subject
-from lightfield_gs.bench.tables import aligned
+from lightfield_gs.bench.report import aligned
+from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import unknown_of
@@ -76,3 +81,30 @@ def table(found: list[dict[str, Any]]) -> str:
         for row in found
     ]
     return "\n".join(aligned([head, *lines]))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    options.add_scene(parser, SCENES)
+    options.add_panel(parser)
+    options.add_cone(parser)
+    options.add_sh_degree(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every width of the view filter, for every scene and cone, and their text."""
+    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.panel_of(args)
+    check_panel(panel)
+    cones, degrees = options.cones(args.cone), options.sh_degrees(args.sh_degree)
+    found: list[dict[str, Any]] = []
+    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
+    options.check_scenes(scenes, degrees)
+    for scene in scenes:
+        for degree in degrees:
+            gaussians = load_scene(scene, degree).to(args.device)
+            for cone in cones:
+                rig = benchmark_rig(scene, gaussians, panel, cone)
+                options.progress(f"{Path(scene).name}, {rig.cone_deg:g} degrees: {EYES} eyes")
+                found += rows(Subject(Path(scene).name, gaussians, panel, rig))
+    return {"rows": found}, table(found)

@@ -6,24 +6,35 @@ same coordinates and before black; their cameras stay as they are, and so do the
 
 from __future__ import annotations
 
+import argparse
 import gc
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks import fit_report, peers
+from benchmarks.gsplat_fit import BLACK, PeerFit, Recipe
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.bench import peers
-from lightfield_gs.bench.fit_data import BLACK, Fit, Photographs, scores
-from lightfield_gs.bench.fit_peer import PeerFit, Recipe
+from lightfield_gs.bench import options
+from lightfield_gs.bench.report import check_plot
+from lightfield_gs.bench.timing import machine
+from lightfield_gs.commands.options.parser import whole
+from lightfield_gs.fitting.evaluate import compared, weighted_psnr_db, weighted_ssim
 from lightfield_gs.fitting.fields import Fields
+from lightfield_gs.fitting.initial import initial_gaussians
 from lightfield_gs.fitting.settings import Density, FitSettings
 from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.fitting.views import Views
+from lightfield_gs.fitting.world import World
+from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.io.text_files import write_json
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -49,7 +60,7 @@ class OurFit:
 
     def draw(self, cameras: Cameras) -> Tensor:
         """It before a camera, [1, H, W, 3]."""
-        return render(self.gaussians(), cameras, background=BLACK)
+        return render(self.gaussians(), cameras, background=BLACK).image
 
 
 def _ours(density: Density, photographs: Photographs, settings: FitSettings) -> Fit:
@@ -86,14 +97,14 @@ def check_arms(arms: Sequence[str]) -> None:
         peers.gsplat()
 
 
-def usual_arms(device: str, complain: Callable[[str], None]) -> tuple[str, ...]:
-    """Ours, and those of gsplat where it can be had on CUDA; `complain` hears why not."""
+def usual_arms(device: str) -> tuple[str, ...]:
+    """Ours, and those of gsplat where it can be had on CUDA."""
     if device == "cuda":
         try:
             peers.gsplat()
             return USUAL_ARMS
         except InputError as error:
-            complain(f"no arms of gsplat: {error}")
+            options.progress(f"no arms of gsplat: {error}")
     return OUR_ARMS
 
 
@@ -175,3 +186,122 @@ def protocol(photographs: Photographs, settings: FitSettings, arms: Sequence[str
         "gaussians": settings.cap_max,
         "gsplat": peers.gsplat().__version__ if set(arms) & set(RECIPES) else None,
     }
+
+
+class Fit(Protocol):
+    """A fit under way."""
+
+    def advance(self, until: int) -> None:
+        """Does the steps up to `until`."""
+
+    def gaussians(self) -> Gaussians:
+        """The scene as it is now."""
+
+    def draw(self, cameras: Cameras) -> Tensor:
+        """It before a camera, by the rasterizer that it is fitted with: [1, H, W, 3]."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """A capture on its device, in coordinates of the fit: views to fit to, those held out, and where points [P,3] of
+    colours [P,3] uint8 and the centres of all cameras [C,3] are."""
+
+    name: str
+    train: Views
+    test: Views
+    points: np.ndarray
+    colours: np.ndarray
+    centres: np.ndarray
+
+    @classmethod
+    def load(cls, capture: Capture, test_every: int, device: str) -> Photographs:
+        """Those of a capture. Raises InputError."""
+        world = World.of(capture.centres, capture.extent)
+        train, test = capture.split(test_every)
+        if not test:
+            raise InputError(
+                f"{capture.folder}: {len(capture.names)} photographs are too few to hold out one of {test_every}; "
+                "give a smaller --test-every"
+            )
+        fitted, held = (Views.load(capture, some, world, device, some) for some in (train, test))
+        points, centres = (world.points(places) for places in (capture.points, capture.centres))
+        return cls(capture.folder.resolve().name, fitted, held, points, capture.colours, centres)
+
+    def start(self, settings: FitSettings) -> Gaussians:
+        """What a fit begins with, on the device."""
+        return initial_gaussians(self.points, self.colours, self.centres, settings).to(self.train.device)
+
+
+@torch.no_grad()
+def scores(fit: Fit, views: Views) -> dict[str, float]:
+    """Means over views of PSNR in dB and SSIM by the protocol of fitting/evaluate.py, drawn by the fit's own
+    rasterizer; and of the PSNR of the same scene drawn by ours."""
+    scene, found = fit.gaussians(), []
+    for place, (width, height) in enumerate(views.sizes):
+        by_ours, photo, weights = compared(scene, views, place, BLACK)
+        image = fit.draw(views.cameras(place))[0, :height, :width].clamp(0, 1)
+        psnr, psnr_by_ours = (weighted_psnr_db(picture, photo, weights) for picture in (image, by_ours))
+        found.append((psnr, weighted_ssim(image, photo, weights), psnr_by_ours))
+    return dict(zip(("psnr_db", "ssim", "psnr_db_by_ours"), np.mean(found, 0).tolist()))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="the folder of a capture")
+    parser.add_argument(
+        "--gaussians",
+        type=whole(1, 100_000_000),
+        metavar="N",
+        help="how many a scene has at the end, of the arms that are told (default: "
+        f"{GAUSSIANS['cuda']}, on the CPU {GAUSSIANS['cpu']})",
+    )
+    parser.add_argument(
+        "--steps",
+        type=whole(1, 10_000_000),
+        help=f"schedules are scaled to them (default: {STEPS['cuda']}, on the CPU {STEPS['cpu']})",
+    )
+    parser.add_argument("--seeds", type=whole(1, 1000), default=1, help="how many fits of each arm (default: 1)")
+    parser.add_argument(
+        "--arms",
+        help=f"with commas, of {', '.join(ARMS)} (default: {', '.join(USUAL_ARMS)}, or ours alone on the CPU "
+        "and where gsplat is not installed)",
+    )
+    parser.add_argument(
+        "--longest-px",
+        type=whole(16, 16_384),
+        help="photographs are shrunk to this many pixels on their longer side (default: not at all, on the CPU to "
+        f"{LONGEST_PX['cpu']})",
+    )
+    parser.add_argument(
+        "--test-every",
+        type=whole(2, 1_000_000),
+        metavar="K",
+        default=8,
+        help="one of K photographs is held out, the middle one (default: 8)",
+    )
+    options.add_plot(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every seed, arm and mark, each in the JSON as soon as it is known, and their text; draws the plot."""
+    if args.plot is not None:
+        check_plot(args.plot)
+    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
+    arms = usual_arms(args.device) if args.arms is None else args.arms.split(",")
+    check_arms(arms)
+    settings = FitSettings(steps=args.steps or STEPS[args.device], cap_max=args.gaussians or GAUSSIANS[args.device])
+    capture = read_capture(args.capture, longest_px=args.longest_px or LONGEST_PX[args.device])
+    options.progress(f"{args.capture}: reading {len(capture.names)} photographs")
+    photographs = Photographs.load(capture, args.test_every, args.device)
+    result: dict[str, Any] = {"protocol": protocol(photographs, settings, arms, args.capture)}
+    result |= {"machine": machine(args.device), "rows": []}
+    for row in rows(photographs, arms, settings, args.seeds):
+        options.progress(fit_report.line(row))
+        result["rows"].append(row)
+        result["summary"] = fit_report.summary(result["rows"])
+        if args.json is not None:
+            write_json(result, args.json)
+    if args.plot is not None:
+        fit_report.plot(result["rows"], result["protocol"], args.plot)
+    return result, fit_report.table(result["rows"], result["protocol"])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import statistics
+from pathlib import Path
 from typing import Any
 
-from lightfield_gs.bench.tables import aligned, in_ms, megabytes
+from lightfield_gs.bench.report import aligned, in_ms, megabytes, new_figure
+from lightfield_gs.io.atomic import atomic_path
 
 OURS = "ours"
 _NUMBERS = ("psnr_db", "psnr_db_by_ours", "ssim", "gaussians", "seconds", "ms_step", "ms_step_lately", "peak_bytes")
@@ -101,3 +103,26 @@ def _comparisons(found: list[dict[str, Any]]) -> list[str]:
             )
         lines.append(line)
     return lines
+
+
+def plot(rows: list[dict[str, Any]], protocol: dict[str, Any], path: Path) -> None:
+    """Writes the picture: medians over the seeds, and bars as far as these spread. Raises InputError."""
+    figure = new_figure(figsize=(6.4, 4.4), layout="constrained")
+    axis = figure.subplots()
+    found = summary(rows)
+    for arm in dict.fromkeys(row["arm"] for row in found):
+        some = [row for row in found if row["arm"] == arm]
+        middle, low, high = (list(values) for values in zip(*(row["psnr_db"] for row in some)))
+        spread = [[m - l for m, l in zip(middle, low)], [h - m for m, h in zip(middle, high)]]
+        axis.errorbar(
+            [row["seconds"][0] for row in some], middle, spread, marker="o", markersize=3, capsize=2, label=arm
+        )
+    axis.set_xscale("log")
+    axis.set_xlabel("seconds of steps", fontsize=9)
+    axis.set_ylabel("PSNR of held-out photographs, dB", fontsize=9)
+    axis.set_title(f"{protocol['capture']}, {protocol['steps']} steps", fontsize=9)
+    axis.grid(True, linewidth=0.3)
+    axis.tick_params(labelsize=8)
+    axis.legend(fontsize=8)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)

@@ -6,8 +6,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks import eyes
 from lightfield_gs import Panel, cli
-from lightfield_gs.bench import eyes
 
 
 def test_a_row_for_every_width_of_the_filter(tmp_path, monkeypatch, capsys):
