@@ -15,7 +15,7 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_output_path
-from lightfield_gs.io.file_kinds import refuse_unread
+from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb
 from lightfield_gs.io.scenes.files import check_written_suffix, is_scene_path
 from lightfield_gs.panels.panel import Panel
@@ -82,7 +82,7 @@ def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
     if is_file:
         _refuse(photo, _PHOTO_OPTIONS, f"is for photos, and {path} is a file of Gaussians")
     else:
-        refuse_unread(path)
+        refuse_unsupported(path)
         reason = f"is for files of Gaussians, and {path} is none"
         _refuse(options, ("skip_invalid", "time"), reason)
         _refuse(camera, ("up", "camera"), reason)

@@ -12,7 +12,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.cameras import add_up
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.scene import add_reading
-from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unread
+from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unsupported
 from lightfield_gs.io.scenes.files import is_scene_path
 from lightfield_gs.io.text_files import MOST_BYTES, read_text
 from lightfield_gs.panels.panel import Panel
@@ -72,7 +72,7 @@ def describe(
         return _rig(path)
     if suffix == ".json" and _is_camera_file(path):
         return _camera_file(path)
-    refuse_unread(path)
+    refuse_unsupported(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
         return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
