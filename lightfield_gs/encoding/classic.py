@@ -22,7 +22,7 @@ from lightfield_gs.rasterizer.image_render import Aperture, draw_in_chunks
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -60,7 +60,7 @@ def draw_cameras(
 ) -> Tensor:
     """Image [1, K, H, W, 3] of one scene before cameras [K], unchecked and without gradients. background: what
     broadcasts to [1, K, 3]."""
-    means, cameras = about_cameras(gaussians.means, cameras)
+    means, cameras = recentre(gaussians.means, cameras)
     cameras = cameras.to(gaussians.means)
     _, *others = gaussians.fields().values()
     return draw_in_chunks(

@@ -35,7 +35,7 @@ from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats, count_culled
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -180,7 +180,7 @@ def encode(
     else:
         with counters.stage("plan"):
             seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)
-        means, seen = about_cameras(gaussians.means, seen)
+        means, seen = recentre(gaussians.means, seen)
         gaussians = replace(gaussians, means=means)
         aperture = PINHOLE if rig is None else view_aperture(panel, rig, view_filter)
         image = encode_sorted(

@@ -21,7 +21,7 @@ from lightfield_gs.rasterizer.image_operators import (
 from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
 from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.scene import background_tensor
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -96,7 +96,7 @@ def render(
             f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
             f"cameras {list(cameras.world_to_camera.shape)}"
         )
-    means, cameras = about_cameras(like, cameras)
+    means, cameras = recentre(like, cameras)
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     if shared:
         views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
