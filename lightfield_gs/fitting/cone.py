@@ -55,7 +55,7 @@ class Cone:
         if (inside := int(self.inside[list(indices)].sum())) < _FEWEST:
             assume(
                 f"cone: {inside} of {len(indices)} held-out photographs are inside, whose mean says little; hold out "
-                "more of them (--test-every 3, or --test-list)"
+                "more of them (test_every=3, or test_names=)"
             )
         return Angles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
 
@@ -162,7 +162,7 @@ def _zero_depth(capture: Capture, index: int, near: np.ndarray, middle: np.ndarr
         return depth, "where the axes of the capture meet"
     raise InputError(
         f"cone: {capture.names[index]} looks away from what the other photographs show, and there are no points in its "
-        "middle, so that nothing says at which depth the panel's plane is; give another --centre"
+        "middle, so that nothing says at which depth the panel's plane is; give another centre="
     )
 
 

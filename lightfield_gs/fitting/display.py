@@ -82,13 +82,13 @@ def placed(
 
 
 def panel_of(cone: Panel | str | Path | float) -> tuple[Panel, str]:
-    """The panel that `--cone` names, or the default panel with a cone of so many degrees; and what to say of it."""
+    """The panel that `cone` names, or the default panel with a cone of so many degrees; and what to say of it."""
     expect("cone", cone, Panel, str, Path, int, float, np.integer, np.floating)
     if isinstance(cone, str) and is_angle(cone):
         cone = float(cone)
     if not isinstance(cone, (Panel, str, Path)):
         panel = replace(Panel.load(DEFAULT_PANEL), cone_deg=real_number("cone", cone, 1.0, 179.0))
-        return panel, f"cone: the panel is {_words(panel)}, the default, but for its cone; another: --cone PANEL.yaml"
+        return panel, f"cone: the panel is {_words(panel)}, the default, but for its cone; another: give it as the cone"
     panel = cone if isinstance(cone, Panel) else Panel.load(cone)
     return panel, f"cone: the panel is {_words(panel)}"
 

@@ -30,12 +30,12 @@ _FORMER_MOST, _FORMER_FEW, _FORMER_MANY = 0.2, 12, 48  # of the default that was
 def words_on_dropout(settings: FitSettings, photographs: int) -> str | None:
     """What a fit to so many photographs says of dropout; None: nothing."""
     if settings.dropout > 0:
-        return f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (--dropout)"
+        return f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"
     if photographs > _FEW:
         return None
     return (
-        f"steps leave out no Gaussians: with {photographs} photographs --dropout 0.2 gains up to 1 dB or loses up to "
-        "1.5, by the scene; compare the PSNR of photographs held out"
+        f"steps leave out no Gaussians: with {photographs} photographs a dropout of 0.2 gains up to 1 dB or loses up "
+        "to 1.5, by the scene; compare the PSNR of photographs held out"
     )
 
 

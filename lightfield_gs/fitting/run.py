@@ -24,7 +24,7 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 _CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop
 _LEAST_REST_S, _CHECKPOINT_SHARE = 30.0, 0.02  # seconds between checkpoints, and their share of the time
-_PATIENCE = 3  # evaluations without a better one, after which --stop-early ends a fit
+_PATIENCE = 3  # evaluations without a better one, after which stop_early ends a fit
 
 
 @dataclass(frozen=True)

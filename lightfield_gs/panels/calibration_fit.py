@@ -122,7 +122,7 @@ def _check_places(places: Sequence[Place], start: Panel, one_place: bool) -> Non
         raise InputError(
             f"the photographs are from {where}, which cannot tell another lens from shifts in another order or a "
             f"mirrored photograph: add some from {_LEAST_APART * abs(zone):.0f} mm aside at least, or say that one "
-            "place will do (--one-place)"
+            "place will do (one_place=True)"
         )
 
 

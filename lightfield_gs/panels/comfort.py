@@ -53,7 +53,7 @@ class DepthReport:
     zero_depth: view-space z of the panel's plane, scene units.
     near, far: of what the centre view shows, but for 1 % at either end.
     comfortable: whether both are within one degree of the panel's plane for the eyes; None: the panel does not say.
-    amount: factor of all disparities (--depth-amount) at which that is just so; None: not known, or nothing is deep.
+    amount: factor of all disparities (depth_amount) at which that is just so; None: not known, or nothing is deep.
     sharp_depths: view-space z, from and to, that the panel shows as sharp as its own plane; None: however far.
     sharp_mm: how far that is before and behind the panel; None: not known, or however far.
         A lens has P_e sub-pixels, each 1/P_e of the cone wide, and a view is 1/N of the cone: the panel's angular step
@@ -95,7 +95,7 @@ class DepthReport:
         if self.comfortable is False:
             way = "" if self.amount is None else f", {_floored(self.amount)} of what it is at the most"
             out.append(
-                f"the depth strains the eyes: {self._angles()}; give a smaller --depth-amount{way}, or another --focus"
+                f"the depth strains the eyes: {self._angles()}; give a smaller depth_amount={way}, or another focus="
             )
         if (words := background_warning(max(self.unseen))) is not None:
             out.append(words)
@@ -103,7 +103,7 @@ class DepthReport:
 
     def _comfort(self) -> str:
         if self.comfortable is None:
-            return "not known: the panel lacks viewing_distance_mm or pixel_pitch_mm (--viewing-distance MM)"
+            return "not known: the panel lacks viewing_distance_mm or pixel_pitch_mm (viewing_distance_mm=MM)"
         return f"{'yes' if self.comfortable else 'no'}, {self._angles()}"
 
     def _angles(self) -> str:

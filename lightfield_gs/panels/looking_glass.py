@@ -100,8 +100,7 @@ def _chosen(found: list[_Found], where: str, serial: str | None) -> _Found:
     if serial is None:
         if len(found) > 1:
             raise InputError(
-                f"{where} has calibrations of {len(found)} displays: {names}; say which with "
-                "--device-serial SERIAL (serial= in Python)"
+                f"{where} has calibrations of {len(found)} displays: {names}; say which with serial=SERIAL"
             )
         return found[0]
     expect("serial", serial, str)

@@ -148,7 +148,7 @@ def layout_of_panel(panel: Panel, tiles: tuple[int, int] | None = None) -> Quilt
         assume(
             f"a quilt of {found.columns} x {found.rows} = {views} views for the {panel.views} of panel {panel.name}, "
             f"of which {best.columns} x {best.rows} would leave tiles of {best.tile_px()[0]} x {best.tile_px()[1]} "
-            f"pixels (to have those: --tiles {best.columns}x{best.rows})"
+            f"pixels (to have those: tiles={best.columns}x{best.rows})"
         )
     return found
 

@@ -239,7 +239,7 @@ def background_warning(share: float) -> str | None:
         return None
     return (
         f"the outermost views look past what the scene knows: {share:.1%} of the scene's place is background there; "
-        "give a smaller --cone or --depth-amount, or a larger --zoom"
+        "give a smaller cone_deg= or depth_amount=, or a larger zoom="
     )
 
 
