@@ -105,7 +105,7 @@ def remove_file(path: Path) -> None:
         raise InputError(f"cannot remove {path}: {error.strerror or error}") from error
 
 
-def lock(file: int) -> bool | None:
+def lock(file: int, shared: bool = False) -> bool | None:
     """Locks an open file or folder for as long as it is open in this process, however that ends.
 
     False where another has locked it; None where there are no locks: on Windows, and in some file systems.
@@ -115,7 +115,7 @@ def lock(file: int) -> bool | None:
     import fcntl
 
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
