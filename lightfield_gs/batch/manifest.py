@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -20,6 +21,7 @@ from lightfield_gs.io.text_files import parse_json
 
 WHOLE = (1, 1)  # the shard that is the whole batch
 Record = dict[str, Any]
+_PATIENCE_S = 2.0  # for the processes of a batch that was killed, which end after it
 _MOST_TRIES = 2  # runs that an item may take with it
 
 
@@ -123,7 +125,9 @@ class Manifest:
         if not self._whole:
             self._open.append(os.open(self.folder / "batch.jsonl", os.O_RDWR | os.O_CREAT, 0o666))
         for file, shared in zip(self._open, (False, True)):
-            is_ours = lock(file, shared)
+            deadline = time.monotonic() + _PATIENCE_S
+            while (is_ours := lock(file, shared)) is False and time.monotonic() < deadline:
+                time.sleep(0.05)
             if is_ours is None:
                 raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here")
             if not is_ours:

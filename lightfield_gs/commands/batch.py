@@ -7,16 +7,18 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.provenance import package_versions
 from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, note, report_error
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.encoding import add_encoding
-from lightfield_gs.commands.options.parser import whole
+from lightfield_gs.commands.options.parser import read_options, whole
 from lightfield_gs.io.atomic import check_folder, remove_left_over
 
 if TYPE_CHECKING:
@@ -86,7 +88,9 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(
                 "--shard is one process, on the GPU of CUDA_VISIBLE_DEVICES; leave out --processes and --devices"
             )
-        return _without_waiting(partial(run_shard, args, args.shard, choose_places(args.devices, 1, args.threads)[0]))
+        (place,) = choose_places(args.devices, 1, args.threads)
+        place = replace(place, name="{} shard {}/{}".format(place.device, *args.shard))
+        return _without_waiting(partial(run_shard, args, args.shard, place))
     items, left = read_items(args.input, f".{args.format}", args.output, with_maps=args.depth is None)
     if args.input.is_dir() and (paired := [item for item in items if item.words]):
         first = f"{paired[0].input} with {paired[0].words[0].partition('=')[2]}"
@@ -154,7 +158,11 @@ def _setup(args: argparse.Namespace) -> tuple[Setup, dict[str, Any]]:
     with named("--video-options"):
         video = split(args.video_options)
     words = {name: str(value) for name, value in sorted(given.items())}
-    options = {"all": {"panel": load_panel(args).to_dict(), "given": words}, "fit": fit, "video": video}
+    options = {
+        "all": {"panel": load_panel(read_options(PanelOptions, args)).to_dict(), "given": words},
+        "fit": fit,
+        "video": video,
+    }
     return Setup(Path(os.path.abspath(args.output)), given, fit, video), options
 
 

@@ -5,23 +5,25 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lightfield_gs.app.encoding import Encoding, outputs_of, use_threads
-from lightfield_gs.app.photo_depth import AUTO
-from lightfield_gs.app.scene import files_read
+from lightfield_gs.app.encoding import Encoding, use_threads
+from lightfield_gs.app.options import AUTO, EncodeOptions
 from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.items import Item
 from lightfield_gs.batch.manifest import Known, facts
 from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record
 from lightfield_gs.batch.run import Place
-from lightfield_gs.commands.options.parser import Parser, joined
+from lightfield_gs.commands.options.parser import Parser, join_values, read_options
 from lightfield_gs.io.atomic import make_folder
+
+if TYPE_CHECKING:
+    from lightfield_gs.app.video import VideoOptions
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ class EncodeTask:
 
     def begin(self) -> None:
         """Do the host's part before drawing."""
-        self.encoding = Encoding(self.encode_args(self.item.input), Stopwatch(0.0), self.copies)
+        self.encoding = Encoding(self.encode_options(self.item.input), Stopwatch(0.0), self.copies)
         self.encoding.read()
 
     def draw(self) -> None:
@@ -93,7 +95,7 @@ class EncodeTask:
     def write(self) -> None:
         """Write the image, and note its hash."""
         self.encoding.write()
-        self.note_outputs(*outputs_of(self.encoding.args))
+        self.note_outputs(*self.encoding.options.outputs())
 
     def record(self) -> Record:
         """Return status, inputs and outputs, as far as they are known."""
@@ -102,12 +104,12 @@ class EncodeTask:
 
     def files(self) -> list[Path | str | None]:
         """Return the files and folders that the item reads, its input first."""
-        return list(files_read(self.encode_args(self.item.input)))
+        return list(self.encode_options(self.item.input).inputs())
 
-    def encode_args(self, source: str | Path) -> argparse.Namespace:
-        """Return the arguments of `encode` for the file that becomes the image."""
+    def encode_options(self, source: str | Path) -> EncodeOptions:
+        """Return the options of `encode` for the file that becomes the image."""
         words = [*self.item.words, "-o", str(self.output), "--", str(source)]
-        return _parsed("encode", words, self._given())
+        return read_options(EncodeOptions, _parsed("encode", words, self._given()))
 
     def note_outputs(self, *paths: Path | None) -> None:
         """Note the hashes of outputs."""
@@ -153,10 +155,11 @@ class FitTask(EncodeTask):
         from lightfield_gs.fitting.display import rig_path
 
         fit.run(self.fit_args)
-        args = self.encode_args(self.scene)
-        if args.rig is None and args.camera is None and rig_path(self.scene).exists():
-            args.rig = rig_path(self.scene)
-        self.encoding = Encoding(args, Stopwatch(0.0), self.copies)
+        options = self.encode_options(self.scene)
+        camera = options.camera
+        if camera.rig is None and camera.camera is None and rig_path(self.scene).exists():
+            options = replace(options, camera=replace(camera, rig=rig_path(self.scene)))
+        self.encoding = Encoding(options, Stopwatch(0.0), self.copies)
         self.encoding.read()
         self.encoding.draw()
 
@@ -170,7 +173,7 @@ class FitTask(EncodeTask):
     def files(self) -> list[Path | str | None]:
         """Return the folder of the capture, and the other files that the item reads."""
         source, args = Path(self.item.input), self._fit_args()
-        more = files_read(self.encode_args(source))[1:]
+        more = self.encode_options(source).inputs()[1:]
         return [source if source.is_dir() else source.parent, args.images, args.mask_folder, args.test_list, *more]
 
     def _fit_args(self) -> argparse.Namespace:
@@ -187,17 +190,16 @@ class VideoTask(EncodeTask):
     def begin(self) -> None:
         """Check the options before the first picture is read."""
         from lightfield_gs.app.panel import load_panel
-        from lightfield_gs.app.video import checked_result
+        from lightfield_gs.app.video import video_target
 
-        self.args = self._args()
-        self.result = checked_result(self._args(), load_panel(self.args)).path
+        self.options = self._video_options()
+        self.result = video_target(self.options, load_panel(self.options.panel)).path
 
     def draw(self) -> None:
         """Draw and write the frames that are missing."""
         from lightfield_gs.commands import video
 
-        self.args.began = time.perf_counter()
-        video.run(self.args)
+        video.make_frames(self.options, Stopwatch(time.perf_counter()))
 
     def write(self) -> None:
         """Note the hashes of the frames."""
@@ -205,13 +207,14 @@ class VideoTask(EncodeTask):
 
     def files(self) -> list[Path | str | None]:
         """Return the files and folders that the item reads, its input first."""
-        return list(files_read(self._args()))
+        return list(self._video_options().inputs())
 
-    def _args(self) -> argparse.Namespace:
+    def _video_options(self) -> VideoOptions:
+        from lightfield_gs.app.video import VideoOptions
+
         words = [*self.setup.video_words, *self.item.words, "-o", str(self.output), "--", self.item.input]
-        args = _parsed("video", words, self._given())
-        args.overwrite |= self.is_fresh
-        return args
+        options = read_options(VideoOptions, _parsed("video", words, self._given()))
+        return replace(options, overwrite=options.overwrite or self.is_fresh)
 
 
 @cache
@@ -226,7 +229,7 @@ def _parsed(command: str, words: list[str], given: dict[str, Any]) -> argparse.N
     parser = _parser(command)
     known = {action.dest for action in parser._actions}
     return parser.parse_args(
-        joined(words), argparse.Namespace(**{name: value for name, value in given.items() if name in known})
+        join_values(words), argparse.Namespace(**{name: value for name, value in given.items() if name in known})
     )
 
 

@@ -5,11 +5,17 @@ import json
 import pytest
 
 from lightfield_gs import InputError
+from lightfield_gs.batch import manifest as manifest_module
 from lightfield_gs.batch.items import Item
 from lightfield_gs.batch.manifest import Known, Manifest, facts, make_plan, stamp
 
 RECORD = {"item": "a", "status": "done", "job": "", "inputs": {}, "outputs": {}}
 LINE = json.dumps(RECORD).encode() + b"\n"
+
+
+@pytest.fixture(autouse=True)
+def without_patience(monkeypatch):
+    monkeypatch.setattr(manifest_module, "_PATIENCE_S", 0.0)
 
 
 def test_the_last_line_of_an_item_counts(tmp_path):

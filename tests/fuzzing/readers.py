@@ -26,7 +26,7 @@ from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.captures.colmap_files import read_model_file
-from lightfield_gs.io.captures.objects import read_intrinsics, read_pose, read_transforms
+from lightfield_gs.io.captures.objects import read_intrinsics, read_nerf_object, read_pose
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.io.text_files import read_object
@@ -48,7 +48,7 @@ def _read_transforms(path: Path) -> Any:
     image = path.with_name("view.png")
     if not image.exists():
         shutil.copyfile(CORPUS / "image" / "rgba.png", image)
-    return read_transforms(path)
+    return read_nerf_object(path)
 
 
 def _read_capture(path: Path) -> None:

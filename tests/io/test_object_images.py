@@ -14,8 +14,8 @@ from transforms_scene import CAMERA, edit, write_transforms
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import BROWN_COEFFICIENTS, distort_brown
-from lightfield_gs.io.captures.masks import masks_beside
-from lightfield_gs.io.captures.objects import read_transforms
+from lightfield_gs.io.captures.masks import find_object_masks
+from lightfield_gs.io.captures.objects import read_nerf_object
 from lightfield_gs.io.captures.undistortion import fraction_beyond
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object
@@ -90,7 +90,7 @@ def test_masks_of_images_that_are_in_no_folder(tmp_path):
     images = [tmp_path / "a.png", tmp_path / "b.png"]
     for image in images:
         (tmp_path / "masks" / f"{image.name}.png").touch()
-    assert masks_beside(tmp_path, images) == tuple(tmp_path / "masks" / f"{image.name}.png" for image in images)
+    assert find_object_masks(tmp_path, images) == tuple(tmp_path / "masks" / f"{image.name}.png" for image in images)
 
 
 def test_masks_of_an_srn_object(tmp_path):
@@ -117,8 +117,8 @@ def test_scaled_rotations_are_divided_by_their_scale(tmp_path):
 
     edit(tmp_path / "scaled/transforms.json", scale)
     with pytest.warns(Assumption, match="cameras are scaled, the first by 0.5: they are divided by it"):
-        found = read_transforms(tmp_path / "scaled/transforms.json")
-    whole = read_transforms(tmp_path / "whole/transforms.json")
+        found = read_nerf_object(tmp_path / "scaled/transforms.json")
+    whole = read_nerf_object(tmp_path / "whole/transforms.json")
     np.testing.assert_allclose(found.camera_to_world, whole.camera_to_world, atol=1e-12)
 
 
