@@ -37,8 +37,8 @@ from lightfield_gs.photo.side_by_side import depth_side, is_named_so
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
-from lightfield_gs.video.rendering import FrameSource as FrameScenes
-from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, pictures_and_maps
+from lightfield_gs.video.rendering import FrameSource
+from lightfield_gs.video.sequence import ImageSequence, is_sequence, open_sequence, pictures_and_maps
 
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is; of a folder of frames, they belong to its job
@@ -58,14 +58,14 @@ _MORE_OF_PICTURES = (
 
 @dataclass
 class Shots:
-    """count: of frames; take: see video.make.Shots; rig_of_file: of a frame's metadata, in the coordinates of the
-    scene's file, None where it is not known before the frame is drawn; job: what the frames hang on beside the options
-    of drawing, JSON values; messages: lines on what was decided."""
+    """count: of frames; take: see video.rendering.FrameSource; rig_of_file: of a frame's metadata, in the coordinates
+    of the scene's file, None where it is not known before the frame is drawn; job: what the frames hang on beside the
+    options of drawing, JSON values; messages: lines on what was decided."""
 
     count: int
     fps: Fraction
     is_one_scene: bool
-    take: FrameScenes
+    take: FrameSource
     rig_of_file: Callable[[int], Rig | None]
     job: dict[str, Any]
     messages: list[str] = field(default_factory=list)
@@ -220,7 +220,7 @@ class _Renaming:
 
 
 @contextlib.contextmanager
-def _said_of(parts: dict[str, Sequence], folder: Path) -> Iterator[None]:
+def _said_of(parts: dict[str, ImageSequence], folder: Path) -> Iterator[None]:
     """What is printed or complained of meanwhile names the videos, not the files of their frames in the folder."""
     names = {str(folder / name / f"{part.path.stem}.png"): str(part.path) for name, part in parts.items()}
     names |= {f"{part.path.stem}.png": part.path.name for part in parts.values() if not part.files}
@@ -239,7 +239,7 @@ def _said_of(parts: dict[str, Sequence], folder: Path) -> Iterator[None]:
         raise InputError(renamed(str(error))) from None
 
 
-def _take_pairs(args: argparse.Namespace, pictures: Sequence) -> list[str]:
+def _take_pairs(args: argparse.Namespace, pictures: ImageSequence) -> list[str]:
     """Has args.depth be the depth maps beside the pictures in their folder, unless others are given; a line on it."""
     maps = pictures_and_maps(args.input)[1] if pictures.files else []
     if not maps:
@@ -251,7 +251,7 @@ def _take_pairs(args: argparse.Namespace, pictures: Sequence) -> list[str]:
     return [f"{args.input}: {pictures.count} pictures, each with the depth map beside it ({first})"]
 
 
-def _settle_half(args: argparse.Namespace, pictures: Sequence, count: int, folder: Path) -> tuple[int, list[str]]:
+def _settle_half(args: argparse.Namespace, pictures: ImageSequence, count: int, folder: Path) -> tuple[int, list[str]]:
     """Sets args.rgbd for pictures that have their depth maps beside them by their names: the half is that of the first
     picture that shows it, for others may be black. Returns the number of that picture, else 0, and a line on it."""
     named_ones = pictures.files or (pictures.path,)
@@ -264,7 +264,7 @@ def _settle_half(args: argparse.Namespace, pictures: Sequence, count: int, folde
     return 0, []
 
 
-def _beside(args: argparse.Namespace, name: str, count: int) -> Sequence | None:
+def _beside(args: argparse.Namespace, name: str, count: int) -> ImageSequence | None:
     """The pictures of --depth or --mask, one for each of the sequence. Raises InputError."""
     path: Path | None = depth_file(args) if name == "depth" else getattr(args, name)
     if path is None:

@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> None:
     import torch
 
     from lightfield_gs.app.shots import sequence_shots, still_shots
-    from lightfield_gs.video.rendering import make_video
+    from lightfield_gs.video.rendering import render_frames
     from lightfield_gs.video.sequence import is_sequence
 
     if args.threads is not None:
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> None:
         draw = _draw(args, panel, result, shots.fps, shots.is_one_scene)
         sink = _sink(args, panel, result, shots, draw.size_px)
         there = shots.count - len(sink.missing)
-        made = make_video(shots.take, draw, sink, shots.count, shown=True)
+        made = render_frames(shots.take, draw, sink, shots.count, shown=True)
         watch.lap("frames")
     width, height = draw.size_px
     kept = f", of which {there} were there" if there else ""
@@ -115,16 +115,16 @@ def _words(result: Result) -> str:
 
 def _draw(args: argparse.Namespace, panel: Panel, result: Result, fps: Fraction, is_one_scene: bool):
     """What draws a frame; args: with background and anti-aliasing settled."""
-    from lightfield_gs.video.rendering import Drawing, EyeFrames, NativeFrames, QuiltFrames
+    from lightfield_gs.video.rendering import EyeRenderer, NativeRenderer, QuiltRenderer, RenderOptions
 
-    drawing = Drawing(args.views, args.background, args.quality, args.antialiased, args.view_filter)
+    drawing = RenderOptions(args.views, args.background, args.quality, args.antialiased, args.view_filter)
     if result.kind != "native" and (args.views, args.quality) != ("integer", "exact"):
         raise InputError(f"--views and --quality are of native pictures, not of --kind {result.kind}; leave them out")
     if result.layout is not None:
-        return QuiltFrames(panel, drawing, result.layout)
+        return QuiltRenderer(panel, drawing, result.layout)
     if result.kind == "2d":
-        return EyeFrames(panel, drawing, None if args.sway is None else float(args.sway * fps))
-    return NativeFrames(panel, drawing, is_one_scene)
+        return EyeRenderer(panel, drawing, None if args.sway is None else float(args.sway * fps))
+    return NativeRenderer(panel, drawing, is_one_scene)
 
 
 def _sink(args: argparse.Namespace, panel: Panel, result: Result, shots, size_px: tuple[int, int]):
