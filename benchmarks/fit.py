@@ -60,7 +60,7 @@ class OurFit:
 
     def draw(self, cameras: Cameras) -> Tensor:
         """It before a camera, [1, H, W, 3]."""
-        return render(self.gaussians(), cameras, background=BLACK)
+        return render(self.gaussians(), cameras, background=BLACK).image
 
 
 def _ours(density: Density, photographs: Photographs, settings: FitSettings) -> Fit:

@@ -9,7 +9,7 @@ are: the default one of 1.5.3 never resets opacities, as `step % reset_every == 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
@@ -158,11 +158,12 @@ class PeerFit:
     def _drawn_by_ours(self, scene: Gaussians, cameras: Cameras) -> tuple[Tensor, dict[str, Any]]:
         """Ours, and what the strategies would know from gsplat."""
         if self._recipe.strategy == "mcmc" or not torch.is_grad_enabled():
-            return render(scene, cameras, background=BLACK), {}
+            return render(scene, cameras, background=BLACK).image, {}
         screen = scene.means.new_zeros(1, scene.count, 2, requires_grad=True)
-        image, radii = render(scene, cameras, background=BLACK, screen=screen, radii=True)
+        images = render(scene, cameras, background=BLACK, screen=screen, radii=True)
+        radii = cast(Tensor, images.radii)
         info = {"means2d": screen, "radii": radii[..., None].expand(-1, -1, 2), "gaussian_ids": None, "n_cameras": 1}
-        return image, {**info, "width": cameras.width_px, "height": cameras.height_px}
+        return images.image, {**info, "width": cameras.width_px, "height": cameras.height_px}
 
     def _loss(self, image: Tensor, place: int) -> Tensor:
         """That of Kerbl et al. 2023, and regularisers of mcmc; what a mask leaves out looks as in the photograph."""

@@ -76,7 +76,7 @@ def step_row(step: Step, cuda: bool, repeats: int | None) -> dict[str, Any]:
 def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, Any]]:
     """A row for each number of threads (None: those torch uses), after a step to warm up."""
     views = cameras()
-    step = Step(objects(), lambda gaussians: render(gaussians, views), lambda image: image.square().mean())
+    step = Step(objects(), lambda gaussians: render(gaussians, views).image, lambda image: image.square().mean())
     before, found = torch.get_num_threads(), []
     try:
         for count in threads:
@@ -92,7 +92,12 @@ def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, A
 
 def cuda_row(repeats: int | None) -> dict[str, Any]:
     """Ours on CUDA: image and alpha, and the gradients of their sum."""
-    return _cuda_row(OURS, lambda gaussians, views: render(gaussians, views, alpha=True), repeats)
+
+    def images(gaussians: Gaussians, cameras: Cameras) -> tuple[Tensor, Tensor]:
+        image, alpha, *_ = render(gaussians, cameras, alpha=True)
+        return image, cast(Tensor, alpha)
+
+    return _cuda_row(OURS, images, repeats)
 
 
 def gsplat_row(repeats: int | None) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.camera_path import turntable
 from lightfield_gs.video.frame_folder import FrameFolder
-from lightfield_gs.video.rendering import NativeRenderer, NullSink, RenderOptions, Sink, render_frames
+from lightfield_gs.video.rendering import FrameOptions, NativeRenderer, NullSink, Sink, render_frames
 from lightfield_gs.video.video_file import VideoFile
 
 SINKS = ("none", "png", "h264-rgb", "ffv1")
@@ -40,7 +40,7 @@ def rows(scene: str, panel: Panel, frames: int, sinks: tuple[str, ...], device: 
     found = []
     for name in sinks:
         options.progress(f"{frames} frames to {name}")
-        draw = NativeRenderer(panel, RenderOptions(), is_one_scene=True)
+        draw = NativeRenderer(panel, FrameOptions(), is_one_scene=True)
         for rig in rigs[:2]:  # memory comes, and on CUDA kernels load
             draw(gaussians, rig, 0)
         with ExitStack() as stack:

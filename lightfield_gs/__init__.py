@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
     from lightfield_gs.photo.rgbd import from_depth
-    from lightfield_gs.rasterizer.images import render
+    from lightfield_gs.rasterizer.images import RenderedImages, render
     from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
@@ -44,6 +44,7 @@ _HOMES = {
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
+    "RenderedImages": "rasterizer.images",
     "QuiltLayout": "panels.quilt",
     "Rig": "panels.rig",
     "SortedPlan": "encoding.sorted_plan",
@@ -76,6 +77,7 @@ __all__ = [
     "PhotoEncoder",
     "Quality",
     "QuiltLayout",
+    "RenderedImages",
     "Rig",
     "SortedPlan",
     "SplatterNet",

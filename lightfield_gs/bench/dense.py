@@ -124,7 +124,7 @@ def rows(counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: 
 
 
 def _ours(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
-    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0))
+    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0)).image
 
 
 def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:

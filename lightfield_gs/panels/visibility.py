@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import torch
@@ -74,8 +75,8 @@ def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig
     small_panel, small_rig = reduced(panel, rig, _SHARE_SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
     with torch.no_grad():
-        alone = render(degree_zero(content), cameras.select([0]), alpha=True)[1].sum((1, 2))
-        seen = render(replace(both, sh=white), cameras, background=(0, 0, 0))[..., 0].sum((1, 2))
+        alone = cast(Tensor, render(degree_zero(content), cameras.select([0]), alpha=True).alpha).sum((1, 2))
+        seen = render(replace(both, sh=white), cameras, background=(0, 0, 0)).image[..., 0].sum((1, 2))
     return float((seen / alone.clamp_min(1e-9)).min())
 
 
@@ -84,7 +85,8 @@ def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, 
     small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2])
     with torch.no_grad():
-        _, alpha, depth = (image[0] for image in render(degree_zero(gaussians), cameras, alpha=True, depth=True))
+        images = render(degree_zero(gaussians), cameras, alpha=True, depth=True)
+    alpha, depth = cast(Tensor, images.alpha)[0], cast(Tensor, images.depth)[0]
     surface = (alpha >= _OPAQUE) & (depth > 0)
     if float(surface.double().mean()) < _LEAST_SEEN:
         return None
@@ -132,7 +134,8 @@ def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, f
 
 def _surface(gaussians: Gaussians, camera: Cameras, name: str) -> float:
     """Depth of the nearest opaque surface before this camera; name: of the point, for the complaint."""
-    _, alpha, radii = render(gaussians, camera, alpha=True, radii=True)
+    images = render(gaussians, camera, alpha=True, radii=True)
+    alpha, radii = cast(Tensor, images.alpha), cast(Tensor, images.radii)
     if _opaque_share(alpha) < _SURFACE_SHARE:
         raise InputError(
             f"focus: nothing opaque is at {name} of the picture (alpha {float(alpha.mean()):.2g}, expected {_OPAQUE:g} "
@@ -144,7 +147,7 @@ def _surface(gaussians: Gaussians, camera: Cameras, name: str) -> float:
     few, enough = 0, len(order)  # so many of the nearest are too few, and enough, to make a surface
     while enough - few > 1:
         middle = (few + enough) // 2
-        alpha = render(select(drawn, order[:middle]), camera, alpha=True)[1]
+        alpha = cast(Tensor, render(select(drawn, order[:middle]), camera, alpha=True).alpha)
         few, enough = (few, middle) if _opaque_share(alpha) >= _SURFACE_SHARE else (middle, enough)
     return float(depths[enough - 1])
 
@@ -244,10 +247,11 @@ def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float])
     """Alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
     small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
     with torch.no_grad():
-        _, alphas, depths = render(
+        images = render(
             degree_zero(gaussians.detach()), small_rig.cameras_at(small_panel, places), alpha=True, depth=True
         )
-    return alphas.double().cpu().numpy(), depths[0].double().cpu().numpy()
+    alpha, depth = cast(Tensor, images.alpha), cast(Tensor, images.depth)[0]
+    return alpha.double().cpu().numpy(), depth.double().cpu().numpy()
 
 
 def _between(surface: np.ndarray, moves: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from lightfield_gs.photo.image_filters import largest
+from lightfield_gs.photo.image_filters import max_filter
 
 # Neighbours belong to one surface up to this slope, depth per sideways length: tan 85 degrees. A steeper step is an
 # edge between two surfaces, which opens by some 4 pixels over a cone of 40 degrees.
@@ -110,8 +110,8 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
     varies, colour says nothing, and the pixel is what the depth map says: a is drawn to 0 or 1 by the ratio of the two.
     """
     disparity = (1 / depth).nan_to_num(0)
-    most, least = largest(disparity, _RIM), -largest(-torch.where(disparity > 0, disparity, 1e30), _RIM)
-    band = largest(torn, _RIM - 1)
+    most, least = max_filter(disparity, _RIM), -max_filter(-torch.where(disparity > 0, disparity, 1e30), _RIM)
+    band = max_filter(torn, _RIM - 1)
     band &= torch.isfinite(depth) & (most > _STEP * least)
     rows, columns = band.nonzero().unbind(1)
     middle = ((most + least) / 2)[rows, columns]

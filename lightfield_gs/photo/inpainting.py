@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from lightfield_gs.photo.image_filters import halved, largest
+from lightfield_gs.photo.image_filters import halve, max_filter
 
 _ITERATIONS = 8  # where a coarser level has been solved: what is left is local. Twice as many there, and so on
 _MOST_ITERATIONS = 60  # the first guess is close, and what is far inside a hole is hardly ever seen
@@ -86,15 +86,15 @@ def _coarser_correction(
 ) -> Tensor:
     """What the solution of the half-size picture changes in the values [H, W, C], made as large as they are."""
     height, width = hole.shape
-    coarse = halved(values.movedim(2, 0))
-    coarse_hole = halved(hole[None].float())[0] > 0
+    coarse = halve(values.movedim(2, 0))
+    coarse_hole = halve(hole[None].float())[0] > 0
     rows, columns = coarse_hole.shape
     # A block of four is joined with the next one unless a cut goes through, in it or beside it
     whole = [
-        halved(linked[0][None, : 2 * (rows - 1)].float())[0] > 0.5,
-        halved(linked[1][None, :, : 2 * (columns - 1)].float())[0] > 0.5,
+        halve(linked[0][None, : 2 * (rows - 1)].float())[0] > 0.5,
+        halve(linked[1][None, :, : 2 * (columns - 1)].float())[0] > 0.5,
     ]
-    steps = None if slope is None else [2 * halved(part[None])[0] for part in slope]
+    steps = None if slope is None else [2 * halve(part[None])[0] for part in slope]
     first = coarse.movedim(0, 2)
     change = (solve_membrane(first, coarse_hole, whole, steps, 4 * anchor, 2 * iterations) - first).movedim(2, 0)[None]
     change = functional.interpolate(change, scale_factor=2, mode="bilinear", align_corners=False)[0]
@@ -166,11 +166,11 @@ class _Level:
     def __init__(self, image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> None:
         self.image, self.hole, self.source, self.guide = image, hole, source, guide
 
-    def halved(self) -> _Level:
+    def halve(self) -> _Level:
         """Half as large; a hole where any of four pixels is one, a source where all four are."""
 
-        hole, source = (halved(mask[None].float())[0] for mask in (self.hole, self.source))
-        return _Level(halved(self.image), hole > 0, source == 1, halved(self.guide[None])[0])
+        hole, source = (halve(mask[None].float())[0] for mask in (self.hole, self.source))
+        return _Level(halve(self.image), hole > 0, source == 1, halve(self.guide[None])[0])
 
 
 def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tensor:
@@ -181,7 +181,7 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
     """
     levels = [_Level(image.movedim(2, 0).contiguous(), hole, source & ~hole, guide)]
     while min(levels[-1].hole.shape) >= 2 * _COARSEST:
-        levels.append(levels[-1].halved())
+        levels.append(levels[-1].halve())
     finest = next((number for number, level in enumerate(levels) if int(level.hole.sum()) <= _MATCHED), len(levels) - 1)
     random = torch.Generator(device=image.device).manual_seed(0)
     search: _Matches | None = None
@@ -207,7 +207,7 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
 def _copied(search: _Matches, level: _Level, scale: int) -> Tensor:
     """The picture [H, W, 3] of this level, its hole and the pixels beside it from where the matches of another one, as
     many times smaller, say; patches meet in seams half as wide as their places are apart."""
-    goal = largest(level.hole, 1).nonzero()
+    goal = max_filter(level.hole, 1).nonzero()
     matches, is_set = search.grid()
     # Between which four places of the grid a pixel is, and how far
     at = ((goal + 0.5) / scale - 0.5) / _STRIDE
@@ -245,11 +245,11 @@ class _Matches:
             .to(device)
         )
         # Source patches lie wholly within the source
-        whole = ~largest(~level.source, r)
+        whole = ~max_filter(~level.source, r)
         whole[:r], whole[self.height - r :], whole[:, :r], whole[:, self.width - r :] = False, False, False, False
         self.whole = whole
         self.places = whole.nonzero()
-        near = largest(level.hole, r)
+        near = max_filter(level.hole, r)
         rows, columns = (torch.arange(0, size, _STRIDE, device=device) for size in level.hole.shape)
         chosen = near[rows][:, columns]
         self.shape = chosen.shape

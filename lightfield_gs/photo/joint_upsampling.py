@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.image_filters import largest
+from lightfield_gs.photo.image_filters import max_filter
 
 DEPTH_LIMITS = (1.0, 1.6)  # near and far where the network does not know them: deep enough, with little that is hidden
 _PERCENTILES = (0.01, 0.99)  # of the disparities that are put at far and at near
@@ -162,4 +162,4 @@ def _weighted_median(values: Tensor, weights: Tensor) -> Tensor:
 
 def _span(values: Tensor, radius: int) -> Tensor:
     """Largest minus smallest of the 2 radius + 1 by 2 radius + 1 pixels around each, [h, w]."""
-    return largest(values, radius) + largest(-values, radius)
+    return max_filter(values, radius) + max_filter(-values, radius)

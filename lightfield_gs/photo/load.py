@@ -13,8 +13,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import MAP_ORIENTATIONS
 from lightfield_gs.io.images import Picture, apply_orientation, as_floats, read_picture
 from lightfield_gs.photo.colour import check_finite, in_srgb
-from lightfield_gs.photo.image_filters import strips
-from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_pieces, plain_background_mask
+from lightfield_gs.photo.image_filters import row_strips
+from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_components, plain_background_mask
 
 _SAME_SHAPE = 0.03  # how far ratios of height and width may be apart: networks round sides to multiples of 14 or 32
 
@@ -213,7 +213,7 @@ def _shares(alpha: np.ndarray) -> np.ndarray:
 def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
     rgba = np.empty((*alpha.shape, 4), rgb.dtype)
-    for top, bottom in strips(alpha.shape[0], alpha.shape[1], _STRIP_PIXELS):
+    for top, bottom in row_strips(alpha.shape[0], alpha.shape[1], _STRIP_PIXELS):
         rgba[top:bottom, :, :3] = rgb[top:bottom]
         rgba[top:bottom, :, 3] = alpha[top:bottom] if rgb.dtype == np.float32 else np.rint(255 * alpha[top:bottom])
     return rgba
@@ -280,7 +280,7 @@ def _inverted(name: str, alpha: np.ndarray) -> list[str]:
 
 def _without_specks(alpha: np.ndarray) -> str:
     """Clears specks beside the object, in place; words for what is left."""
-    kept, pieces, specks = object_pieces(alpha, _OPAQUE)
+    kept, pieces, specks = object_components(alpha, _OPAQUE)
     alpha[(alpha >= _OPAQUE) & ~kept] = 0
     rows, columns = np.flatnonzero(kept.any(1)), np.flatnonzero(kept.any(0))
     words = (

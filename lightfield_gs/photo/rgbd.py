@@ -16,7 +16,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
 from lightfield_gs.photo.depth_edges import STEEPEST, edges, find_matte, opacity_of_coverage, slopes, snap_mixed
 from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
-from lightfield_gs.photo.image_filters import largest
+from lightfield_gs.photo.image_filters import max_filter
 from lightfield_gs.photo.margin import made_up
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
@@ -161,7 +161,7 @@ def _elements(
 
 def _rim(depth: Tensor, focal: tuple[float, float]) -> Tensor:
     """The pixels that have another surface beside them, or are next to one that has, bool [H, W]."""
-    return largest(edges(depth, focal), 1)
+    return max_filter(edges(depth, focal), 1)
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:

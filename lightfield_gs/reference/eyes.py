@@ -73,7 +73,7 @@ class EyeReference:
         pictures = []
         for x, eye in zip(self.views, self.eyes_mm):
             camera = rig.cameras_at(panel, np.array([x]))
-            exact = render(gaussians, camera, background=background, antialiased=antialiased)[0].clamp(0, 1)
+            exact = render(gaussians, camera, background=background, antialiased=antialiased).image[0].clamp(0, 1)
             pictures.append(self._seen(exact.cpu().numpy(), eye))
         self.pictures = np.stack(pictures)
 

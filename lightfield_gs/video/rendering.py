@@ -31,7 +31,7 @@ FrameSource = Callable[[list[int]], Iterator[tuple[int, Gaussians, Rig]]]
 
 
 @dataclass
-class RenderOptions:
+class FrameOptions:
     """How a scene is rendered; see `encode`."""
 
     views: Views = "integer"
@@ -56,7 +56,7 @@ class NativeRenderer:
             since an Encoder would capture a CUDA graph for every scene.
     """
 
-    def __init__(self, panel: Panel, options: RenderOptions, is_one_scene: bool):
+    def __init__(self, panel: Panel, options: FrameOptions, is_one_scene: bool):
         self.size_px = panel.width_px, panel.height_px
         self._panel, self._options, self._is_one_scene = panel, options, is_one_scene
         self._encoder: Encoder | None = None
@@ -81,7 +81,7 @@ class QuiltRenderer:
         layout: with its size.
     """
 
-    def __init__(self, panel: Panel, options: RenderOptions, layout: QuiltLayout):
+    def __init__(self, panel: Panel, options: FrameOptions, layout: QuiltLayout):
         self.size_px = layout.width_px or 0, layout.height_px or 0
         self._panel, self._options, self._layout = panel, options, layout
 
@@ -100,7 +100,7 @@ class EyeRenderer:
         sway: frames in which the eye moves from the middle to the right, to the left and back; None: no movement.
     """
 
-    def __init__(self, panel: Panel, options: RenderOptions, sway: float | None = None):
+    def __init__(self, panel: Panel, options: FrameOptions, sway: float | None = None):
         width = min(_EYE_WIDTH_PX, panel.width_px)
         height = round(panel.height_px * width / panel.width_px)
         self.size_px = max(2, width - width % 2), max(2, height - height % 2)

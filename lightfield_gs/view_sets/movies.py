@@ -13,7 +13,7 @@ import numpy as np
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_large_no_image
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_large_non_image
 from lightfield_gs.io.images import MAX_PIXELS, Picture
 from lightfield_gs.io.pillow_images import pillow_errors
 from lightfield_gs.panels.panel import MAX_VIEWS
@@ -135,7 +135,7 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
     from PIL import Image
 
     with contextlib.suppress(InputError), pillow_errors(str(path)):  # the reader of images reports it
-        refuse_large_no_image(path)
+        refuse_large_non_image(path)
         with path.open("rb") as file:
             start = file.read(32)
         if start[:4] == b"RIFF" and not (start[12:16] == b"VP8X" and start[20] & _ANIMATED_BIT):

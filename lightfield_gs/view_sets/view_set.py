@@ -13,7 +13,7 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.file_kinds import refuse_large_no_image, refuse_video
+from lightfield_gs.io.file_kinds import refuse_large_non_image, refuse_video
 from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.io.pillow_images import pillow_errors
 from lightfield_gs.io.text_files import parse_json
@@ -159,7 +159,7 @@ def _comment(path: Path) -> dict[str, Any]:
     comment: object = b""
     # Other readers report files that are no images
     with contextlib.suppress(InputError), pillow_errors(str(path)):
-        refuse_large_no_image(path)
+        refuse_large_non_image(path)
         with Image.open(path) as image:
             comment = image.getexif().get_ifd(_EXIF_TAGS).get(_USER_COMMENT, b"")
     if isinstance(comment, str):

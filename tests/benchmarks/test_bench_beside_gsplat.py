@@ -61,7 +61,7 @@ def stand_in(means, quats, scales, opacities, colors, viewmats, Ks, width, heigh
     cameras = Cameras(viewmats, Ks, width_px=width, height_px=height)
     flat = 0 * means[None, :, :2]
     scene = Gaussians(means, quats, scales, opacities, colors[:, : (sh_degree + 1) ** 2].contiguous())
-    image, alpha = render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha, *_ = render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
     return image + flat.sum(), alpha[..., None], {"means2d": flat}
 
 

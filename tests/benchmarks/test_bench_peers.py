@@ -26,7 +26,7 @@ def stand_in(
     sh = (colors - 0.5).unsqueeze(-2) / 0.28209479177387814 if sh_degree is None else colors
     assert sh.shape[-2] == ((sh_degree or 0) + 1) ** 2
     cameras = Cameras(viewmats, torch.stack([Ks[..., 0, 0], Ks[..., 1, 1]], -1), Ks[..., :2, 2], width, height)
-    image, alpha = render(Gaussians(means, quats, scales, opacities, sh), cameras, background=(1, 1, 1), alpha=True)
+    image, alpha, *_ = render(Gaussians(means, quats, scales, opacities, sh), cameras, background=(1, 1, 1), alpha=True)
     return image, alpha.unsqueeze(-1), {}
 
 
@@ -56,7 +56,7 @@ def test_gsplat_images_of_a_batch_and_their_gradients(gsplat):
     batch = Gaussians(*(torch.stack(field).requires_grad_() for field in zip(*(s.fields().values() for s in scenes))))
     cameras = benchmark_rig("sheet:8", scenes[0], PANEL, 20.0).cameras(PANEL).to(torch.float32)
     image, coverage = peers.gsplat_images(batch, cameras)
-    expected, alpha = render(batch, cameras, background=(1, 1, 1), alpha=True)
+    expected, alpha, *_ = render(batch, cameras, background=(1, 1, 1), alpha=True)
     assert image.shape == (2, 7, 48, 96, 3) and coverage.shape == (2, 7, 48, 96, 1)
     assert torch.equal(image, expected) and torch.equal(coverage.squeeze(-1), alpha)
     gradients = torch.autograd.grad(image.sum() + coverage.sum(), list(batch.fields().values()))

@@ -26,10 +26,10 @@ def test_training_step_rows(tmp_path, monkeypatch):
 def test_a_training_step_gives_every_field_its_gradient():
     scene = scenes.sheet(8)
     scene = Gaussians(*(field[None].requires_grad_() for field in scene.fields().values()))
-    step = Step(scene, lambda gaussians: render(gaussians, training_step.cameras()), torch.sum)
+    step = Step(scene, lambda gaussians: render(gaussians, training_step.cameras()).image, torch.sum)
     row = training_step.step_row(step, False, 2)
     assert row["ms_total"] >= row["ms_forward"] > 0 and row["ms_backward"] > 0 and row["images"] == 4
-    expected = torch.autograd.grad(render(scene, training_step.cameras()).sum(), list(scene.fields().values()))
+    expected = torch.autograd.grad(render(scene, training_step.cameras()).image.sum(), list(scene.fields().values()))
     assert all(torch.equal(a.grad, b) for a, b in zip(scene.fields().values(), expected))
 
 

@@ -125,7 +125,7 @@ def test_a_quilt_has_the_left_most_camera_at_the_bottom_left(folder, capsys):
     scale = 100 / 96, 62 / 60
     rig.focal_px = tuple(np.multiply(rig.focal_px, scale))
     rig.principal_point_px = tuple(np.multiply(rig.principal_point_px, scale))
-    views = render(gaussians, rig.cameras(replace(PANEL, width_px=100, height_px=62)), background=(1, 1, 1))
+    views = render(gaussians, rig.cameras(replace(PANEL, width_px=100, height_px=62)), background=(1, 1, 1)).image
     quilt = frame("frames", 0)
     for number, (row, column) in ((0, (2, 0)), (1, (2, 1)), (4, (1, 0)), (11, (0, 3))):
         tile = quilt[62 * row : 62 * (row + 1), 100 * column : 100 * (column + 1)]

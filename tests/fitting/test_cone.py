@@ -288,7 +288,7 @@ def test_weights_in_photographs_are_those_of_the_pictures():
     views, scene = views_of(known_scene(40)), known_scene(40)
     white = replace(scene, sh=torch.zeros_like(scene.sh))  # colours of 0.5: the picture is half of all weights
     cameras = known_cameras()
-    picture = lf.render(white, cameras, background=(0.0, 0.0, 0.0))
+    picture = lf.render(white, cameras, background=(0.0, 0.0, 0.0)).image
     assert float(photographed(scene, views).sum()) == pytest.approx(float(picture.sum()) / 3 / 0.5, rel=1e-4)
 
 

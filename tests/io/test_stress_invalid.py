@@ -65,6 +65,8 @@ CALLS = {
     "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
     "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
     "Gaussians.save": (SCENE.save, dict(path="/nowhere/a.ply")),
+    "read_scene": (lf.read_scene, dict(path="nowhere.ply", skip_invalid=True, time=0.5)),
+    "write_scene": (lf.write_scene, dict(gaussians=SCENE, path="/nowhere/a.ply", comments=["a"])),
     "Panel": (
         Panel,
         {
@@ -260,8 +262,9 @@ def test_every_public_name_is_tried():
     assert tried == set(lf.__all__) - {
         "DepthReport",
         "InputError",
+        "RenderedImages",
         "build_info",
-    }  # a result, an error, and no arguments
+    }  # results, an error, and no arguments
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -285,7 +288,7 @@ def test_numbers_that_are_none_are_named_with_their_index(how, field, bad):
     scene = CASES["needles end-on"].scene().to(dtype=torch.float32)
     scene.fields()[field].view(40, -1)[17, -1] = bad
     calls = {
-        "render": lambda: render(scene, CAMERAS.to(torch.float32)),
+        "render": lambda: render(scene, CAMERAS.to(torch.float32)).image,
         "frame": lambda: frame_scene(scene, PANEL),
         "save": lambda: scene.save("/nowhere/a.ply"),
         "high": lambda: encode(scene, PANEL, RIG, quality="high"),

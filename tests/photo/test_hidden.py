@@ -88,7 +88,7 @@ def test_all_views_are_covered(fit):
     placed = place(depth, (FOCAL, FOCAL), (WIDTH / 2, HEIGHT / 2), panel, fit)
     assert (placed.cropped > 0.5) == (fit == "cover") and (placed.made_up > 0.4) == (fit == "contain")
     gaussians = from_depth(image, depth, (FOCAL, FOCAL), margin_px=placed.margin_px)
-    alphas = lf.render(gaussians, placed.rig.cameras_at(panel, [0.0, 4.0, 8.0]), alpha=True)[1]
+    alphas = lf.render(gaussians, placed.rig.cameras_at(panel, [0.0, 4.0, 8.0]), alpha=True).alpha
     assert (alphas < 0.9).float().mean() < 0.002
 
 

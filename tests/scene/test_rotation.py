@@ -38,15 +38,17 @@ def test_turned_gaussians_look_the_same_to_turned_cameras(degree):
     scene = random_scene(40, degree, seed=degree, dtype=torch.float64)
     pose, rotation = torch.as_tensor(turned_pose(0.3, -0.2), dtype=torch.float64), some_rotation(degree)
     turned = scene.rotated(rotation)
-    before, after = (render(s, camera(p)) for s, p in ((scene, pose), (turned, counter_rotated(pose, rotation))))
-    assert float((before - after).abs().max()) < 1e-10 < float((render(turned, camera(pose)) - before).abs().max())
+    before, after = (render(s, camera(p)).image for s, p in ((scene, pose), (turned, counter_rotated(pose, rotation))))
+    assert (
+        float((before - after).abs().max()) < 1e-10 < float((render(turned, camera(pose)).image - before).abs().max())
+    )
 
 
 def test_turned_gaussians_against_the_oracle():
     """Drawn in float32, against the originals in the float64 arithmetic of the oracle."""
     scene = random_scene(60, 3, seed=9, dtype=torch.float32)
     pose, rotation = torch.as_tensor(turned_pose(0.3, -0.2), dtype=torch.float64), some_rotation(7)
-    found = render(scene.rotated(rotation), camera(counter_rotated(pose, rotation)))[0].double()
+    found = render(scene.rotated(rotation), camera(counter_rotated(pose, rotation))).image[0].double()
     cameras = camera(pose)
     want = reference.dense_torch(
         *(field[None].double() for field in scene.fields().values()),

@@ -136,7 +136,7 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         (tmp_path / name).write_bytes(get(server, f"/export/{name}?{controls}")[1])
         left_most = np.asarray(Image.open(tmp_path / name))[layout.tile(0)]
         rig = Rig.from_yaml(tmp_path / "rig.yaml")
-        view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1]))[0].numpy()
+        view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1])).image[0].numpy()
         assert np.abs(left_most / 255 - view).max() < 0.01
         assert get(server, "/rest", "POST", controls, X_Token=state["token"])[0] == 204
         panel_png = np.asarray(Image.open(io.BytesIO(get(server, "/panel.png")[1])))

@@ -50,7 +50,7 @@ def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> 
         *photographs.sizes_px[index].tolist(),
     )
     with torch.no_grad():
-        _, alpha, depth = render(gaussians, cameras, alpha=True, depth=True)
+        _, alpha, depth, _ = render(gaussians, cameras, alpha=True, depth=True)
     z = _medians(torch.where(alpha[0] >= _COVERED, depth[0], torch.nan)).numpy()
     if np.isnan(z).all():
         raise InputError(f"{scene}: shows nothing where {name} was taken; is it fitted to {capture}?")
