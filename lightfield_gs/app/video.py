@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightfield_gs.app.options import CameraOptions, FrameOptions, LookOptions, PanelOptions, SceneOptions, files_read
+from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
 from lightfield_gs.app.provenance import software
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression, Device, QualityName, Views
@@ -68,7 +68,7 @@ class VideoOptions:
     panel: PanelOptions
     camera: CameraOptions
     look: LookOptions
-    render: FrameOptions
+    render: RenderOptions
     motion: MotionOptions
     kind: Kind | None = None
     codec: CodecName | None = None
