@@ -10,7 +10,7 @@ namespace py = pybind11;
 namespace lfgs {
 
 void bind_fit_cuda(py::module_ cuda) {
-  cuda.def("photo_loss_partials", &cuda::photo_loss_partials, py::arg("views"), py::arg("height_px"),
+  cuda.def("photo_loss_partials", &cuda::photo_loss_partials, py::arg("images"), py::arg("height_px"),
            py::arg("width_px"));
   cuda.def(
       "photo_loss", [](const PhotoLoss<float>& job, Address stream) { cuda::photo_loss(job, at<void>(stream)); },

@@ -20,7 +20,7 @@ __device__ inline uint32_t rounded_bits(float a) {
   const uint32_t bits = __float_as_uint(a);
   return a == a ? bits + 0x7fffu + (bits >> 16 & 1) : 0x7fff0000u;  // rounding could turn the bits of a NaN into zero
 }
-__device__ inline uint32_t pair_of(float low, float high) {
+__device__ inline uint32_t pack(float low, float high) {
   return rounded_bits(low) >> 16 | (rounded_bits(high) & 0xffff0000u);
 }
 
@@ -51,7 +51,7 @@ __global__ void __launch_bounds__(kThreads)
   in += origin, out += origin;
 
   // Mean and variance. They are summed as differences to one of the numbers, so that large means do not take the digits
-  const float about = floats(in[first_pair]).x;
+  const float about = floats(in[first_intersection]).x;
   float sum = 0, squares = 0;
 #pragma unroll 4
   for (int64_t p = start; p < maps.pixels; p += together) {
@@ -71,7 +71,7 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll 4
   for (int64_t p = start; p < maps.pixels; p += together) {
     const float2 v = floats(in[p * row + pair]);
-    out[p * row + pair] = pair_of(silu(fmaf(v.x, by.x, plus.x)), silu(fmaf(v.y, by.y, plus.y)));
+    out[p * row + pair] = pack(silu(fmaf(v.x, by.x, plus.x)), silu(fmaf(v.y, by.y, plus.y)));
   }
 }
 

@@ -7,10 +7,10 @@
 
 namespace lfgs {
 
-// A pinhole camera (OpenCV axes, pixel centres at i + 0.5). A View with a sweep is a rig: its cameras stand on the view
-// x-axis at offset s, with the principal point shifted so that the plane z = zero_depth shows no parallax.
+// A pinhole camera (OpenCV axes, pixel centres at i + 0.5). A Camera with a sweep is a rig: its cameras stand on the
+// camera x-axis at offset s, with the principal point shifted so that the plane z = zero_depth shows no parallax.
 template <class R>
-struct View {
+struct Camera {
   glm::mat<3, 3, R> rotation{R(1)};  // world to camera
   glm::vec<3, R> translation{R(0)};
   R fx = 1, fy = 1, cx = 0, cy = 0;  // pixels
@@ -26,7 +26,7 @@ struct View {
   LFGS_HD bool compensated() const { return antialiased || aperture > 0; }
 
   LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
-  // The view x-axis, on which the cameras of a rig stand.
+  // The camera x-axis, on which the cameras of a rig stand.
   LFGS_HD glm::vec<3, R> right() const { return {rotation[0][0], rotation[1][0], rotation[2][0]}; }
   // Where the camera at the normalized offset s of a rig stands.
   LFGS_HD glm::vec<3, R> eye_at(R s) const { return centre() + s * sweep * right(); }
@@ -34,15 +34,15 @@ struct View {
 
 // world_to_camera: 16 numbers, row-major; intrinsics: fx, fy, cx, cy; limits: x_low, x_high, y_low, y_high, offset.
 template <class R, class T>
-LFGS_HD View<R> make_view(const T* world_to_camera, const T* intrinsics, const T* limits) {
-  View<R> v;
+LFGS_HD Camera<R> make_camera(const T* world_to_camera, const T* intrinsics, const T* limits) {
+  Camera<R> out;
   for (int row = 0; row < 3; ++row) {
-    for (int col = 0; col < 3; ++col) v.rotation[col][row] = world_to_camera[4 * row + col];
-    v.translation[row] = world_to_camera[4 * row + 3];
+    for (int col = 0; col < 3; ++col) out.rotation[col][row] = world_to_camera[4 * row + col];
+    out.translation[row] = world_to_camera[4 * row + 3];
   }
-  v.fx = intrinsics[0], v.fy = intrinsics[1], v.cx = intrinsics[2], v.cy = intrinsics[3];
-  v.x_low = limits[0], v.x_high = limits[1], v.y_low = limits[2], v.y_high = limits[3], v.offset = limits[4];
-  return v;
+  out.fx = intrinsics[0], out.fy = intrinsics[1], out.cx = intrinsics[2], out.cy = intrinsics[3];
+  out.x_low = limits[0], out.x_high = limits[1], out.y_low = limits[2], out.y_high = limits[3], out.offset = limits[4];
+  return out;
 }
 
 }  // namespace lfgs

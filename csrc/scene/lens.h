@@ -51,7 +51,7 @@ struct Lens {
     return int(bgr ? 2 - subpixel % 3 : subpixel % 3);
   }
   // The sub-pixel of a pixel that has this channel.
-  LFGS_HD int64_t subpixel_of(int64_t row, int64_t column, int channel) const {
+  LFGS_HD int64_t subpixel_index(int64_t row, int64_t column, int channel) const {
     int64_t m = 3 * column;
     while (channel_at(row, m) != channel) ++m;
     return m;

@@ -1,7 +1,7 @@
-// Stage composite for the panel, and its reverse. It reads splats, their lists by band and the lens, and writes the
-// image; the reverse writes the gradients of pairs and of the background. A work item is one band of rows: its tiles
-// are drawn splat by splat (lens_blend-inl.h), or in runs from lattices where the quality allows it
-// (lens_lattice-inl.h).
+// Stage composite for the panel, and its backward pass. It reads splats, their lists by band and the lens, and writes
+// the image; the backward pass writes the gradients of intersections and of the background. A work item is one band of
+// rows: its tiles are drawn splat by splat (direct_blend-inl.h), or in runs from lattices where the quality allows it
+// (direct_lattice-inl.h).
 #include <algorithm>
 #include <array>
 #include <memory>
@@ -11,22 +11,22 @@
 
 #include "base/parallel.h"
 #include "cpu/dispatch.h"
-#include "cpu/lens/lens_job.h"
-#include "cpu/lens/lens_run.h"
+#include "cpu/direct/direct_job.h"
+#include "cpu/direct/lens_run.h"
 #include "cpu/tile_lists.h"
-#include "cpu/lens/tile_splats.h"
+#include "cpu/direct/tile_splats.h"
 #include "hwy/cache_control.h"
 #include "math/colour_polynomial.h"
 #include "math/image_byte.h"
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "cpu/lens/composite_lens.cpp"
+#define HWY_TARGET_INCLUDE "cpu/direct/composite_direct.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/highway.h"
-#include "cpu/lens/lens_blend-inl.h"
-#include "cpu/lens/lens_lattice-inl.h"
-#include "cpu/lens/lens_tile-inl.h"
+#include "cpu/direct/direct_blend-inl.h"
+#include "cpu/direct/direct_lattice-inl.h"
+#include "cpu/direct/direct_tile-inl.h"
 #include "math/blend-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -60,8 +60,8 @@ constexpr int64_t kLookOut = 32;  // splats drawn roughly between two searches f
 
 // What all bands of an image have in common.
 template <class T>
-struct LensScene {
-  const LensJob<T>& job;
+struct DirectScene {
+  const DirectJob<T>& job;
   LensLayout layout;
   alignas(16) T background[kColourStride];
   Backdrop<T> backdrop;
@@ -70,12 +70,12 @@ struct LensScene {
   // to a lattice. The cut is raised here, for tiles that are drawn splat by splat.
   TileSplats<T> splats;
 
-  explicit LensScene(const LensJob<T>& job_)
+  explicit DirectScene(const DirectJob<T>& job_)
       : job(job_),
-        layout(*job_.lens, LensTile<T>::kCellsPerPatch),
+        layout(*job_.lens, DirectTile<T>::kCellsPerPatch),
         background{job_.background[0], job_.background[1], job_.background[2], 0},
         backdrop(*job_.lens, [&](int c) { return background[c]; }),
-        backdrop8(*job_.lens, [&](int c) { return byte_of(background[c]); }),
+        backdrop8(*job_.lens, [&](int c) { return to_byte(background[c]); }),
         splats(job_.splats, job_.quality, job_.quality.lattice > 0 && job_.quality.log2_cut > kLog2MinAlpha,
                job_.threads) {}
 };
@@ -89,9 +89,9 @@ struct SplatList {
 
 // Draws bands, or takes their gradients: one worker's memory and counters.
 template <class T>
-class LensBands {
+class DirectBands {
  public:
-  explicit LensBands(const LensScene<T>& scene)
+  explicit DirectBands(const DirectScene<T>& scene)
       : scene_(scene),
         job_(scene.job),
         lens_(*scene.job.lens),
@@ -138,16 +138,16 @@ class LensBands {
     auto tiles_of = [&](int32_t id) -> Range {
       T low, high;
       const Splat<T>& splat = splat_of(id);
-      if (!columns_of(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low, high))
+      if (!footprint_columns(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low, high))
         return {0, -1};
-      const Range touched = layout_.cells_of(double(low), double(high));
+      const Range touched = layout_.cell_range(double(low), double(high));
       const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
       if (last < first) return {0, -1};
       return {(first - cells.first) / width, (last - cells.first) / width};
     };
     out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, tiles_of,
               [&](int32_t id) { hwy::Prefetch(&splat_of(id)); });
-    counters_.pairs += out.pairs();
+    counters_.intersections += out.intersections();
   }
 
   int64_t tiles_in(Range cells) const { return (cells.last - cells.first) / layout_.cells_per_tile + 1; }
@@ -181,15 +181,15 @@ class LensBands {
     if constexpr (sizeof(T) == 4) {
       const bool last = level + 1 == kLatticeLevels;
       switch (lattice_.judge(run, job_.splats, splats.begin, splats.end, scene_.background, last)) {
-        case LensLattice::Verdict::kFits:
+        case DirectLattice::Verdict::kFits:
           job_.out8 ? lattice_.write(run, job_.out8) : lattice_.write(run, job_.out);
           ++counters_.lattices, counters_.lattice_tiles += tiles_in(cells);
           break;
-        case LensLattice::Verdict::kRefuse:
+        case DirectLattice::Verdict::kRefuse:
           ++counters_.refused_lattices;
           draw_tiles(splats, cells);
           break;
-        case LensLattice::Verdict::kSplit: {
+        case DirectLattice::Verdict::kSplit: {
           ++counters_.split_lattices;
           // The runs that follow begin with what this run has taught, not with what its halves need
           const float fineness = lattice_.fineness;
@@ -218,25 +218,26 @@ class LensBands {
     for (const int32_t* id = splats.begin; id != splats.end && tile_.open > 0; ++id) {
       if (splats.end - id > kAhead) {
         hwy::Prefetch(&scene_.splats[id[kAhead]]);
-        hwy::Prefetch(colour_of(job_.splats, id[kAhead]));
+        hwy::Prefetch(colours(job_.splats, id[kAhead]));
         hwy::Prefetch(&job_.splats.orders[id[kAhead]]);
       }
       const TileSplat<T>& splat = scene_.splats[*id];
       if constexpr (sizeof(T) == 4) {
-        if (rough_ && draw_roughly(*id, splat)) continue;
+        if (approximate_ && draw_approximately(*id, splat)) continue;
       }
       const int64_t count = tile_.find(splat.splat);
-      counters_.evaluations += count * LensTile<T>::kLanes;
+      counters_.evaluations += count * DirectTile<T>::kLanes;
       if (!job_.backward) {
         Forward(job_, tile_, scene_.background, *id, splat, count);
         continue;
       }
 
-      // The gradient of this pair: pairs of a splat are numbered by its bands
-      const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
-      const int64_t pair = job_.first_pair[*id] + own_band;
+      // The gradient of this intersection: intersections of a splat are numbered by its bands
+      const int64_t own_band = band_ - footprint_rows(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
+      const int64_t intersection = job_.first_intersection[*id] + own_band;
       const int order = job_.splats.colour_order;
-      const PairGradient<T> out{job_.pair_gradients + pair * pair_gradient_size(order, compensated_), order};
+      const IntersectionGradient<T> out{
+          job_.intersection_gradients + intersection * intersection_gradient_size(order, compensated_), order};
       compensated_ ? BackwardSplat<true>(job_, tile_, *id, out) : BackwardSplat<false>(job_, tile_, *id, out);
     }
     if (job_.backward)
@@ -246,32 +247,35 @@ class LensBands {
   }
 
   // Blends a splat by a rough footprint if one is near enough; returns whether.
-  bool draw_roughly(int32_t id, const TileSplat<float>& splat) {
-    const float cut = float(job_.quality.hit_cut());
-    if (RoughFootprint<true>::fits(splat.root)) return blend(id, splat.splat, RoughFootprint<true>(splat.root, cut));
-    if (RoughFootprint<false>::fits(splat.root)) return blend(id, splat.splat, RoughFootprint<false>(splat.root, cut));
+  bool draw_approximately(int32_t id, const TileSplat<float>& splat) {
+    const float cut = float(job_.quality.sample_cut());
+    if (ApproximateFootprint<true>::fits(splat.root))
+      return blend(id, splat.splat, ApproximateFootprint<true>(splat.root, cut));
+    if (ApproximateFootprint<false>::fits(splat.root))
+      return blend(id, splat.splat, ApproximateFootprint<false>(splat.root, cut));
     return false;
   }
 
-  // Blends a splat by this footprint. Returns true, as draw_roughly does.
+  // Blends a splat by this footprint. Returns true, as draw_approximately does.
   template <class Footprint>
   bool blend(int32_t id, const Splat<float>& splat, const Footprint& footprint) {
     const int64_t count = tile_.find(splat, footprint.units());
-    counters_.evaluations += count * LensTile<T>::kLanes;
-    with_order(job_.splats.orders[id], [&](auto order) { RoughSplat<Footprint, order>(job_, tile_, id, footprint); });
+    counters_.evaluations += count * DirectTile<T>::kLanes;
+    with_order(job_.splats.orders[id],
+               [&](auto order) { ApproximateSplat<Footprint, order>(job_, tile_, id, footprint); });
     if (++blended_ % kLookOut == 0) tile_.retire_below(float(job_.quality.darkest()));
     return true;
   }
 
-  const LensScene<T>& scene_;
-  const LensJob<T>& job_;
+  const DirectScene<T>& scene_;
+  const DirectJob<T>& job_;
   const Lens& lens_;
   const LensLayout& layout_;
   const bool compensated_ = job_.splats.compensations != nullptr;
-  const bool rough_ = job_.quality.rough() && !compensated_;  // rough footprints know of no compensation
+  const bool approximate_ = job_.quality.approximate() && !compensated_;  // rough footprints know of no compensation
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
-  LensTile<T> tile_;
-  LensLattice lattice_;
+  DirectTile<T> tile_;
+  DirectLattice lattice_;
   int64_t blended_ = 0;  // splats of this tile that were drawn roughly
   TileLists tiles_;
   std::array<TileLists, kLatticeLevels> runs_;
@@ -279,15 +283,15 @@ class LensBands {
 };
 
 template <class T>
-Counters CompositeLens(LensJob<T> job) {
-  if (!LensLattice::knows(*job.lens)) job.quality.lattice = 0;
-  const LensScene<T> scene(job);
+Counters CompositeDirect(DirectJob<T> job) {
+  if (!DirectLattice::knows(*job.lens)) job.quality.lattice = 0;
+  const DirectScene<T> scene(job);
 
   // Every worker has memory of its own, from its first band on
-  std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
+  std::vector<std::unique_ptr<DirectBands<T>>> workers(size_t(std::max(job.threads, 1)));
   auto draw = [&](int64_t band, int worker, bool try_lattices) {
     auto& bands = workers[size_t(worker)];
-    if (!bands) bands = std::make_unique<LensBands<T>>(scene);
+    if (!bands) bands = std::make_unique<DirectBands<T>>(scene);
     return bands->draw(band, try_lattices);
   };
 
@@ -313,7 +317,7 @@ Counters CompositeLens(LensJob<T> job) {
   return sum;
 }
 
-LFGS_FOR_EVERY_TARGET(CompositeLens, LensJob)
+LFGS_FOR_EVERY_TARGET(CompositeDirect, DirectJob)
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
@@ -323,34 +327,35 @@ HWY_AFTER_NAMESPACE();
 namespace lfgs {
 namespace {
 
-LFGS_DISPATCH(CompositeLens, LensJob)
+LFGS_DISPATCH(CompositeDirect, DirectJob)
 
 }  // namespace
 
 template <class T>
-Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
-                        const T* background, T* out, uint8_t* out8, int threads) {
-  LensJob<T> job{};
+Counters composite_direct(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
+                          const T* background, T* out, uint8_t* out8, int threads) {
+  DirectJob<T> job{};
   job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
   job.quality = quality, job.out = out, job.out8 = out8;
   return dispatch(job);
 }
 
 template <class T>
-Counters composite_lens_backward(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background,
-                                 const T* image, const T* gradient, const int64_t* first_pair, T* pair_gradients,
-                                 T* band_background, int threads) {
-  LensJob<T> job{};
+Counters composite_direct_backward(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background,
+                                   const T* image, const T* gradient, const int64_t* first_intersection,
+                                   T* intersection_gradients, T* band_background, int threads) {
+  DirectJob<T> job{};
   job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
-  job.image = image, job.gradient = gradient, job.first_pair = first_pair;
-  job.pair_gradients = pair_gradients, job.band_background = band_background, job.backward = true;
+  job.image = image, job.gradient = gradient, job.first_intersection = first_intersection;
+  job.intersection_gradients = intersection_gradients, job.band_background = band_background, job.backward = true;
   return dispatch(job);
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                           \
-  template Counters composite_lens(const Splats<T>&, Bins, const Lens&, const Quality&, const T*, T*, uint8_t*, int); \
-  template Counters composite_lens_backward(const Splats<T>&, Bins, const Lens&, const T*, const T*, const T*,        \
-                                            const int64_t*, T*, T*, int);
+#define LFGS_INSTANTIATE(T)                                                                                       \
+  template Counters composite_direct(const Splats<T>&, Bins, const Lens&, const Quality&, const T*, T*, uint8_t*, \
+                                     int);                                                                        \
+  template Counters composite_direct_backward(const Splats<T>&, Bins, const Lens&, const T*, const T*, const T*,  \
+                                              const int64_t*, T*, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

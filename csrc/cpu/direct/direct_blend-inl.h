@@ -1,20 +1,20 @@
 // Blends one splat into the samples of a lens tile, or takes the gradient that these samples give to the splat; also
-// what a tile begins and ends with. composite_lens.cpp calls this splat by splat, nearest first.
+// what a tile begins and ends with. composite_direct.cpp calls this splat by splat, nearest first.
 
-#if defined(LFGS_CPU_LENS_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
-#ifdef LFGS_CPU_LENS_BLEND_INL_H_
-#undef LFGS_CPU_LENS_BLEND_INL_H_
+#if defined(LFGS_CPU_DIRECT_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_DIRECT_BLEND_INL_H_
+#undef LFGS_CPU_DIRECT_BLEND_INL_H_
 #else
-#define LFGS_CPU_LENS_BLEND_INL_H_
+#define LFGS_CPU_DIRECT_BLEND_INL_H_
 #endif
 
 #include <algorithm>
 #include <type_traits>
 
-#include "cpu/lens/lens_job.h"
-#include "cpu/lens/lens_lines-inl.h"
-#include "cpu/lens/lens_splat-inl.h"
-#include "cpu/lens/lens_tile-inl.h"
+#include "cpu/direct/direct_job.h"
+#include "cpu/direct/direct_lines-inl.h"
+#include "cpu/direct/direct_splat-inl.h"
+#include "cpu/direct/direct_tile-inl.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
 #include "math/over-inl.h"
@@ -26,15 +26,16 @@ namespace HWY_NAMESPACE {
 // Blends a splat into the `count` vectors that tile.find() has listed. It is never inlined, so that the splat's
 // constants stay in registers.
 template <class Footprint, int kOrder, class T>
-HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
+HWY_NOINLINE void ForwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, const T* background, int32_t id,
                                const Footprint& shape, int64_t count) {
-  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share one test for samples that stop
-  constexpr int kChunk = 16;                              // vectors whose powers, alphas and colours follow each other
-  using V = typename LensTile<T>::V;
+  constexpr int kLanes = DirectTile<T>::kLanes,
+                kStep = 4;    // vectors at once: they share one test for samples that stop
+  constexpr int kChunk = 16;  // vectors whose powers, alphas and colours follow each other
+  using V = typename DirectTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const Footprint footprint = shape;
-  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colours(job.splats, id);
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
   const int order = job.splats.orders[id];
   const V least_after = hn::Set(d, T(job.quality.stop));
@@ -115,7 +116,7 @@ void with_order(int order, const Visit& visit) {
 
 // Blends a splat by the cheapest code that is near enough for it.
 template <class T>
-void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
+void Forward(const DirectJob<T>& job, DirectTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
              int64_t count) {
   const Compensation<T>* compensation = job.splats.compensations ? job.splats.compensations + id : nullptr;
   with_footprint(splat, compensation, job.quality, [&](const auto& footprint) {
@@ -125,14 +126,15 @@ void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int3
   });
 }
 
-// Blends a splat by a rough footprint. Samples that stop are not looked for here; LensTile::retire_below does that from
-// time to time.
+// Blends a splat by a rough footprint. Samples that stop are not looked for here; DirectTile::retire_below does that
+// from time to time.
 template <class Footprint, int kOrder>
-HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, int32_t id, const Footprint& shape) {
+HWY_NOINLINE void ApproximateSplat(const DirectJob<float>& job, DirectTile<float>& tile, int32_t id,
+                                   const Footprint& shape) {
   const Tag<float> d;
   const hn::RebindToSigned<Tag<float>> di;
   const Footprint footprint = shape;
-  const float *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  const float *xs = tile.x.get(), *ss = tile.s.get(), *colour = colours(job.splats, id);
   float *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
   const int32_t* channels = tile.channel.get();
   const int order = job.splats.orders[id];
@@ -152,12 +154,12 @@ HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, i
 // Adds the background and writes the tile to the image, where the sub-pixels of a pixel lie in the order of their
 // places for now. Returns how many samples had stopped.
 template <class T>
-int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
+int64_t FinishTile(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples, const T* background) {
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const hn::RebindToUnsigned<Tag<T>> du;
   const hn::Rebind<uint8_t, Tag<T>> d8;
-  constexpr int kLanes = LensTile<T>::kLanes;
+  constexpr int kLanes = DirectTile<T>::kLanes;
   const auto darkest = hn::Set(d, T(job.quality.darkest()));
 
   // Add the background, and make bytes where they are wanted
@@ -176,7 +178,7 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
     }
   }
 
-  // Write the sub-pixels, bytes through LensLines where that pays
+  // Write the sub-pixels, bytes through DirectLines where that pays
   auto write = [&](const auto* from, auto* image) {
     tile.for_each_run([&](const auto& run) {
       auto* to = image + run.row * 3 * job.lens->width_px + run.first;
@@ -185,8 +187,8 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
   };
   if (!job.out8)
     write(tile.colour.get(), job.out);
-  else if (LensLines<T>::pays(tile.ordinals()))
-    LensLines<T>(tile, bytes, reinterpret_cast<uint8_t*>(tile.s.get())).write(job.out8, 3 * job.lens->width_px);
+  else if (DirectLines<T>::pays(tile.lens_columns()))
+    DirectLines<T>(tile, bytes, reinterpret_cast<uint8_t*>(tile.s.get())).write(job.out8, 3 * job.lens->width_px);
   else
     write(bytes, job.out8);
   return stopped;
@@ -195,15 +197,15 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
 // Gradient sums for the share of a compensated splat, a vector each. They follow from the gradient of log2 alpha, for
 // log2 of the share is (log2 D(s) - log2 S(s)) / 2.
 template <class D>
-struct ShareSums {
+struct CompensationSums {
   using V = hn::Vec<D>;
   V D0, D1, D2, S0, S1, S2;
 
-  explicit HWY_INLINE ShareSums(D d) { D0 = D1 = D2 = S0 = S1 = S2 = hn::Zero(d); }
+  explicit HWY_INLINE CompensationSums(D d) { D0 = D1 = D2 = S0 = S1 = S2 = hn::Zero(d); }
   // g: the gradient of log2 alpha.
-  HWY_INLINE void Add(D d, V g, V sharp, V inverse_S, V s) {
-    const V half = hn::Mul(g, hn::Set(d, hn::TFromD<D>(0.5 / kLn2))), gD = hn::Div(half, sharp);
-    const V of_D = hn::IfThenElseZero(hn::Gt(sharp, hn::Zero(d)), gD), of_S = hn::Neg(hn::Mul(half, inverse_S));
+  HWY_INLINE void Add(D d, V g, V D_at_s, V inverse_S, V s) {
+    const V half = hn::Mul(g, hn::Set(d, hn::TFromD<D>(0.5 / kLn2))), gD = hn::Div(half, D_at_s);
+    const V of_D = hn::IfThenElseZero(hn::Gt(D_at_s, hn::Zero(d)), gD), of_S = hn::Neg(hn::Mul(half, inverse_S));
     const V D_s = hn::Mul(of_D, s), S_s = hn::Mul(of_S, s);
     D0 = hn::Add(D0, of_D), D1 = hn::Add(D1, D_s), D2 = hn::MulAdd(D_s, s, D2);
     S0 = hn::Add(S0, of_S), S1 = hn::Add(S1, S_s), S2 = hn::MulAdd(S_s, s, S2);
@@ -216,20 +218,20 @@ struct ShareSums {
   }
 };
 
-// Adds to `out` the gradient of a pair: what the samples of this tile give to the splat. math/over-inl.h has the
-// formula; a sample has one channel here.
+// Adds to `out` the gradient of an intersection: what the samples of this tile give to the splat. math/over-inl.h has
+// the formula; a sample has one channel here.
 template <bool kCompensated, class T>
-void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const PairGradient<T>& out) {
-  using V = typename LensTile<T>::V;
+void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, const IntersectionGradient<T>& out) {
+  using V = typename DirectTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const Splat<T>& splat = job.splats.splats[id];
   const ExactFootprint<T> footprint(splat, T(kLog2MinAlpha));
-  const T* colour = colour_of(job.splats, id);
+  const T* colour = colours(job.splats, id);
   const int order = job.splats.orders[id], terms = colour_terms(order);
   SplatSums<Tag<T>> sums(d);
-  [[maybe_unused]] ShareSums<Tag<T>> share_sums(d);
-  [[maybe_unused]] const Share<T> share(kCompensated ? job.splats.compensations[id] : Compensation<T>{});
+  [[maybe_unused]] CompensationSums<Tag<T>> compensation_sums(d);
+  [[maybe_unused]] const CompensationFactor<T> factor(kCompensated ? job.splats.compensations[id] : Compensation<T>{});
   V g_colour[3 * (kMaxColourOrder + 1)], g_along = hn::Zero(d), g_across = hn::Zero(d);
   for (int k = 0; k < 3 * terms; ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
@@ -241,7 +243,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
     V alpha;
     if constexpr (kCompensated)
-      alpha = SharedAlpha(d, power, share.at(s, inverse_S), footprint.cut, hn::Set(d, T(kMinAlpha)));
+      alpha = CompensatedAlpha(d, power, factor.at(s, inverse_S), footprint.cut, hn::Set(d, T(kMinAlpha)));
     else
       alpha = Alpha(d, power);
     V before;
@@ -249,7 +251,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     const V g = hn::Load(d, &tile.gradient[i]);
     const auto channel = hn::Load(di, &tile.channel[i]);
     if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-      // In the reverse `colour` keeps what each sample that stopped lets through to the background
+      // In the backward pass `colour` keeps what each sample that stopped lets through to the background
       hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
       if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(sample);
     }
@@ -260,19 +262,19 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     // Gradients of alpha and of the exponent
     const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
-    const V g_alpha = OverAdjoint<false>(d, alpha, before, weight, v, &tile.total[i], &tile.prefix[i]);
+    const V g_alpha = OverBackward<false>(d, alpha, before, weight, v, &tile.total[i], &tile.prefix[i]);
     auto free = hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha)));
     if constexpr (kCompensated) free = hn::Lt(alpha, hn::Set(d, T(kMaxAlpha)));
-    const V g_power = ExponentAdjoint(d, g_alpha, alpha, hn::And(lit, free));
+    const V g_power = ExponentBackward(d, g_alpha, alpha, hn::And(lit, free));
     sums.Add(g_power, dy, hn::Mul(dx, inverse_S), s);
-    if constexpr (kCompensated) share_sums.Add(d, g_power, share.sharp(s), inverse_S, s);
+    if constexpr (kCompensated) compensation_sums.Add(d, g_power, factor.unfiltered(s), inverse_S, s);
 
-    // Colour coefficients, where the clamp at zero does not hold. Projection clamps colours of order 0, and its reverse
-    // masks their gradients.
+    // Colour coefficients, where the clamp at zero does not hold. Projection clamps colours of order 0, and its
+    // backward pass masks their gradients.
     V g_c = hn::Mul(g, weight);
     if (order != 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
     auto in_channel = [&](int k) {
-      return hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
+      return hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename DirectTile<T>::TI(k)))), g_c);
     };
     if (HWY_UNLIKELY(order == kCircleOrder)) {
       const CirclePoints<Tag<T>> point(d, colour, s);
@@ -301,17 +303,17 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   // Sums over the lanes
   if (!touched) return;
   sums.Reduce(d, splat, out.splat());
-  if constexpr (kCompensated) share_sums.Reduce(d, out.splat(), out.compensation());
+  if constexpr (kCompensated) compensation_sums.Reduce(d, out.splat(), out.compensation());
   auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
   for (int k = 0; k < 3 * terms; ++k) out.colours()[k] += sum(g_colour[k]);
   if (order == kCircleOrder) out.colours()[kAlongSum] += sum(g_along), out.colours()[kAcrossSum] += sum(g_across);
 }
 
-// Loads what the reverse reads at every sample: the gradient of its colour and, as math/over-inl.h needs it, the total,
-// which is gradient times colour.
+// Loads what the backward pass reads at every sample: the gradient of its colour and, as math/over-inl.h needs it, the
+// total, which is gradient times colour.
 template <class T>
-void LoadGradients(const LensJob<T>& job, LensTile<T>& tile, int64_t samples) {
-  constexpr int kLanes = LensTile<T>::kLanes;
+void LoadGradients(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples) {
+  constexpr int kLanes = DirectTile<T>::kLanes;
   for (auto* a : {&tile.gradient, &tile.total, &tile.prefix}) std::fill(a->get(), a->get() + samples, T(0));
   tile.for_each_run([&](const auto& run) {
     int64_t sample = tile.sample(run);
@@ -324,7 +326,7 @@ void LoadGradients(const LensJob<T>& job, LensTile<T>& tile, int64_t samples) {
 }
 
 template <class T>
-void BackgroundGradient(const LensTile<T>& tile, int64_t samples, T* out) {
+void BackgroundGradient(const DirectTile<T>& tile, int64_t samples, T* out) {
   for (int64_t i = 0; i < samples; ++i)
     out[tile.channel[i]] += tile.gradient[i] * (tile.colour[i] + tile.transmittance[i]);
 }
@@ -333,4 +335,4 @@ void BackgroundGradient(const LensTile<T>& tile, int64_t samples, T* out) {
 }  // namespace lfgs
 HWY_AFTER_NAMESPACE();
 
-#endif  // LFGS_CPU_LENS_BLEND_INL_H_
+#endif  // LFGS_CPU_DIRECT_BLEND_INL_H_

@@ -1,11 +1,11 @@
 // Draws a run of lens tiles from a coarse lattice where that is as good as asked for: judge() draws a lattice for the
 // run and checks it, write() interpolates the run's sub-pixels and writes them to the image.
 
-#if defined(LFGS_CPU_LENS_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
-#ifdef LFGS_CPU_LENS_LATTICE_INL_H_
-#undef LFGS_CPU_LENS_LATTICE_INL_H_
+#if defined(LFGS_CPU_DIRECT_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_DIRECT_LATTICE_INL_H_
+#undef LFGS_CPU_DIRECT_LATTICE_INL_H_
 #else
-#define LFGS_CPU_LENS_LATTICE_INL_H_
+#define LFGS_CPU_DIRECT_LATTICE_INL_H_
 #endif
 
 #include <algorithm>
@@ -13,16 +13,16 @@
 #include <cstring>
 #include <vector>
 
-#include "cpu/lens/lattice-inl.h"
-#include "cpu/lens/lens_run.h"
-#include "cpu/lens/lens_splat-inl.h"
+#include "cpu/direct/lattice-inl.h"
+#include "cpu/direct/lens_run.h"
+#include "cpu/direct/direct_splat-inl.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-class LensLattice {
+class DirectLattice {
  public:
   static constexpr int kLanes = LatticeNodes::kLanes;
   using Words = hn::RebindToUnsigned<Tag<float>>;
@@ -30,7 +30,7 @@ class LensLattice {
   float fineness;  // of the next lattice, see LatticeCurvature::plan
   int64_t evaluations() const { return nodes_.evaluations + middles_.evaluations; }
 
-  LensLattice(const Lens& lens, const Quality& quality)
+  DirectLattice(const Lens& lens, const Quality& quality)
       : fineness(0),
         lens_(lens),
         quality_(on_lattice(quality)),
@@ -76,12 +76,12 @@ class LensLattice {
       if (double(plan.nodes()) + double(middles.nodes()) > most) break;
       draw(nodes_, plan, splats, begin, end, background);
       draw(middles_, middles, splats, begin, end, background);
-      const float moved = share_errors();
+      const float moved = move_nodes();
       // The error as a share of what is allowed. It grows with the square of the steps, which tells how fine the next
       // lattice must be.
       const Error at_middles = error_at_middles();
       const float largest = std::max(at_middles.largest, moved);
-      const float error = std::max(std::max(largest, kMovedShare * at_middles.mean) / float(quality_.lattice), 1e-6f);
+      const float error = std::max(std::max(largest, kMovedFactor * at_middles.mean) / float(quality_.lattice), 1e-6f);
       const float better = kBackOff / std::sqrt(error);
       fineness = std::clamp(fineness * std::clamp(better, 0.4f, 1.25f), 0.01f, kMostFineness);
       if (error <= 1) return refused_ = 0, Verdict::kFits;
@@ -121,14 +121,14 @@ class LensLattice {
       const Splat<float>& splat = splats.splats[*id];
       const float u = float(double(splat.u0) - x0_), v = float(double(splat.v0) - y0_);
       const Compensation<float>* compensation = splats.compensations ? splats.compensations + *id : nullptr;
-      nodes.add(splat, compensation, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
+      nodes.add(splat, compensation, u, v, colours(splats, *id), splats.orders[*id], quality_, background);
     }
     nodes.finish(background);
   }
 
-  // Moves every node by its share of the errors at the middles round it, see kNodeShare, and returns the largest move.
+  // Moves every node by its share of the errors at the middles round it, see kNodeFactor, and returns the largest move.
   // Nodes round which errors have both signs, as at an edge, stay.
-  float share_errors() {
+  float move_nodes() {
     const Tag<float> d;
     const LatticePlan& plan = nodes_.plan();
     errors_.lay(middles_.plan());
@@ -140,7 +140,7 @@ class LensLattice {
         for (int j = 0; j < plan.down; ++j) {
           float* row = nodes_.colours(c, k, j);
           for (int i = 0; i < plan.across; i += kLanes) {
-            const auto move = hn::Mul(errors_.round(c, k, j, i, plan), hn::Set(d, kNodeShare));
+            const auto move = hn::Mul(errors_.round(c, k, j, i, plan), hn::Set(d, kNodeFactor));
             hn::StoreU(hn::Sub(hn::LoadU(d, row + i), move), d, row + i);
             most = hn::Max(most, hn::Abs(move));
           }
@@ -275,4 +275,4 @@ class LensLattice {
 }  // namespace lfgs
 HWY_AFTER_NAMESPACE();
 
-#endif  // LFGS_CPU_LENS_LATTICE_INL_H_
+#endif  // LFGS_CPU_DIRECT_LATTICE_INL_H_

@@ -2,17 +2,17 @@
 // exact one and cheaper ones for splats of which they err little; with_footprint chooses among those that every quality
 // allows.
 
-#if defined(LFGS_CPU_LENS_SPLAT_INL_H_) == defined(HWY_TARGET_TOGGLE)
-#ifdef LFGS_CPU_LENS_SPLAT_INL_H_
-#undef LFGS_CPU_LENS_SPLAT_INL_H_
+#if defined(LFGS_CPU_DIRECT_SPLAT_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_DIRECT_SPLAT_INL_H_
+#undef LFGS_CPU_DIRECT_SPLAT_INL_H_
 #else
-#define LFGS_CPU_LENS_SPLAT_INL_H_
+#define LFGS_CPU_DIRECT_SPLAT_INL_H_
 #endif
 
 #include <cmath>
 
-#include "cpu/lens/lens_tile-inl.h"
-#include "cpu/lens/tile_splats.h"
+#include "cpu/direct/direct_tile-inl.h"
+#include "cpu/direct/tile_splats.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
 #include "math/colour_circle.h"
@@ -22,11 +22,11 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-constexpr double kMostRoughError = 0.005;  // of S^(-1/2) in rough footprints, relative; others: kMostRootError
+constexpr double kMostApproximateError = 0.005;  // of S^(-1/2) in rough footprints, relative; others: kMostRootError
 
 // A splat's colour: its polynomial, [order + 1, kColourStride], or its terms on a circle, see math/colour_circle.h.
 template <class T>
-const T* colour_of(const Splats<T>& splats, int32_t id) {
+const T* colours(const Splats<T>& splats, int32_t id) {
   return splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
 }
 
@@ -122,27 +122,27 @@ struct ExactFootprint {
 
 // The share sqrt(D(s) / S(s)) of its opacity that a compensated splat keeps at its samples, see math/compensation.h.
 template <class T>
-struct Share {
+struct CompensationFactor {
   using D = Tag<T>;
   using V = hn::Vec<D>;
   V D0, D1, D2;
 
-  HWY_INLINE explicit Share(const Compensation<T>& c) {
+  HWY_INLINE explicit CompensationFactor(const Compensation<T>& c) {
     const D d;
     D0 = hn::Set(d, c.D0), D1 = hn::Set(d, c.D1), D2 = hn::Set(d, c.D2);
   }
   // D(s), which is S(s) without the blur.
-  HWY_INLINE V sharp(V s) const { return hn::MulAdd(hn::MulAdd(s, D2, D1), s, D0); }
+  HWY_INLINE V unfiltered(V s) const { return hn::MulAdd(hn::MulAdd(s, D2, D1), s, D0); }
   HWY_INLINE V at(V s, V inverse_S) const {
     const D d;
-    return hn::Sqrt(hn::Max(hn::Mul(sharp(s), inverse_S), hn::Zero(d)));  // rounding may take it below zero
+    return hn::Sqrt(hn::Max(hn::Mul(unfiltered(s), inverse_S), hn::Zero(d)));  // rounding may take it below zero
   }
 };
 
 // alpha = min(0.99, share 2^power), zero where it is below least = 2^cut.
 template <class D>
-HWY_INLINE hn::Vec<D> SharedAlpha(D d, hn::Vec<D> power, hn::Vec<D> share, hn::Vec<D> cut, hn::Vec<D> least) {
-  const auto alpha = hn::Mul(hn::IfThenElseZero(hn::Ge(power, cut), Exp2(d, power)), share);
+HWY_INLINE hn::Vec<D> CompensatedAlpha(D d, hn::Vec<D> power, hn::Vec<D> factor, hn::Vec<D> cut, hn::Vec<D> least) {
+  const auto alpha = hn::Mul(hn::IfThenElseZero(hn::Ge(power, cut), Exp2(d, power)), factor);
   return hn::IfThenElseZero(hn::Ge(alpha, least), hn::Min(alpha, hn::Set(d, hn::TFromD<D>(kMaxAlpha))));
 }
 
@@ -162,17 +162,17 @@ struct CompensatedFootprint {
   using D = Tag<T>;
   using V = hn::Vec<D>;
   ExactFootprint<T> exact;
-  Share<T> share;
+  CompensationFactor<T> factor;
   V least;
 
   HWY_INLINE CompensatedFootprint(const Splat<T>& s, const Compensation<T>& c, T log2_cut)
-      : exact(s, log2_cut), share(c), least(hn::Set(D(), std::exp2(log2_cut))) {}
+      : exact(s, log2_cut), factor(c), least(hn::Set(D(), std::exp2(log2_cut))) {}
   template <class Rows>
   HWY_INLINE V power(V x, V s, const Rows& rows) const {
     return exact.power(x, s, rows);
   }
   HWY_INLINE V alpha(V power, V s) const {
-    return SharedAlpha(D(), power, share.at(s, exact.inverse(s)), exact.cut, least);
+    return CompensatedAlpha(D(), power, factor.at(s, exact.inverse(s)), exact.cut, least);
   }
 };
 
@@ -204,19 +204,19 @@ struct PlainFootprint {
 // 0.9 % where alpha is 1/255 to 1, and below 0.35 % from 0.05 on: unlike Exp2, squaring need not take the exponent
 // apart, and it loads few constants. RowTerms have gain and level in them already, see units().
 template <bool kEven>
-class RoughFootprint {
+class ApproximateFootprint {
  public:
   using T = float;
   using D = Tag<T>;
   using V = hn::Vec<D>;
 
-  RoughFootprint(const InverseRoot<T>& r, T log2_cut)
+  ApproximateFootprint(const InverseRoot<T>& r, T log2_cut)
       : root_(std::sqrt(kGain) * (r.r0 + T(0.5) * r.r2)),
         lean_(std::sqrt(kGain) * r.r1),
         cut_(kGain * (log2_cut + kLevel)) {}
   static bool fits(const InverseRoot<T>& r) {
     const T off = T(0.5) * std::abs(r.r2) + (kEven ? std::abs(r.r1) : T(0));
-    return r.error + off / std::abs(r.r0) < T(kMostRoughError);  // where the error is 1, r0 may be any number
+    return r.error + off / std::abs(r.r0) < T(kMostApproximateError);  // where the error is 1, r0 may be any number
   }
   RowUnits<T> units() const { return {kGain, kLevel, kEven ? -root_ : T(1)}; }
 
@@ -245,7 +245,7 @@ template <class T, class Visit>
 void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compensation, const Quality& quality,
                     const Visit& visit) {
   const Splat<T>& splat = tile_splat.splat;
-  const T cut = T(quality.hit_cut());
+  const T cut = T(quality.sample_cut());
   if (HWY_UNLIKELY(compensation != nullptr)) return visit(CompensatedFootprint<T>(splat, *compensation, cut));
   if constexpr (sizeof(T) == 4) {
     const InverseRoot<T>& root = tile_splat.root;
@@ -259,4 +259,4 @@ void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compe
 }  // namespace lfgs
 HWY_AFTER_NAMESPACE();
 
-#endif  // LFGS_CPU_LENS_SPLAT_INL_H_
+#endif  // LFGS_CPU_DIRECT_SPLAT_INL_H_

@@ -1,23 +1,23 @@
 // A tile of the panel: where its samples stand, what they gather, and which of them a splat may touch. It is laid out
-// by LensLayout, and lens_blend-inl.h blends splats into it.
+// by LensLayout, and direct_blend-inl.h blends splats into it.
 //
-// A sample is a sub-pixel; a *cell* is a lens, and the ordinal t counts the sub-pixels of a lens from its left edge.
-// Samples at one ordinal of neighbouring lenses show nearly the same view. So a vector holds 4 lenses x a few rows at
-// one ordinal, and a splat, which sweeps over the views along a row, meets a short interval of ordinals per patch of
-// lenses. Lenses too narrow or too wide for that become cells of one sub-pixel each.
+// A sample is a sub-pixel; a *cell* is a lens, and the lens column t counts the sub-pixels of a lens from its left
+// edge. Samples at one lens column of neighbouring lenses show nearly the same view. So a vector holds 4 lenses x a few
+// rows at one lens column, and a splat, which sweeps over the views along a row, meets a short interval of lens columns
+// per patch of lenses. Lenses too narrow or too wide for that become cells of one sub-pixel each.
 
-#if defined(LFGS_CPU_LENS_TILE_INL_H_) == defined(HWY_TARGET_TOGGLE)
-#ifdef LFGS_CPU_LENS_TILE_INL_H_
-#undef LFGS_CPU_LENS_TILE_INL_H_
+#if defined(LFGS_CPU_DIRECT_TILE_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_DIRECT_TILE_INL_H_
+#undef LFGS_CPU_DIRECT_TILE_INL_H_
 #else
-#define LFGS_CPU_LENS_TILE_INL_H_
+#define LFGS_CPU_DIRECT_TILE_INL_H_
 #endif
 
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "cpu/lens/lens_layout.h"
+#include "cpu/direct/lens_layout.h"
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
@@ -63,7 +63,7 @@ struct RowUnits {
 };
 
 template <class T>
-class LensTile {
+class DirectTile {
  public:
   using D = Tag<T>;
   using V = hn::Vec<D>;
@@ -73,12 +73,12 @@ class LensTile {
   static constexpr int kDown = kBandRows / kRows;
   using Rows = RowTerms<T, kLanes>;
 
-  // Sample arrays, [patch][ordinal][lane]; a *vector* is one (patch, ordinal)
+  // Sample arrays, [patch][lens_column][lane]; a *vector* is one (patch, lens column)
   hwy::AlignedFreeUniquePtr<T[]> x, s, colour, transmittance, gradient, total, prefix;
   hwy::AlignedFreeUniquePtr<TI[]> channel;
   int open = 0;  // vectors that still take light
 
-  LensTile(const Lens& lens, const LensLayout& layout, bool backward)
+  DirectTile(const Lens& lens, const LensLayout& layout, bool backward)
       : lens_(lens),
         layout_(layout),
         across_(layout.cells_per_tile / kCellsPerPatch),
@@ -102,11 +102,11 @@ class LensTile {
     if (lens.has_cells) fill_cells();
 
     // The rows of vectors, patches and lanes; what pads the patches to whole vectors is out of reach
-    for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.ordinals * across_));
+    for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.lens_columns * across_));
     for (int64_t p = 0; p < padded_; ++p) {
       const bool real = p < patches_;
       patch_row_[p] = real ? T(first_row(p / across_)) + middle_row() + T(0.5) : T(1e9);
-      patch_sample_[p] = T(p * layout.ordinals * kLanes);
+      patch_sample_[p] = T(p * layout.lens_columns * kLanes);
       patch_x_[p] = patch_s_[p] = patch_half_s_[p] = T(0);
     }
     for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch * stride_) + T(0.5);
@@ -154,8 +154,8 @@ class LensTile {
     first_ = std::min<int64_t>(first_down, kDown), end_ = std::min<int64_t>(end_down, kDown);
     fill_rows(splat, u, v, units);
 
-    // A patch at a time, which ordinals t may be touched. At ordinal t the samples lie X + t slope right of the splat,
-    // measured in the middle row of the patch; the splat may touch them where |X + t slope| <= reach
+    // A patch at a time, which lens columns t may be touched. At lens column t the samples lie X + t slope right of the
+    // splat, measured in the middle row of the patch; the splat may touch them where |X + t slope| <= reach
     const T half = middle_row();
     const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
     const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
@@ -169,20 +169,20 @@ class LensTile {
                                        hn::Set(d, exponent_left(splat, T(0)) + T(1e-3)));
       const V w = hn::Add(hn::Sqrt(hn::Max(hn::Mul(exponent, widest), zero)), hn::Set(d, spread));
 
-      // Distance at ordinal 0, its change per ordinal, and the reach
+      // Distance at lens column 0, its change per lens column, and the reach
       const V M0 = hn::MulAdd(hn::Set(d, splat.c0), middle, hn::Set(d, u));
       const V M1 = hn::MulAdd(hn::Set(d, splat.c1), middle, hn::Set(d, splat.du));
-      V slope = hn::NegMulAdd(hn::Set(d, T(layout_.s_per_ordinal)), M1, hn::Set(d, T(layout_.x_per_ordinal)));
+      V slope = hn::NegMulAdd(hn::Set(d, T(layout_.s_per_column)), M1, hn::Set(d, T(layout_.x_per_column)));
       const V tiny = hn::Set(d, T(1e-6));
       slope = hn::IfThenElse(hn::Lt(hn::Abs(slope), tiny), tiny, slope);
       const V X = hn::NegMulAdd(hn::Load(d, &patch_s_[p]), M1, hn::Sub(hn::Load(d, &patch_x_[p]), M0));
       const V reach = hn::MulAdd(hn::Abs(M1), hn::Load(d, &patch_half_s_[p]), w);
 
-      // The interval of ordinals, empty where the rows do not meet
+      // The interval of lens columns, empty where the rows do not meet
       const V per_slope = hn::Div(hn::Set(d, T(1)), slope);
       const V t1 = hn::Mul(hn::Neg(hn::Add(X, reach)), per_slope), t2 = hn::Mul(hn::Sub(reach, X), per_slope);
       const V low = hn::Ceil(hn::Max(hn::Min(t1, t2), zero));
-      const V high = hn::Floor(hn::Min(hn::Max(t1, t2), hn::Set(d, T(layout_.ordinals - 1))));
+      const V high = hn::Floor(hn::Min(hn::Max(t1, t2), hn::Set(d, T(layout_.lens_columns - 1))));
       V count = hn::Max(hn::Sub(hn::Add(high, hn::Set(d, T(1))), low), zero);
       count = hn::IfThenElseZero(hn::Ge(exponent, zero), count);
       const V first =
@@ -222,10 +222,10 @@ class LensTile {
         retire(uint16_t(v * kLanes));
   }
 
-  // The sub-pixels of one cell in one row, the first of them at `ordinal`. Those that follow belong to the same tile up
-  // to `tile_end`, which is the first that does not.
+  // The sub-pixels of one cell in one row, the first of them at `lens_column`. Those that follow belong to the same
+  // tile up to `tile_end`, which is the first that does not.
   struct Run {
-    int64_t row, first, count, tile_end, patch, ordinal, lane;
+    int64_t row, first, count, tile_end, patch, lens_column, lane;
   };
   // Calls visit(run) for all runs on the panel, those of a row from left to right. Members are copied first, since to
   // the compiler the bytes that a visit writes could change any of them.
@@ -247,15 +247,17 @@ class LensTile {
     }
   }
   // The sample of a run's first sub-pixel; the next sub-pixel's is kLanes further on.
-  int64_t sample(const Run& run) const { return (run.patch * layout_.ordinals + run.ordinal) * kLanes + run.lane; }
+  int64_t sample(const Run& run) const {
+    return (run.patch * layout_.lens_columns + run.lens_column) * kLanes + run.lane;
+  }
   int64_t patches() const { return patches_; }
-  int ordinals() const { return layout_.ordinals; }
+  int lens_columns() const { return layout_.lens_columns; }
 
  private:
-  // How many rows lie from one row of a group to the next. Lenses lean, so that what a lens shows at an ordinal moves
-  // from row to row by a part of an ordinal. A group of rows that show nearly the same is met by a splat at fewer
-  // ordinals: this is the stride for which the parts differ least. A longer one makes groups taller, which costs about
-  // as much as a twentieth of an ordinal a row.
+  // How many rows lie from one row of a group to the next. Lenses lean, so that what a lens shows at a lens column
+  // moves from row to row by a part of an lens_column. A group of rows that show nearly the same is met by a splat at
+  // fewer lens columns: this is the stride for which the parts differ least. A longer one makes groups taller, which
+  // costs about as much as a twentieth of a lens column a row.
   static int row_stride(const LensLayout& layout) {
     int best = 1;
     double least = 2;
@@ -277,7 +279,7 @@ class LensTile {
   // The first sub-pixel of cell c of the tile in row r of the band.
   int64_t& start(int64_t r, int64_t c) { return starts_[size_t(place(r, c))]; }
   int64_t start(int64_t r, int64_t c) const { return starts_[size_t(place(r, c))]; }
-  // The sub-pixel at ordinal 0 of the cell, which may belong to the cell before it: see LensLayout::lead.
+  // The sub-pixel at lens column 0 of the cell, which may belong to the cell before it: see LensLayout::lead.
   int64_t anchor(int64_t r, int64_t c) const { return layout_.lead ? anchors_[size_t(place(r, c))] : start(r, c); }
   int64_t place(int64_t r, int64_t c) const { return r * (layout_.cells_per_tile + 1) + c; }
 
@@ -298,9 +300,9 @@ class LensTile {
     }
   }
 
-  // Makes one flat list of vectors from the ranges of ordinals. Every patch writes eight entries at least, and the next
-  // patch overwrites what was too much: so only a patch with more takes a branch, which is rare where splats are small
-  // and the rule where they are large, and processors predict both.
+  // Makes one flat list of vectors from the ranges of lens_columns. Every patch writes eight entries at least, and the
+  // next patch overwrites what was too much: so only a patch with more takes a branch, which is rare where splats are
+  // small and the rule where they are large, and processors predict both.
   HWY_INLINE int64_t fill_list() {
     const hn::FixedTag<uint16_t, 8> d16;
     const auto steps = hn::Mul(hn::Iota(d16, uint16_t(0)), hn::Set(d16, uint16_t(kLanes)));
@@ -347,7 +349,7 @@ class LensTile {
     const hn::RebindToSigned<D> di;
     const int64_t down = patch / across_, across = patch % across_;
 
-    // A lane is a cell in a row: where it starts, and which of its ordinals are sub-pixels of the panel
+    // A lane is a cell in a row: where it starts, and which of its lens columns are sub-pixels of the panel
     alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
@@ -368,20 +370,21 @@ class LensTile {
       first_phase = std::min(first_phase, phase), last_phase = std::max(last_phase, phase);
       if constexpr (kCells) {
         const int64_t within = int64_t(above % kRowPeriod);
-        cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.ordinals) + within)];
+        cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.lens_columns) + within)];
         phases[lane] -= lens_.phase_x * uint64_t(within);
       }
     }
 
-    // Ordinal by ordinal, all lanes at once
+    // Lens column by lens column, all lanes at once
     V column = hn::Load(d, columns), s_low = hn::Set(d, T(2)), s_high = hn::Set(d, T(-2));
     auto place = hn::Load(di, places);
     const auto before = hn::Load(di, outside), end = hn::Load(di, ends), two = hn::Set(di, TI(2));
-    for (int t = 0; t < layout_.ordinals; ++t) {
-      const int64_t i = (patch * layout_.ordinals + t) * kLanes;
-      const auto ordinal = hn::Set(di, TI(t));
+    for (int t = 0; t < layout_.lens_columns; ++t) {
+      const int64_t i = (patch * layout_.lens_columns + t) * kLanes;
+      const auto lens_column = hn::Set(di, TI(t));
       // Rebound one by one: of one lane on ARM, GCC 12 takes the conjunction of integer masks, rebound, for false
-      const auto shown = hn::And(hn::RebindMask(d, hn::Gt(ordinal, before)), hn::RebindMask(d, hn::Lt(ordinal, end)));
+      const auto shown =
+          hn::And(hn::RebindMask(d, hn::Gt(lens_column, before)), hn::RebindMask(d, hn::Lt(lens_column, end)));
       alignas(64) uint64_t in_cells[kLanes];
       alignas(64) TI channels[kLanes];
       if constexpr (kCells)
@@ -404,7 +407,7 @@ class LensTile {
     const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
     patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + first_row(down)) + double(middle_row())) - x0_);
     const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
-    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
+    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_column_0) : T(0.5) * (low + high);
     patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
     if (layout_.by_lens && !kCells) {
       // Where all sub-pixels stand in stripes, the phases of the lanes say it more narrowly than the layout does
@@ -421,7 +424,7 @@ class LensTile {
   };
   void fill_cells() {
     for (int row = 0; row < kCellPeriod; ++row)
-      for (int m = 0; m < kRowPeriod + layout_.ordinals; ++m)
+      for (int m = 0; m < kRowPeriod + layout_.lens_columns; ++m)
         cells_.push_back({lens_.phase_x * uint64_t(m) + lens_.cells.phases[row][m % kRowPeriod],
                           lens_.cells.channels[row][m % kRowPeriod]});
   }
@@ -462,8 +465,8 @@ class LensTile {
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
   Rows rows_[kDown];
-  // Of each patch: its middle row; its first sample; the mean x of its samples at ordinal 0; the centre and half spread
-  // of their offsets
+  // Of each patch: its middle row; its first sample; the mean x of its samples at lens column 0; the centre and half
+  // spread of their offsets
   hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_sample_, patch_x_, patch_s_, patch_half_s_;
   hwy::AlignedFreeUniquePtr<TI[]> first_sample_, count_;  // of each patch, the range of vectors that a splat may touch
   hwy::AlignedFreeUniquePtr<uint16_t[]> list_;            // of vectors, by their first samples
@@ -471,11 +474,11 @@ class LensTile {
   int64_t ends_[kDown] = {};                              // where each group of rows ends in the list
   std::vector<uint8_t> alive_, row_of_vector_;
   std::vector<int64_t> starts_, anchors_;
-  std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + ordinals]
+  std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + lens_columns]
 };
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
 HWY_AFTER_NAMESPACE();
 
-#endif  // LFGS_CPU_LENS_TILE_INL_H_
+#endif  // LFGS_CPU_DIRECT_TILE_INL_H_

@@ -1,6 +1,6 @@
 // A coarse lattice over a part of the panel. LatticeNodes draws the light field at its nodes, all three channels at
 // once; LatticeErrors has what interpolation errs between them; LatticeRow interpolates, a row at a time. A plan says
-// where the nodes are (math/lattice_plan.h), lens_lattice-inl.h decides what is drawn from a lattice.
+// where the nodes are (math/lattice_plan.h), direct_lattice-inl.h decides what is drawn from a lattice.
 
 #if defined(LFGS_CPU_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LATTICE_INL_H_
@@ -159,13 +159,13 @@ class LatticeNodes {
     }
   }
 
-  // Lowers A on the lines of the planes from first to last by the share of opacity that a compensated splat keeps
+  // Lowers A on the lines of the planes from first to last by the compensation that a compensated splat keeps
   // there.
   HWY_NOINLINE void compensate(const Splat<float>& splat, const Compensation<float>& c, int first, int last) {
     for (int k = first, l = first * plan_.down; k <= last; ++k) {
-      const float s = s_.data[l], sharp = c.D0 + s * (c.D1 + s * c.D2), S = splat.S0 + s * (splat.S1 + s * splat.S2);
-      const float log2_share = sharp > 0 ? 0.5f * std::log2(sharp / S) : -1e3f;
-      for (int j = 0; j < plan_.down; ++j, ++l) A_.data[l] += log2_share;
+      const float s = s_.data[l], D = c.D0 + s * (c.D1 + s * c.D2), S = splat.S0 + s * (splat.S1 + s * splat.S2);
+      const float log2_compensation = D > 0 ? 0.5f * std::log2(D / S) : -1e3f;
+      for (int j = 0; j < plan_.down; ++j, ++l) A_.data[l] += log2_compensation;
     }
   }
 
@@ -367,7 +367,7 @@ class LatticeRow {
     const hn::RebindToSigned<D> di;
     // The cell, and the place in it
     const V plane = hn::Floor(up), between = hn::Sub(up, plane);
-    const V lean = lean_of(hn::ConvertTo(di, plane));
+    const V lean = plane_lean(hn::ConvertTo(di, plane));
     const V place = hn::NegMulAdd(lean, between, along), node = hn::Floor(place), past = hn::Sub(place, node);
     const V index = hn::MulAdd(plane, hn::Set(d, float(stride_)), node);
     const uint32_t* cells = cells_.get() + channel * plan_.planes * stride_;
@@ -388,7 +388,7 @@ class LatticeRow {
   int64_t bytes() const { return int64_t((size_ + bytes_.capacity()) * sizeof(uint32_t)); }
 
  private:
-  HWY_INLINE V lean_of(hn::Vec<hn::RebindToSigned<D>> plane) const {
+  HWY_INLINE V plane_lean(hn::Vec<hn::RebindToSigned<D>> plane) const {
     const D d;
     if (plan_.planes > kLanes) return hn::GatherIndex(d, plan_.lean, plane);
     return hn::TableLookupLanes(hn::LoadU(d, plan_.lean), hn::IndicesFromVec(d, plane));

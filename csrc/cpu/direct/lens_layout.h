@@ -14,17 +14,17 @@
 namespace lfgs {
 
 struct LensLayout {
-  bool by_lens = true;  // cells are lenses; false: cells are single sub-pixels
-  double pitch = 1;     // cell width, sub-pixels
-  double shear = 0;     // sub-pixels that the cells lean to the left per row
-  double origin = 0;    // cell coordinate (sub-pixels) of the image's top left corner
-  int ordinals = 1;     // most sub-pixels in a cell
+  bool by_lens = true;   // cells are lenses; false: cells are single sub-pixels
+  double pitch = 1;      // cell width, sub-pixels
+  double shear = 0;      // sub-pixels that the cells lean to the left per row
+  double origin = 0;     // cell coordinate (sub-pixels) of the image's top left corner
+  int lens_columns = 1;  // most sub-pixels in a cell
   int cells_per_tile = 16;
   double s_start = 0, s_step = 0;  // normalized offset s = s_start + s_step * x, in [-1, 1]
-  // At ordinal t the offsets of samples are within half_s of s_of_ordinal_0 + t * s_per_ordinal.
-  double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;
-  double x_per_ordinal = 1;  // pixels from one ordinal to the next; 1 where there is one ordinal only
-  float half_patch_px = 0;   // half spread in x of a patch's samples at one ordinal, within a row
+  // At lens column t the offsets of samples are within half_s of s_of_column_0 + t * s_per_column.
+  double s_of_column_0 = 0, s_per_column = 0, half_s = 0;
+  double x_per_column = 1;  // pixels from one lens column to the next; 1 where there is one lens column only
+  float half_patch_px = 0;  // half spread in x of a patch's samples at one lens column, within a row
   // For panels whose sub-pixels do not stand in stripes: how far from its stripe one stands at most, in sub-pixels; and
   // how many sub-pixels before the first stripe of a lens, and after its last, may belong to the lens too.
   double beyond = 0;
@@ -32,7 +32,7 @@ struct LensLayout {
 
   LensLayout(const Lens& lens, int cells_per_patch) {
     // A lens must hold a few sub-pixels, so that phases tell it from its neighbours (first_stripe). It may have 64
-    // ordinals at most: that is the room which LensTile has behind its list.
+    // lens columns at most: that is the room which DirectTile has behind its list.
     const double least = lens.has_cells ? 6 : 3, most = lens.has_cells ? 61 : 63;
     by_lens = lens.line_number >= least && lens.line_number <= most && lens.stands_in_order();
     beyond = lens.most_beyond();
@@ -40,11 +40,11 @@ struct LensLayout {
     if (by_lens) {
       pitch = lens.line_number, shear = 3 * lens.slant_tan, origin = lens.phase;
       lead = lens.has_cells ? 1 : 0;
-      ordinals = int(std::ceil(pitch)) + 2 * lead, x_per_ordinal = 1.0 / 3;
-      const double views_per_ordinal = double(lens.views) / pitch;
-      s_per_ordinal = s_step * views_per_ordinal;
-      s_of_ordinal_0 = s_start + (0.5 - lead) * s_per_ordinal;
-      half_s = std::abs(s_step) * ((0.5 + beyond) * views_per_ordinal + (lens.continuous ? 0 : 0.5)) + 1e-6;
+      lens_columns = int(std::ceil(pitch)) + 2 * lead, x_per_column = 1.0 / 3;
+      const double views_per_column = double(lens.views) / pitch;
+      s_per_column = s_step * views_per_column;
+      s_of_column_0 = s_start + (0.5 - lead) * s_per_column;
+      half_s = std::abs(s_step) * ((0.5 + beyond) * views_per_column + (lens.continuous ? 0 : 0.5)) + 1e-6;
     } else {
       cells_per_tile = 96;
     }
@@ -62,9 +62,9 @@ struct LensLayout {
     return std::abs(s_step) * (0.5 * double(lens.views) * std::ldexp(apart, -64) + (lens.continuous ? 0 : 0.5)) + 1e-6;
   }
 
-  int64_t samples() const { return int64_t(kBandRows) * cells_per_tile * ordinals; }
+  int64_t samples() const { return int64_t(kBandRows) * cells_per_tile * lens_columns; }
 
-  // Mean x, in pixels, of the samples at ordinal 0 of a cell.
+  // Mean x, in pixels, of the samples at lens column 0 of a cell.
   double cell_x(double cell, double row) const {
     return (cell * pitch - shear * row - origin - lead) / 3 + (by_lens ? 1.0 / 3 : 1.0 / 6);
   }
@@ -92,9 +92,9 @@ struct LensLayout {
     return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
   }
 
-  // The cells of all samples whose x + shear / 3 (y - 1/2), in pixels, is in [low, high]: the interval that columns_of
-  // finds.
-  Range cells_of(double low, double high) const {
+  // The cells of all samples whose x + shear / 3 (y - 1/2), in pixels, is in [low, high]: the interval that
+  // footprint_columns finds.
+  Range cell_range(double low, double high) const {
     const double aside = by_lens ? beyond : 0;
     return {int64_t(std::floor((3 * (low - 0.5) - aside + origin) / pitch - 1e-6)),
             int64_t(std::floor((3 * (high - 0.5) + 2 + aside + origin) / pitch + 1e-6))};

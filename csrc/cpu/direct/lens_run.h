@@ -6,7 +6,7 @@
 #include <cstring>
 #include <vector>
 
-#include "cpu/lens/lens_layout.h"
+#include "cpu/direct/lens_layout.h"
 #include "math/lattice_plan.h"
 
 namespace lfgs {

@@ -1,5 +1,5 @@
-// Stage project for the panel, and its reverse: Gaussians and the rig to splats, whose colours are polynomials in the
-// offset, or near the cameras on circles; and gradients of pairs to those of Gaussians.
+// Stage project for the panel, and its backward pass: Gaussians and the rig to splats, whose colours are polynomials in
+// the offset, or near the cameras on circles; and gradients of intersections to those of Gaussians.
 #include <algorithm>
 #include <vector>
 
@@ -32,8 +32,8 @@ void store_on_circle(int degree, const T* sh, const ColourCircle<double>& circle
 }  // namespace
 
 template <class T>
-double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
-                    const Quality& quality, double tolerance, const Splats<T>& out, int threads) {
+double project_direct(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
+                      const Quality& quality, double tolerance, const Splats<T>& out, int threads) {
   const int64_t n = gaussians.count;
   const int order = out.colour_order, nodes = order + 1;
   const ColourBasis basis(order);
@@ -46,12 +46,12 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
     std::vector<dvec3> chebyshev(nodes);
     for (int64_t i = begin; i < end; ++i) {
       // The splat, unless it is pruned or outside the image
-      const Shape<double> shape = shape_of(gaussians, i);
+      const Shape<double> shape = load_shape(gaussians, i);
       Compensation<double> compensation{};
       Splat<double> splat = projected(rig, shape, compensation);
-      const bool pruned = least_light > 0 && light_of(splat) < least_light;
+      const bool pruned = least_light > 0 && alpha_integral(splat) < least_light;
       if (quality.log2_cut > kLog2MinAlpha && !(quality.lattice > 0))
-        raise_cut(splat, quality.log2_cut, quality.rough());
+        raise_cut(splat, quality.log2_cut, quality.approximate());
       cull_outside(splat, lens.width_px, lens.height_px);
       if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
       out.splats[i] = splat_cast<T>(splat);
@@ -97,61 +97,62 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
 }
 
 template <class T>
-void project_lens_backward(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
-                           const Splats<T>& splats, const int64_t* first_pair, const T* pair_gradients,
-                           const Gaussians<T>& out, int threads) {
-  const int order = splats.colour_order, nodes = order + 1, size = pair_gradient_size(order, rig.compensated());
+void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
+                             const Splats<T>& splats, const int64_t* first_intersection,
+                             const T* intersection_gradients, const Gaussians<T>& out, int threads) {
+  const int order = splats.colour_order, nodes = order + 1, size = intersection_gradient_size(order, rig.compensated());
   const ColourBasis basis(order);
   parallel_for_chunks(gaussians.count, kGrain, threads, [&](int64_t begin, int64_t end, int) {
     std::vector<double> sum(size);
-    const PairGradient<double> g_pair{sum.data(), order};
+    const IntersectionGradient<double> g_intersection{sum.data(), order};
     std::vector<dvec3> g_chebyshev(nodes);
-    ViewAdjoint<double> unused;
+    CameraGradient<double> unused;
     for (int64_t i = begin; i < end; ++i) {
       const Splat<T>& splat = splats.splats[i];
       if (splat.reach_y < 0) continue;
-      sum_pairs(splat, lens.height_px, first_pair[i], size, pair_gradients, sum.data());
+      sum_intersections(splat, lens.height_px, first_intersection[i], size, intersection_gradients, sum.data());
 
       // The gradient of the splat, back to the Gaussian
-      const Shape<double> shape = shape_of(gaussians, i);
+      const Shape<double> shape = load_shape(gaussians, i);
       Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
       const Projection<double> projection(rig, shape);
-      const Splat<double> g_splat = g_pair.splat();
+      const Splat<double> g_splat = g_intersection.splat();
       if (rig.compensated()) {
         Splat<double> again = projection.splat(rig, shape.opacity);
-        Compensation<double> sharp;
-        const double most = projection.compensate(rig, again, sharp);
-        const Compensation<double>& g_sharp = g_pair.compensation();
-        projection.adjoint<true>(rig, shape, g_splat, g, unused,
-                                 {g_sharp.D0 / most, g_sharp.D1 / most, g_sharp.D2 / most});
+        Compensation<double> unused_D;
+        const double most = projection.compensate(rig, again, unused_D);
+        const Compensation<double>& g_compensation = g_intersection.compensation();
+        projection.backward<true>(rig, shape, g_splat, g, unused,
+                                  {g_compensation.D0 / most, g_compensation.D1 / most, g_compensation.D2 / most});
       } else {
-        projection.adjoint(rig, shape, g_splat, g, unused);
+        projection.backward(rig, shape, g_splat, g, unused);
       }
 
       // The gradient of the colours, back to harmonics and mean
       const T* colours = splats.colours + i * nodes * kColourStride;
       const int64_t first = 3 * gaussians.sh_count() * i;
       if (splats.orders[i] == kCircleOrder) {
-        g.mean += circle_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, ColourCircle(rig, shape.mean),
-                                        g_pair.colours(), out.sh + first);
+        g.mean += circle_colour_backward(gaussians.sh_degree, gaussians.sh + first, ColourCircle(rig, shape.mean),
+                                         g_intersection.colours(), out.sh + first);
         add_gradient(shape, g, out, i);
         continue;
       }
       auto to_harmonics = [&](double s, const dvec3& g_value) {
-        g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.eye_at(s), g_value,
-                                    out.sh + first);
+        g.mean += sh_colour_backward(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.eye_at(s), g_value,
+                                     out.sh + first);
       };
-      colour_fit_adjoint(basis, nodes, splats.orders[i], g_pair.colours(), colours, g_chebyshev.data(), to_harmonics);
+      colour_fit_backward(basis, nodes, splats.orders[i], g_intersection.colours(), colours, g_chebyshev.data(),
+                          to_harmonics);
       add_gradient(shape, g, out, i);
     }
   });
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                          \
-  template double project_lens(const Gaussians<const T>&, const View<double>&, const Lens&, const Quality&, double,  \
-                               const Splats<T>&, int);                                                               \
-  template void project_lens_backward(const Gaussians<const T>&, const View<double>&, const Lens&, const Splats<T>&, \
-                                      const int64_t*, const T*, const Gaussians<T>&, int);
+#define LFGS_INSTANTIATE(T)                                                                                     \
+  template double project_direct(const Gaussians<const T>&, const Camera<double>&, const Lens&, const Quality&, \
+                                 double, const Splats<T>&, int);                                                \
+  template void project_direct_backward(const Gaussians<const T>&, const Camera<double>&, const Lens&,          \
+                                        const Splats<T>&, const int64_t*, const T*, const Gaussians<T>&, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

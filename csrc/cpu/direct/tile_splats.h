@@ -28,7 +28,7 @@ class TileSplats {
         TileSplat<T>& to = all_[size_t(i)];
         to.splat = splats.splats[i];
         if (to.splat.reach_y < 0) continue;
-        if (raise) raise_cut(to.splat, T(quality.log2_cut), quality.rough());
+        if (raise) raise_cut(to.splat, T(quality.log2_cut), quality.approximate());
         to.root = InverseRoot<T>(to.splat);
       }
     });

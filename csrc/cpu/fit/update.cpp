@@ -40,13 +40,13 @@ HWY_ATTR int64_t move_chunk(const Update<T>& job, int64_t begin, int64_t end) {
   for (int k = 0; k < size; ++k) rates[k] = step.sh_rate(k);
   int64_t skipped = 0;
   for (int64_t i = begin; i < end; ++i) {
-    const FieldGradient<T> gradient(job, step, i);
+    const ParameterGradients<T> gradient(job, step, i);
     const int64_t at = i * size;
     if (!gradient.usable() || !all_usable(job.gradients.sh + at, size)) {
       ++skipped;
       continue;
     }
-    move_harmonics(step.adam, size, rates, job.gradients.sh + at, job.fields.sh + at, job.first.sh + at,
+    move_harmonics(step.adam, size, rates, job.gradients.sh + at, job.parameters.sh + at, job.first.sh + at,
                    job.second.sh + at);
     move_gaussian(job, step, gradient, i);
   }

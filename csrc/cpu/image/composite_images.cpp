@@ -1,7 +1,7 @@
-// Stage composite for ordinary images, and its reverse. It reads splats and their lists by band, and writes colour,
-// alpha and depth; the reverse writes the gradients of pairs and of the background. A work item is one band of one
-// image. A band is cut into tiles, a tile into patches of one vector each (4 columns, as many rows as fit), and splats
-// are blended into a tile nearest first.
+// Stage composite for ordinary images, and its backward pass. It reads splats and their lists by band, and writes
+// colour, alpha and depth; the backward pass writes the gradients of intersections and of the background. A work item
+// is one band of one image. A band is cut into tiles, a tile into patches of one vector each (4 columns, as many rows
+// as fit), and splats are blended into a tile nearest first.
 #include <algorithm>
 #include <iterator>
 #include <vector>
@@ -12,29 +12,29 @@
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "cpu/dense/composite_dense.cpp"
+#define HWY_TARGET_INCLUDE "cpu/image/composite_images.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "cpu/patches-inl.h"
 #include "math/over-inl.h"
 
-#ifndef LFGS_COMPOSITE_DENSE_ONCE
-#define LFGS_COMPOSITE_DENSE_ONCE
+#ifndef LFGS_COMPOSITE_IMAGES_ONCE
+#define LFGS_COMPOSITE_IMAGES_ONCE
 namespace lfgs {
-// Inputs of both directions; the reverse also reads what the forward wrote.
+// Inputs of both directions; the backward pass also reads what the forward wrote.
 template <class T>
-struct DenseJob {
+struct ImagesJob {
   Splats<T> splats;
   Bins bins;
   int64_t width_px, height_px;
   const T* background;  // [I, 3]
-  DenseImages<T> out;
-  DenseImages<const T> images, gradients;
-  const int64_t* first_pair;
-  T *pair_gradients, *band_background;
-  bool absolute;  // the reverse also sums up absolute gradients of the splats' places
-  bool backward;  // the direction; pair_gradients cannot tell, for it is also null where no splat is drawn
+  Images<T> out;
+  Images<const T> images, gradients;
+  const int64_t* first_intersection;
+  T *intersection_gradients, *band_background;
+  bool absolute;  // the backward pass also sums up absolute gradients of the splats' places
+  bool backward;  // the direction; intersection_gradients cannot tell, for it is also null where no splat is drawn
   int threads;
 };
 }  // namespace lfgs
@@ -46,7 +46,7 @@ namespace HWY_NAMESPACE {
 
 // One tile of 16 x 16 pixels: what its samples gather, a vector per patch.
 template <class T>
-struct DenseTile {
+struct ImageTile {
   using D = Tag<T>;
   using V = hn::Vec<D>;
   static constexpr int kLanes = int(hn::MaxLanes(D()));
@@ -60,7 +60,7 @@ struct DenseTile {
   Patches<T, kPatches> patches;
   int64_t image, x0, y0;
 
-  DenseTile() {
+  ImageTile() {
     for (int i = 0; i < kSamples; ++i) {
       const int patch = i / kLanes, lane = i % kLanes;
       x[i] = T(patch % kAcross * kColumns + lane % kColumns) + T(0.5);
@@ -88,11 +88,11 @@ struct DenseTile {
 
 // A splat as the samples of a tile read it.
 template <class T>
-struct DenseSplat : SplatTerms<T> {
+struct ImageSplat : SplatTerms<T> {
   using typename SplatTerms<T>::V;
   V channel[4];  // r, g, b, depth
 
-  HWY_INLINE DenseSplat(const Splat<T>& s, const T* colour, T u, T v) : SplatTerms<T>(s, u, v) {
+  HWY_INLINE ImageSplat(const Splat<T>& s, const T* colour, T u, T v) : SplatTerms<T>(s, u, v) {
     const Tag<T> d;
     channel[0] = hn::Set(d, colour[0]), channel[1] = hn::Set(d, colour[1]), channel[2] = hn::Set(d, colour[2]);
     channel[3] = hn::Set(d, s.depth);
@@ -101,8 +101,8 @@ struct DenseSplat : SplatTerms<T> {
 
 // Blends a splat into the patches that find() has marked.
 template <class T>
-void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
-  using Tile = DenseTile<T>;
+void ForwardSplat(ImageTile<T>& tile, const ImageSplat<T>& s) {
+  using Tile = ImageTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
   tile.patches.for_each_touched([&](int patch) HWY_ATTR {
@@ -116,11 +116,12 @@ void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
   });
 }
 
-// Adds to `out` the gradient of a pair: what the pixels of this tile give to the splat. math/over-inl.h has the
-// formula.
+// Adds to `out` the gradient of an intersection: what the pixels of this tile give to the splat. math/over-inl.h has
+// the formula.
 template <bool kAbsolute, class T>
-void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& splat, const PairGradient<T>& out) {
-  using Tile = DenseTile<T>;
+void BackwardSplat(ImageTile<T>& tile, const ImageSplat<T>& s, const Splat<T>& splat,
+                   const IntersectionGradient<T>& out) {
+  using Tile = ImageTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
   SplatSums<Tag<T>> sums(d);
@@ -142,9 +143,9 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
       v = hn::MulAdd(g, s.channel[k], v);
       g_channel[k] = hn::MulAdd(g, weight, g_channel[k]);
     }
-    const V g_alpha = OverAdjoint<true>(d, alpha, before, weight, v, tile.total + i, tile.prefix + i);
+    const V g_alpha = OverBackward<true>(d, alpha, before, weight, v, tile.total + i, tile.prefix + i);
     const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
-    const V g = ExponentAdjoint(d, g_alpha, alpha, free), e = hn::Mul(dx, s.inverse_S);
+    const V g = ExponentBackward(d, g_alpha, alpha, free), e = hn::Mul(dx, s.inverse_S);
     sums.Add(g, dy, e);
     if constexpr (kAbsolute) {
       const V twice = hn::Add(g, g), g_u = hn::Mul(twice, e);
@@ -164,14 +165,14 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
 }
 
 template <class T>
-void BeginForward(DenseTile<T>& tile) {
+void BeginForward(ImageTile<T>& tile) {
   for (auto& channel : tile.value) std::fill(std::begin(channel), std::end(channel), T(0));
   std::fill(std::begin(tile.transmittance), std::end(tile.transmittance), T(1));
 }
 
 // Adds the background and writes colour, alpha and depth.
 template <class T>
-void FinishForward(const DenseJob<T>& job, const DenseTile<T>& tile) {
+void FinishForward(const ImagesJob<T>& job, const ImageTile<T>& tile) {
   const T* background = job.background + 3 * tile.image;
   tile.for_each_pixel(job.width_px, job.height_px, [&](int i, int64_t pixel) {
     const T rest = tile.transmittance[i] > 0 ? tile.transmittance[i] : tile.rest[i];
@@ -181,10 +182,10 @@ void FinishForward(const DenseJob<T>& job, const DenseTile<T>& tile) {
   });
 }
 
-// Loads what the reverse reads at every sample: the gradients of colour and depth, and the total of math/over-inl.h,
-// which follows from the image. Adds the gradient of the background to g_background.
+// Loads what the backward pass reads at every sample: the gradients of colour and depth, and the total of
+// math/over-inl.h, which follows from the image. Adds the gradient of the background to g_background.
 template <class T>
-void BeginBackward(const DenseJob<T>& job, DenseTile<T>& tile, T* g_background) {
+void BeginBackward(const ImagesJob<T>& job, ImageTile<T>& tile, T* g_background) {
   for (auto& channel : tile.gradient) std::fill(std::begin(channel), std::end(channel), T(0));
   for (auto* a : {tile.total, tile.prefix, tile.transmittance}) std::fill(a, a + tile.kSamples, T(0));
   tile.for_each_pixel(job.width_px, job.height_px, [&](int i, int64_t pixel) {
@@ -204,8 +205,8 @@ void BeginBackward(const DenseJob<T>& job, DenseTile<T>& tile, T* g_background) 
 
 // Draws one band of one image, or takes its gradients, tile by tile.
 template <class T>
-void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, DenseTile<T>& tile, Counters& counters) {
-  using Tile = DenseTile<T>;
+void CompositeBand(const ImagesJob<T>& job, int64_t item, TileLists& lists, ImageTile<T>& tile, Counters& counters) {
+  using Tile = ImageTile<T>;
   const int64_t bands = band_count(job.height_px), image = item / bands, band = item % bands, y0 = band * kBandRows;
   const int64_t tiles = (job.width_px + Tile::kSide - 1) / Tile::kSide;
   const Splat<T>* splats = job.splats.splats + image * job.splats.count;
@@ -215,12 +216,12 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
   const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
   lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
     T left, right;
-    if (!columns_of(splats[id], low, high, T(0), left, right)) return {0, -1};
+    if (!footprint_columns(splats[id], low, high, T(0), left, right)) return {0, -1};
     const Range pixels = pixels_within(left, right, job.width_px);
     if (pixels.last < pixels.first) return {0, -1};
     return {pixels.first / Tile::kSide, pixels.last / Tile::kSide};
   });
-  counters.pairs += lists.pairs();
+  counters.intersections += lists.intersections();
 
   // Tile by tile, splats nearest first
   for (int64_t t = 0; t < tiles; ++t) {
@@ -236,16 +237,17 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
       if (found == 0) continue;
       counters.evaluations += found * Tile::kLanes;
       const int64_t index = image * job.splats.count + *id;
-      const DenseSplat<T> s(splat, job.splats.colours + index * kColourStride, u, v);
+      const ImageSplat<T> s(splat, job.splats.colours + index * kColourStride, u, v);
       if (!job.backward) {
         ForwardSplat(tile, s);
         continue;
       }
 
-      // The gradient of this pair: pairs of a splat are numbered by its bands
-      const int64_t own_band = band - rows_of(splat, job.height_px).first / kBandRows;
-      const int64_t pair = job.first_pair[index] + own_band;
-      const PairGradient<T> out{job.pair_gradients + pair * dense_pair_gradient_size(job.absolute)};
+      // The gradient of this intersection: intersections of a splat are numbered by its bands
+      const int64_t own_band = band - footprint_rows(splat, job.height_px).first / kBandRows;
+      const int64_t intersection = job.first_intersection[index] + own_band;
+      const IntersectionGradient<T> out{job.intersection_gradients +
+                                        intersection * image_intersection_gradient_size(job.absolute)};
       if (job.absolute)
         BackwardSplat<true>(tile, s, splat, out);
       else
@@ -256,11 +258,11 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
 }
 
 template <class T>
-Counters CompositeDense(const DenseJob<T>& job) {
+Counters CompositeImages(const ImagesJob<T>& job) {
   const int64_t items = job.splats.images * band_count(job.height_px);
   std::vector<TileLists> lists(size_t(std::max(job.threads, 1)));
   std::vector<Counters> counters(lists.size());
-  auto tiles = hwy::MakeUniqueAlignedArray<DenseTile<T>>(lists.size());
+  auto tiles = hwy::MakeUniqueAlignedArray<ImageTile<T>>(lists.size());
   parallel_for(items, job.threads, [&](int64_t item, int worker) {
     const size_t w = size_t(worker);
     CompositeBand(job, item, lists[w], tiles[w], counters[w]);
@@ -268,12 +270,12 @@ Counters CompositeDense(const DenseJob<T>& job) {
   Counters sum;
   for (size_t w = 0; w < lists.size(); ++w) {
     sum += counters[w];
-    sum.scratch_bytes += lists[w].bytes() + int64_t(sizeof(DenseTile<T>));
+    sum.scratch_bytes += lists[w].bytes() + int64_t(sizeof(ImageTile<T>));
   }
   return sum;
 }
 
-LFGS_FOR_EVERY_TARGET(CompositeDense, DenseJob)
+LFGS_FOR_EVERY_TARGET(CompositeImages, ImagesJob)
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
@@ -283,36 +285,36 @@ HWY_AFTER_NAMESPACE();
 namespace lfgs {
 namespace {
 
-LFGS_DISPATCH(CompositeDense, DenseJob)
+LFGS_DISPATCH(CompositeImages, ImagesJob)
 
 }  // namespace
 
 template <class T>
-Counters composite_dense(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
-                         DenseImages<T> out, int threads) {
-  DenseJob<T> job{};
+Counters composite_images(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
+                          Images<T> out, int threads) {
+  ImagesJob<T> job{};
   job.splats = splats, job.bins = bins, job.background = background, job.out = out, job.threads = threads;
   job.width_px = cameras.width_px, job.height_px = cameras.height_px;
   return dispatch(job);
 }
 
 template <class T>
-Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
-                                  DenseImages<const T> images, DenseImages<const T> gradients, bool absolute,
-                                  const int64_t* first_pair, T* pair_gradients, T* band_background, int threads) {
-  DenseJob<T> job{};
+Counters composite_images_backward(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
+                                   Images<const T> images, Images<const T> gradients, bool absolute,
+                                   const int64_t* first_intersection, T* intersection_gradients, T* band_background,
+                                   int threads) {
+  ImagesJob<T> job{};
   job.splats = splats, job.bins = bins, job.background = background, job.threads = threads;
-  job.images = images, job.gradients = gradients, job.absolute = absolute, job.first_pair = first_pair;
-  job.pair_gradients = pair_gradients, job.band_background = band_background, job.backward = true;
+  job.images = images, job.gradients = gradients, job.absolute = absolute, job.first_intersection = first_intersection;
+  job.intersection_gradients = intersection_gradients, job.band_background = band_background, job.backward = true;
   job.width_px = cameras.width_px, job.height_px = cameras.height_px;
   return dispatch(job);
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                            \
-  template Counters composite_dense(const Splats<T>&, Bins, const Cameras<T>&, const T*, DenseImages<T>, int);         \
-  template Counters composite_dense_backward(const Splats<T>&, Bins, const Cameras<T>&, const T*,                      \
-                                             DenseImages<const T>, DenseImages<const T>, bool, const int64_t*, T*, T*, \
-                                             int);
+#define LFGS_INSTANTIATE(T)                                                                                         \
+  template Counters composite_images(const Splats<T>&, Bins, const Cameras<T>&, const T*, Images<T>, int);          \
+  template Counters composite_images_backward(const Splats<T>&, Bins, const Cameras<T>&, const T*, Images<const T>, \
+                                              Images<const T>, bool, const int64_t*, T*, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

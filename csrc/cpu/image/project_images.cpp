@@ -1,5 +1,5 @@
-// Stage project for ordinary images, and its reverse: Gaussians and cameras to splats with colours, and gradients of
-// pairs to those of Gaussians and cameras.
+// Stage project for ordinary images, and its backward pass: Gaussians and cameras to splats with colours, and gradients
+// of intersections to those of Gaussians and cameras.
 #include <algorithm>
 #include <vector>
 
@@ -13,17 +13,17 @@ namespace lfgs {
 using glm::dvec3;
 
 template <class T>
-void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads) {
+void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads) {
   const int64_t n = gaussians.count, chunks = (n + kGrain - 1) / kGrain;
   parallel_for(cameras.images() * chunks, threads, [&](int64_t item, int) {
     const int64_t image = item / chunks, begin = item % chunks * kGrain, end = std::min(n, begin + kGrain);
     const Gaussians<const T> scene = gaussians.slice(image / cameras.per_scene * n);
-    const View<double> view = cameras.view(image);
-    const dvec3 eye = view.centre();
+    const Camera<double> camera = cameras.camera(image);
+    const dvec3 eye = camera.centre();
     for (int64_t i = begin; i < end; ++i) {
-      const Shape<double> shape = shape_of(scene, i);
+      const Shape<double> shape = load_shape(scene, i);
       Compensation<double> unused;
-      Splat<double> splat = projected(view, shape, unused);
+      Splat<double> splat = projected(camera, shape, unused);
       cull_outside(splat, cameras.width_px, cameras.height_px);
       out.splats[image * n + i] = splat_cast<T>(splat);
       T* stored = out.colours + (image * n + i) * kColourStride;
@@ -36,12 +36,12 @@ void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& camera
 }
 
 template <class T>
-void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
-                            const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out, T* screen,
-                            bool absolute, T* g_world_to_camera, int threads) {
+void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
+                             const int64_t* first_intersection, const T* intersection_gradients,
+                             const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, int threads) {
   const int64_t n = gaussians.count, chunks = (n + kGrain - 1) / kGrain;
-  const int size = dense_pair_gradient_size(absolute), screen_numbers = absolute ? 4 : 2;
-  std::vector<ViewAdjoint<double>> partial(cameras.images() * chunks);
+  const int size = image_intersection_gradient_size(absolute), screen_numbers = absolute ? 4 : 2;
+  std::vector<CameraGradient<double>> partial(cameras.images() * chunks);
 
   // A work item is a chunk of one scene's Gaussians, and takes the cameras of the scene in order. What it adds to a
   // camera's gradient is kept by chunk, so that the sum does not depend on the threads.
@@ -50,56 +50,57 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
     const Gaussians<const T> scene = gaussians.slice(b * n);
     const Gaussians<T> g_scene = out.slice(b * n);
     std::vector<double> sum(size);
-    const PairGradient<double> g_pair{sum.data()};
+    const IntersectionGradient<double> g_intersection{sum.data()};
     std::vector<Shape<double>> over_views(end - begin, Shape<double>{dvec3(0), glm::dvec4(0), dvec3(0), 0});
     for (int64_t v = 0; v < cameras.per_scene; ++v) {
       const int64_t image = b * cameras.per_scene + v;
-      const View<double> view = cameras.view(image);
-      const dvec3 eye = view.centre();
-      ViewAdjoint<double>& g_view = partial[image * chunks + item % chunks];
+      const Camera<double> camera = cameras.camera(image);
+      const dvec3 eye = camera.centre();
+      CameraGradient<double>& g_camera = partial[image * chunks + item % chunks];
       dvec3 g_eye(0);
       for (int64_t i = begin; i < end; ++i) {
         const Splat<T>& splat = splats.splats[image * n + i];
         T* place = screen ? screen + (image * n + i) * screen_numbers : nullptr;
         if (place) std::fill_n(place, screen_numbers, T(0));
         if (splat.reach_y < 0) continue;
-        sum_pairs(splat, cameras.height_px, first_pair[image * n + i], size, pair_gradients, sum.data());
+        sum_intersections(splat, cameras.height_px, first_intersection[image * n + i], size, intersection_gradients,
+                          sum.data());
 
         // From the splat to the Gaussian and the camera
-        const Shape<double> shape = shape_of(scene, i);
+        const Shape<double> shape = load_shape(scene, i);
         Shape<double>& g = over_views[i - begin];
-        const Projection<double> projection(view, shape);
-        Splat<double> g_splat = g_pair.splat();
-        if (view.compensated()) {
-          const Compensation<double> g_sharp = projection.compensate_adjoint(view, g_splat);
-          projection.adjoint<true>(view, shape, g_splat, g, g_view, g_sharp);
+        const Projection<double> projection(camera, shape);
+        Splat<double> g_splat = g_intersection.splat();
+        if (camera.compensated()) {
+          const Compensation<double> g_compensation = projection.compensate_backward(camera, g_splat);
+          projection.backward<true>(camera, shape, g_splat, g, g_camera, g_compensation);
         } else {
-          projection.adjoint(view, shape, g_splat, g, g_view);
+          projection.backward(camera, shape, g_splat, g, g_camera);
         }
 
         if (place) place[0] = saturated<T>(g_splat.u0), place[1] = saturated<T>(g_splat.v0);
-        for (int k = 2; place && k < screen_numbers; ++k) place[k] = saturated<T>(g_pair.absolute()[k - 2]);
+        for (int k = 2; place && k < screen_numbers; ++k) place[k] = saturated<T>(g_intersection.absolute()[k - 2]);
 
         // Colours, through their clamp at zero
         const T* colour = splats.colours + (image * n + i) * kColourStride;
         dvec3 g_colour(0);
-        for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_pair.colours()[c] : 0.0;
+        for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_intersection.colours()[c] : 0.0;
         const int64_t k = 3 * scene.sh_count() * i;
         const dvec3 g_mean =
-            sh_colour_adjoint(scene.sh_degree, scene.sh + k, shape.mean, eye, g_colour, g_scene.sh + k);
+            sh_colour_backward(scene.sh_degree, scene.sh + k, shape.mean, eye, g_colour, g_scene.sh + k);
         g.mean += g_mean;
         g_eye -= g_mean;
       }
       // The eye is -R^T t
-      g_view.rotation += glm::outerProduct(-view.translation, g_eye);
-      g_view.translation -= view.rotation * g_eye;
+      g_camera.rotation += glm::outerProduct(-camera.translation, g_eye);
+      g_camera.translation -= camera.rotation * g_eye;
     }
-    for (int64_t i = begin; i < end; ++i) add_gradient(shape_of(scene, i), over_views[i - begin], g_scene, i);
+    for (int64_t i = begin; i < end; ++i) add_gradient(load_shape(scene, i), over_views[i - begin], g_scene, i);
   });
 
   // Gradients of the cameras, summed over chunks
   for (int64_t image = 0; image < cameras.images(); ++image) {
-    ViewAdjoint<double> g;
+    CameraGradient<double> g;
     for (int64_t c = 0; c < chunks; ++c) {
       g.rotation += partial[image * chunks + c].rotation;
       g.translation += partial[image * chunks + c].translation;
@@ -112,10 +113,10 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
   }
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                            \
-  template void project_dense(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);                    \
-  template void project_dense_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, const int64_t*, \
-                                       const T*, const Gaussians<T>&, T*, bool, T*, int);
+#define LFGS_INSTANTIATE(T)                                                                             \
+  template void project_images(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);    \
+  template void project_images_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, \
+                                        const int64_t*, const T*, const Gaussians<T>&, T*, bool, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

@@ -110,7 +110,7 @@ struct SubpixelBatch {
       const T left = transmittance[i] > 0 ? transmittance[i] : rest[i];
       const T c = value[i] + left * job.background[channel[i]];
       if (job.out8)
-        job.out8[place[i]] = byte_of(c);
+        job.out8[place[i]] = to_byte(c);
       else
         job.out[place[i]] = c;
     }
@@ -136,12 +136,12 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
   lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
     T left, right;
-    if (!columns_of(splats[id], low, high, T(0), left, right)) return {0, -1};
+    if (!footprint_columns(splats[id], low, high, T(0), left, right)) return {0, -1};
     const Range pixels = pixels_within(left, right, job.width_px);
     if (pixels.last < pixels.first) return {0, -1};
     return {pixels.first / tile.width_px, pixels.last / tile.width_px};
   });
-  counters.pairs += lists.pairs();
+  counters.intersections += lists.intersections();
 
   // Tile by tile and batch by batch, splats nearest first
   for (int64_t t = 0; t < tiles; ++t) {
@@ -162,8 +162,8 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   }
 }
 
-// The groups of bands in the order of their pairs, most first and the upper of equals: then the last work items to be
-// handed out are small, and threads end together.
+// The groups of bands in the order of their intersections, most first and the upper of equals: then the last work items
+// to be handed out are small, and threads end together.
 template <class T>
 std::vector<int64_t> HeaviestFirst(const SortedJob<T>& job) {
   const int64_t bands = band_count(job.height_px), groups = (bands + kBandsPerItem - 1) / kBandsPerItem;

@@ -120,7 +120,7 @@ class RowPhases {
   RowPhases(const Lens& lens, int64_t row) : step_(lens.phase_x * 3) {
     for (int64_t column = 0; column < kCellPeriod; ++column)
       for (int channel = 0; channel < 3; ++channel)
-        first_[column][channel] = lens.true_phase(row, lens.subpixel_of(row, column, channel));
+        first_[column][channel] = lens.true_phase(row, lens.subpixel_index(row, column, channel));
   }
   uint64_t at(int64_t column, int channel) const {
     const int64_t within = column % kCellPeriod;

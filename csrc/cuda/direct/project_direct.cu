@@ -1,7 +1,7 @@
 // Stage project for the lens sensor on the device: reads Gaussians, writes splats with their colour polynomials and the
 // keys by which they are sorted. A thread has a Gaussian.
 #include "cuda/common/check.h"
-#include "cuda/lens/project_lens.cuh"
+#include "cuda/direct/project_direct.cuh"
 #include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
@@ -10,9 +10,9 @@ namespace {
 constexpr int kThreads = 128;
 
 template <int Order, bool kCompensated>
-__global__ void project_lens_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig, int64_t width_px,
-                                    int64_t height_px, const __grid_constant__ BasisTable basis, ColourLimits limits,
-                                    Splats<float> out, uint64_t* keys, unsigned* error) {
+__global__ void project_direct_kernel(Gaussians<const float> gaussians, const __grid_constant__ RoundedRig rig,
+                                      int64_t width_px, int64_t height_px, const __grid_constant__ BasisTable basis,
+                                      ColourLimits limits, Splats<float> out, uint64_t* keys, unsigned* error) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
   const Splat<float> splat =
@@ -23,17 +23,17 @@ __global__ void project_lens_kernel(Gaussians<const float> gaussians, const __gr
 
 }  // namespace
 
-void project_lens(const Gaussians<const float>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
-                  const Splats<float>& out, uint64_t* keys, float* error, Stream stream) {
+void project_direct(const Gaussians<const float>& gaussians, const Camera<double>& rig, const Lens& lens,
+                    double tolerance, const Splats<float>& out, uint64_t* keys, float* error, Stream stream) {
   if (gaussians.count == 0) return;
   const BasisTable basis{ColourBasis(out.colour_order)};
   const unsigned blocks = unsigned(blocks_for(gaussians.count, kThreads));
   with_order(out.colour_order, rig.compensated(), [&](auto order, auto compensated) {
-    project_lens_kernel<order, compensated><<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, Rig(rig), lens.width_px, lens.height_px, basis, ColourLimits{float(tolerance), float(tolerance)},
-        out, keys, reinterpret_cast<unsigned*>(error));
+    project_direct_kernel<order, compensated><<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
+        gaussians, RoundedRig(rig), lens.width_px, lens.height_px, basis,
+        ColourLimits{float(tolerance), float(tolerance)}, out, keys, reinterpret_cast<unsigned*>(error));
   });
-  check_launch("project_lens");
+  check_launch("project_direct");
 }
 
 }  // namespace lfgs::cuda

@@ -1,4 +1,4 @@
-// Projection for the lens sensor on the device, a Gaussian at a time: what project_lens and frame_project have in
+// Projection for the lens sensor on the device, a Gaussian at a time: what project_direct and frame_project have in
 // common. It reads a Gaussian, and writes its splat, its colour polynomial and where asked its depth. Arithmetic is in
 // float, but for where the mean is seen, and for the shapes of compensated splats.
 #pragma once
@@ -10,7 +10,7 @@
 #include "cuda/common/compensated.cuh"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/lens/lens_rig.cuh"
+#include "cuda/direct/rounded_rig.cuh"
 #include "math/colour_circle.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
@@ -24,7 +24,7 @@ namespace lfgs::cuda {
 // and 27 times as much (Bernstein). The angle on the circle is an arctangent of s, whose derivatives are at most slope,
 // 0.65 slope^2 and 2 slope^3.
 __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const glm::vec3& mean,
-                                       const View<float>& rig) {
+                                       const Camera<float>& rig) {
   constexpr float kBound = 2.31f;
   float square = 0;
 #pragma unroll
@@ -40,15 +40,15 @@ struct CircleOfGaussian {
   ColourCircle<float> circle;
   glm::vec3 terms[kCircleTerms];
 
-  __device__ CircleOfGaussian(const Gaussians<const float>& g, const View<double>& rig, int64_t i)
-      : circle(ColourCircle<double>(rig, glm::dvec3(shape_of(g, i).mean))) {
+  __device__ CircleOfGaussian(const Gaussians<const float>& g, const Camera<double>& rig, int64_t i)
+      : circle(ColourCircle<double>(rig, glm::dvec3(load_shape(g, i).mean))) {
     circle_colour(g.sh_degree, g.sh + 3 * g.sh_count() * i, circle, terms);
   }
 };
 
 // Stores the colour of one drawn splat on its circle. The fourth number of the first term takes the place of the order:
 // it is larger than any order, so that a kernel that knows only polynomials passes it over.
-__device__ inline __noinline__ void store_on_circle(const Gaussians<const float> gaussians, const View<double>& rig,
+__device__ inline __noinline__ void store_on_circle(const Gaussians<const float> gaussians, const Camera<double>& rig,
                                                     int64_t i, const Splats<float> out) {
   constexpr float kNoOrder = 1000;
   const CircleOfGaussian colour(gaussians, rig, i);
@@ -73,11 +73,11 @@ struct ColourLimits {
 // that would err too much, the colour is stored on its circle. watch(circle, amplitudes) is told
 // of every colour of an order above 2, since parabolas need no watching.
 template <int Order, class Watch>
-__device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean, const Rig& rigs,
-                                     const BasisTable& basis, const ColourLimits& limits, int64_t i,
-                                     const Splats<float>& out, unsigned* error, const Watch& watch) {
+__device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean,
+                                     const RoundedRig& rigs, const BasisTable& basis, const ColourLimits& limits,
+                                     int64_t i, const Splats<float>& out, unsigned* error, const Watch& watch) {
   constexpr int kNodes = Order + 1;
-  const View<float>& rig = rigs.rounded;
+  const Camera<float>& rig = rigs.rounded;
 
   // Chebyshev coefficients
   float sh[3 * kMaxShCount];  // read once, in registers
@@ -131,7 +131,7 @@ __device__ inline void store_colour(const Gaussians<const float>& gaussians, int
 
 // Sets where the mean is seen, from arithmetic in double: on a panel of thousands of pixels the last digits of a float
 // show in small splats, by a dB. Returns what rounding took from u0 and v0.
-__device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& mean, Splat<float>& splat) {
+__device__ inline float2 place_mean(const Camera<double>& rig, const glm::vec3& mean, Splat<float>& splat) {
   const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
   const double iz = 1 / t.z, u = rig.fx * t.x * iz + rig.cx, v = rig.fy * t.y * iz + rig.cy;
   splat.u0 = float(u), splat.v0 = float(v), splat.du = float(rig.sweep * rig.fx * (rig.inverse_zero_depth - iz));
@@ -146,12 +146,12 @@ __device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& me
 // null, the depth goes there, and its place in the splat receives what rounding took from u0 and v0, see
 // whole_splat_about(). watch(splat, circle, amplitudes) is told of every colour of an order above 2.
 template <int Order, bool kCompensated, class Watch>
-__device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
+__device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const RoundedRig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, const ColourLimits& limits, float cut,
                                     bool by_patches, float least_light, int64_t i, const Splats<float>& out,
                                     uint32_t* depths, unsigned* error, const Watch& watch) {
-  const View<float>& rig = rigs.rounded;
-  const Shape<float> shape = shape_of(gaussians, i);
+  const Camera<float>& rig = rigs.rounded;
+  const Shape<float> shape = load_shape(gaussians, i);
   Splat<float> splat;
   if constexpr (kCompensated)
     splat = compensated_splat(rigs.exact, shape, out.compensations[i]);
@@ -160,7 +160,7 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   const float2 rest = splat.reach_y >= 0 ? place_mean(rigs.exact, shape.mean, splat) : make_float2(0, 0);
 
   // Prune and cull
-  const bool pruned = least_light > 0 && light_of(splat) < least_light;
+  const bool pruned = least_light > 0 && alpha_integral(splat) < least_light;
   if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
   cull_outside(splat, width_px, height_px);
   if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "math/colour_polynomial.h"
-#include "scene/view.h"
+#include "scene/camera.h"
 
 namespace lfgs::cuda {
 
@@ -20,23 +20,23 @@ struct BasisTable {
   }
 };
 
-inline View<float> rounded(const View<double>& rig) {
-  View<float> view;
-  view.rotation = glm::mat3(rig.rotation), view.translation = glm::vec3(rig.translation);
-  view.fx = float(rig.fx), view.fy = float(rig.fy), view.cx = float(rig.cx), view.cy = float(rig.cy);
-  view.x_low = float(rig.x_low), view.x_high = float(rig.x_high);
-  view.y_low = float(rig.y_low), view.y_high = float(rig.y_high);
-  view.offset = float(rig.offset), view.sweep = float(rig.sweep);
-  view.inverse_zero_depth = float(rig.inverse_zero_depth);
-  return view;
+inline Camera<float> rounded(const Camera<double>& rig) {
+  Camera<float> camera;
+  camera.rotation = glm::mat3(rig.rotation), camera.translation = glm::vec3(rig.translation);
+  camera.fx = float(rig.fx), camera.fy = float(rig.fy), camera.cx = float(rig.cx), camera.cy = float(rig.cy);
+  camera.x_low = float(rig.x_low), camera.x_high = float(rig.x_high);
+  camera.y_low = float(rig.y_low), camera.y_high = float(rig.y_high);
+  camera.offset = float(rig.offset), camera.sweep = float(rig.sweep);
+  camera.inverse_zero_depth = float(rig.inverse_zero_depth);
+  return camera;
 }
 
 // A rig as it is, and rounded to float for whatever does not need its last digits.
-struct Rig {
-  View<double> exact;
-  View<float> rounded;
+struct RoundedRig {
+  Camera<double> exact;
+  Camera<float> rounded;
 
-  explicit Rig(const View<double>& rig) : exact(rig), rounded(cuda::rounded(rig)) {}
+  explicit RoundedRig(const Camera<double>& rig) : exact(rig), rounded(cuda::rounded(rig)) {}
 };
 
 }  // namespace lfgs::cuda

@@ -13,7 +13,7 @@
 
 namespace lfgs::cuda {
 
-int64_t photo_loss_partials(int64_t views, int64_t height_px, int64_t width_px);
+int64_t photo_loss_partials(int64_t images, int64_t height_px, int64_t width_px);
 void photo_loss(const PhotoLoss<float>& job, Stream stream);
 
 void update(const Update<float>& job, Stream stream);

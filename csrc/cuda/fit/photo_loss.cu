@@ -15,8 +15,6 @@
 namespace lfgs::cuda {
 namespace {
 
-using Job = PhotoLoss<float>;
-
 // The sum over all threads of the block in a fixed order.
 __device__ double block_sum(double value) {
   __shared__ double parts[kStripSamples / 32];
@@ -48,17 +46,17 @@ struct PendingMoments {
 };
 
 // The first kernel's work on a sample whose moments are complete. Returns what it adds to the loss.
-__device__ float write_derivatives(const Job& job, const SsimMoments<float>& moments, int64_t sample) {
-  const Ssim<float> ssim = ssim_of(moments);
+__device__ float write_derivatives(const PhotoLoss<float>& job, const SsimMoments<float>& moments, int64_t sample) {
+  const Ssim<float> ssim = compute_ssim(moments);
   const float w = job.weight_at(sample), y = job.photo_at(sample);
   const int64_t samples = job.samples();
   job.derivatives[sample] = w * ssim.by_x;
   job.derivatives[sample + samples] = w * ssim.by_xx;
   job.derivatives[sample + 2 * samples] = w * ssim.by_xy;
-  return sample_loss(job.image_at(sample, y, w), y, w, ssim.value, float(job.ssim_share));
+  return sample_loss(job.image_at(sample, y, w), y, w, ssim.value, float(job.ssim_lambda));
 }
 
-__global__ void __launch_bounds__(kStripSamples) derivatives_kernel(Job job) {
+__global__ void __launch_bounds__(kStripSamples) derivatives_kernel(PhotoLoss<float> job) {
   __shared__ BatchRows image, photo;
   const Strip strip;
   const int64_t row = job.row(), column = strip.left + threadIdx.x;
@@ -86,22 +84,22 @@ __global__ void __launch_bounds__(kStripSamples) derivatives_kernel(Job job) {
 }
 
 // Adds up the sums of the first kernel's blocks.
-__device__ void write_loss(const Job& job) {
+__device__ void write_loss(const PhotoLoss<float>& job) {
   const int64_t blocks = int64_t(gridDim.x) * gridDim.y * gridDim.z;
   double sum = 0;
   for (int64_t i = threadIdx.x; i < blocks; i += kStripSamples) sum += job.partials[i];
   sum = block_sum(sum);
-  if (threadIdx.x == 0) *job.loss = float(sum * job.share_of_sample());
+  if (threadIdx.x == 0) *job.loss = float(sum * job.sample_weight());
 }
 
 // The second kernel's work on a sample.
-__device__ void write_gradient(const Job& job, const Pending (&by)[3], int64_t sample) {
+__device__ void write_gradient(const PhotoLoss<float>& job, const Pending (&by)[3], int64_t sample) {
   const float w = job.weight_at(sample), y = job.photo_at(sample), x = job.image_at(sample, y, w);
   const float ssim_by_x = ssim_gradient(by[0].complete(), by[1].complete(), by[2].complete(), x, y);
-  job.gradient[sample] = float(job.share_of_sample()) * sample_gradient(x, y, w, ssim_by_x, float(job.ssim_share));
+  job.gradient[sample] = float(job.sample_weight()) * sample_gradient(x, y, w, ssim_by_x, float(job.ssim_lambda));
 }
 
-__global__ void __launch_bounds__(kStripSamples) gradient_kernel(Job job) {
+__global__ void __launch_bounds__(kStripSamples) gradient_kernel(PhotoLoss<float> job) {
   __shared__ BatchRows derivatives[3];
   const Strip strip;
   const int64_t row = job.row(), column = strip.left + threadIdx.x, samples = job.samples();
@@ -125,22 +123,22 @@ __global__ void __launch_bounds__(kStripSamples) gradient_kernel(Job job) {
   if (blockIdx.x == 0 && blockIdx.y == 0 && blockIdx.z == 0) write_loss(job);
 }
 
-dim3 strips(int64_t views, int64_t height_px, int64_t width_px) {
+dim3 strips(int64_t images, int64_t height_px, int64_t width_px) {
   return {unsigned(blocks_for(3 * width_px, kStripSamples)), unsigned(blocks_for(height_px, kStripRows)),
-          unsigned(views)};
+          unsigned(images)};
 }
 
 }  // namespace
 
-int64_t photo_loss_partials(int64_t views, int64_t height_px, int64_t width_px) {
-  return views * blocks_for(height_px, kStripRows) * blocks_for(3 * width_px, kStripSamples);
+int64_t photo_loss_partials(int64_t images, int64_t height_px, int64_t width_px) {
+  return images * blocks_for(height_px, kStripRows) * blocks_for(3 * width_px, kStripSamples);
 }
 
-void photo_loss(const Job& job, Stream stream) {
-  require(job.views <= kMostImages && blocks_for(job.height_px, kStripRows) <= kMostImages,
-          std::to_string(job.views) + " views of " + std::to_string(job.height_px) +
-              " rows are too many for one call on CUDA: at most 65,535 views and 2,097,120 rows");
-  const dim3 blocks = strips(job.views, job.height_px, job.width_px);
+void photo_loss(const PhotoLoss<float>& job, Stream stream) {
+  require(job.images <= kMostImages && blocks_for(job.height_px, kStripRows) <= kMostImages,
+          std::to_string(job.images) + " images of " + std::to_string(job.height_px) +
+              " rows are too many for one call on CUDA: at most 65,535 images and 2,097,120 rows");
+  const dim3 blocks = strips(job.images, job.height_px, job.width_px);
   derivatives_kernel<<<blocks, kStripSamples, 0, cudaStream_t(stream)>>>(job);
   check_launch("photo_loss");
   gradient_kernel<<<blocks, kStripSamples, 0, cudaStream_t(stream)>>>(job);

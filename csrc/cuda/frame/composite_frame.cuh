@@ -5,19 +5,19 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/halves.cuh"
-#include "cuda/frame/lens_frame.h"
+#include "cuda/frame/direct_frame.h"
 #include "math/projection.h"
 
 namespace lfgs::cuda {
 
-// The lists of a frame: splats, nearest first. A frame with more pairs than its lists hold has one list for all tiles,
-// of all splats drawn; then `ranges` is null.
+// The lists of a frame: splats, nearest first. A frame with more intersections than its lists hold has one list for all
+// tiles, of all splats drawn; then `ranges` is null.
 struct Lists {
   const uint32_t* ids;
   const uint2* ranges;
   unsigned drawn;
 
-  __device__ explicit Lists(const LensFrame& frame) {
+  __device__ explicit Lists(const DirectFrame& frame) {
     ids = frame.ids, drawn = frame.state->drawn;
     ranges = frame.overfull() ? nullptr : reinterpret_cast<const uint2*>(frame.ranges);
   }
@@ -26,10 +26,10 @@ struct Lists {
 };
 
 // How many tiles the kernel chosen has to draw, those that a lattice refused or all; and the number of the i-th.
-__device__ inline unsigned tiles_to_draw(const LensFrame& frame, const Tiling& tiling) {
+__device__ inline unsigned tiles_to_draw(const DirectFrame& frame, const Tiling& tiling) {
   return frame.state->lattices ? frame.state->refused_tiles : unsigned(tiling.across * tiling.down);
 }
-__device__ inline unsigned tile_to_draw(const LensFrame& frame, unsigned i) {
+__device__ inline unsigned tile_to_draw(const DirectFrame& frame, unsigned i) {
   return frame.state->lattices ? frame.refused[i] : i;
 }
 
@@ -39,7 +39,7 @@ struct WorkQueue {
   unsigned* next;
   unsigned claimed = 0;
 
-  __device__ WorkQueue(const LensFrame& frame, LensKernel kernel) : next(&frame.state->next_tile[int(kernel)]) {}
+  __device__ WorkQueue(const DirectFrame& frame, FrameKernel kernel) : next(&frame.state->next_tile[int(kernel)]) {}
   // Asks for the next piece. Called by one of the threads that share it; the first `first` pieces are handed out
   // without asking, one to each block or warp.
   __device__ void claim(unsigned first) { claimed = first + atomicAdd(next, 1u); }

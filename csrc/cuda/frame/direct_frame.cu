@@ -1,6 +1,6 @@
-// Makes a LensFrame: rounds the lens for kernels, finds the sizes of tilings and of ordinals, and lays out the work
-// buffer. On the host only.
-#include "cuda/frame/lens_frame.h"
+// Makes a DirectFrame: rounds the lens for kernels, finds the sizes of tilings and of lens columns, and lays out the
+// work buffer. On the host only.
+#include "cuda/frame/direct_frame.h"
 
 #include <algorithm>
 #include <cmath>
@@ -8,14 +8,14 @@
 #include "base/error.h"
 #include "cuda/common/parts.h"
 #include "cuda/frame/lattice.cuh"
-#include "cuda/lens/lens_rig.cuh"
+#include "cuda/direct/rounded_rig.cuh"
 #include "cuda/frame/root_series.cuh"
 
 namespace lfgs::cuda {
 namespace {
 
-// Error of a colour that is a parabola within an ordinal, times the splat's opacity: half of 1/255.
-constexpr double kOrdinalColourError = 2e-3;
+// Error of a colour that is a parabola within a lens column, times the splat's opacity: half of 1/255.
+constexpr double kLensColumnColourError = 2e-3;
 constexpr int64_t kMostTiles = int64_t(1) << 31;
 
 // By how many sub-pixels the lenses lean over the height of the panel; and the smallest D - origin on the panel, which
@@ -23,25 +23,25 @@ constexpr int64_t kMostTiles = int64_t(1) << 31;
 double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
 double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
 
-// How many ordinals lie before the first stripe of a lens.
-int lead_of(const Lens& lens) { return lens.has_cells ? 1 : 0; }
+// How many lens columns lie before the first stripe of a lens.
+int lead(const Lens& lens) { return lens.has_cells ? 1 : 0; }
 
-// Which views each ordinal sees, as offsets and as camera coordinates.
-Ordinals ordinals_of(const Lens& lens) {
-  Ordinals out{};
-  const int lead = lead_of(lens);
+// Which views each lens column sees, as offsets and as camera coordinates.
+LensColumns make_lens_columns(const Lens& lens) {
+  LensColumns out{};
+  const int lead = lead(lens);
   const double beyond = lens.most_beyond();
-  out.count = int(std::ceil(lens.line_number)) + 2 * lead, out.per_group = kGroupOrdinals;
-  out.groups = (out.count + kGroupOrdinals - 1) / kGroupOrdinals;
+  out.count = int(std::ceil(lens.line_number)) + 2 * lead, out.per_group = kGroupColumns;
+  out.groups = (out.count + kGroupColumns - 1) / kGroupColumns;
   out.first_lens = int(std::floor((lowest_phase(lens) - beyond) / lens.line_number));
 
-  // How many views an ordinal sees, and the power of 2 that brings half of them to about 1
+  // How many views a lens column sees, and the power of 2 that brings half of them to about 1
   const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
   const double seen = (1 + 2 * beyond) * views_each + (lens.continuous ? 0 : 1);
   out.view_unit = float(std::exp2(-std::ceil(std::log2(seen / 2))));
 
   // The middle and half of the range of each; whole views have their cameras at n + 1/2
-  for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
+  for (int t = 0; t < std::min(out.count, kMostLensColumns); ++t) {
     double low = (t - lead - beyond) * views_each, high = (t - lead + 1 + beyond) * views_each;
     if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;
     const double least = lens.continuous ? 0 : 0.5, most = lens.continuous ? last + 1 : last + 0.5;
@@ -54,7 +54,7 @@ Ordinals ordinals_of(const Lens& lens) {
     out.widest = std::max(out.widest, out.half[t]);
   }
 
-  // Constants of the fits in v. Where an ordinal sees one view only, nothing varies within it
+  // Constants of the fits in v. Where a lens column sees one view only, nothing varies within it
   const float square = out.reach * out.reach;
   out.cubic = 0.6f * square;
   out.most_bend = kLeastBend / std::max(square, 1e-6f);
@@ -71,7 +71,7 @@ void set_places(const Lens& lens, LensOptics& out) {
     out.places[out.channels[k]] = k;
   }
   out.permuted = out.channels[0] != 0 || out.channels[1] != 1;
-  out.has_cells = lens.has_cells, out.lead = lead_of(lens), out.beyond = float(lens.most_beyond());
+  out.has_cells = lens.has_cells, out.lead = lead(lens), out.beyond = float(lens.most_beyond());
   for (int row = 0; row < kCellPeriod; ++row)
     for (int m = 0; m < kRowPeriod; ++m) {
       const int k = m % 3, at = by_place ? k : lens.cells.channels[row][m];
@@ -80,7 +80,7 @@ void set_places(const Lens& lens, LensOptics& out) {
 }
 
 // The lens, rounded to float. Phases stay whole numbers: they decide which view a sub-pixel shows.
-LensOptics optics_of(const Lens& lens) {
+LensOptics make_optics(const Lens& lens) {
   LensOptics out{};
   out.width_px = int(lens.width_px), out.height_px = int(lens.height_px), out.views = int(lens.views);
   out.phase0 = lens.phase0, out.phase_x = lens.phase_x, out.phase_y = lens.phase_y;
@@ -89,7 +89,7 @@ LensOptics optics_of(const Lens& lens) {
   out.s_start = float(lens.s_start()), out.s_step = float(lens.s_step());
   out.continuous = lens.continuous;
   set_places(lens, out);
-  out.ordinals = ordinals_of(lens);
+  out.lens_columns = make_lens_columns(lens);
   return out;
 }
 
@@ -102,15 +102,15 @@ Tiling pixel_tiling(const Lens& lens) {
 
 // Tiles of lenses. Place k of the pixel whose centre is at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin, and
 // lies in lens floor(D / P_e). Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
-Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
-  const double first = optics.ordinals.first_lens * lens.line_number;
+Tiling lens_column_tiling(const Lens& lens, const LensOptics& optics) {
+  const double first = optics.lens_columns.first_lens * lens.line_number;
   const double most = 3.0 * double(lens.width_px) + std::fabs(tilt(lens)) + lowest_phase(lens) + lens.line_number;
   const double width = kTileLenses * lens.line_number, zero = optics.origin - first - 1.5 * lens.slant_tan;
   const int across = int((most - first) / width) + 1;
   const int down = int((lens.height_px + kTileRows - 1) / kTileRows);
   return {across,
           down,
-          optics.ordinals.groups,
+          optics.lens_columns.groups,
           kTileRows,
           float(width),
           3,
@@ -121,39 +121,39 @@ Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
 
 }  // namespace
 
-LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
-                     int64_t capacity_, const Quality& quality, double colour_error_, double left_out_,
-                     int64_t shared_memory)
+DirectFrame::DirectFrame(int64_t gaussians, int sh_degree_, int colour_order, const Camera<double>& rig_,
+                         const Lens& lens, int64_t capacity_, const Quality& quality, double colour_error_,
+                         double left_out_, int64_t shared_memory)
     : rig(rig_),
-      optics(optics_of(lens)),
+      optics(make_optics(lens)),
       pixel(pixel_tiling(lens)),
-      ordinal(ordinal_tiling(lens, optics)),
+      lens_column(lens_column_tiling(lens, optics)),
       sh_degree(sh_degree_),
       capacity(capacity_),
       colour_error(float(colour_error_)),
       left_out(float(left_out_)),
-      ordinal_error(float(std::max(colour_error_, kOrdinalColourError))),
+      lens_column_error(float(std::max(colour_error_, kLensColumnColourError))),
       cut(float(quality.log2_cut)),
       stop(float(quality.stop)),
-      hit_cut(float(quality.hit_cut())),
+      sample_cut(float(quality.sample_cut())),
       least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),
       lattice(lens.has_cells ? 0.f : float(quality.lattice)),
-      in_half(quality.rough()) {
+      in_half(quality.approximate()) {
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
-          "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
+          "a frame takes fewer than 2^31 Gaussians and 2^32 intersections, got " + std::to_string(gaussians) + " and " +
               std::to_string(capacity));
   require(!rig.compensated() || !(lattice > 0 || in_half),
           "a frame of compensated opacities is drawn neither from lattices nor in half precision");
-  // The ordinal kernel numbers colours, splats times ordinals, with 32 bits
-  if (gaussians * optics.ordinals.columns() < (int64_t(1) << 32))
-    ordinal_layout = cuda::ordinal_layout(lens, shared_memory);
-  require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
+  // The lens column kernel numbers colours, splats times lens columns, with 32 bits
+  if (gaussians * optics.lens_columns.columns() < (int64_t(1) << 32))
+    lens_column_layout = cuda::lens_column_layout(lens, shared_memory);
+  require(std::max(pixel.down, lens_column.down) <= kProbeRows * kMostProbeRows,
           "the panel has too many rows: " + std::to_string(lens.height_px));
   require(most_lists() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_lists()));
   splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
 }
 
-size_t LensFrame::place(void* work) {
+size_t DirectFrame::place(void* work) {
   Parts parts{static_cast<char*>(work)};
   const int64_t n = splats.count;
 
@@ -167,12 +167,12 @@ size_t LensFrame::place(void* work) {
   splats.orders = nullptr;
   if (splats.colour_order > 0) {
     parts.take(splats.orders, n);
-    const int64_t colours = has_ordinal() ? n * optics.ordinals.columns() : 0;
-    parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
+    const int64_t colours = has_lens_column() ? n * optics.lens_columns.columns() : 0;
+    parts.take(lens_column_colours, 4 * colours), parts.take(lens_column_slopes, 2 * colours);
   }
   if (rig.compensated()) {
     parts.take(splats.compensations, n);
-    parts.take(ordinal_shares, has_ordinal() ? 2 * n * optics.ordinals.columns() : 0);
+    parts.take(lens_column_compensations, has_lens_column() ? 2 * n * optics.lens_columns.columns() : 0);
   }
 
   // Lists, and lattices where the quality allows them
@@ -181,10 +181,10 @@ size_t LensFrame::place(void* work) {
   return parts.used;
 }
 
-void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+void frame_composite(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
   if (frame.lattice > 0) composite_lattice(frame, background, out, out8, stream);
   composite_pixel(frame, background, out, out8, stream);
-  composite_ordinal(frame, background, out, out8, stream);
+  composite_lens_column(frame, background, out, out8, stream);
 }
 
 }  // namespace lfgs::cuda

@@ -1,16 +1,17 @@
 // Stage order of a light-field frame: sorts every list that bin has filled by depth. It reads the depths, and sorts
-// LensFrame::ids in place.
+// DirectFrame::ids in place.
 #include <algorithm>
 
 #include "cuda/common/check.h"
 #include "cuda/common/sort_lists.cuh"
-#include "cuda/frame/lens_frame.h"
+#include "cuda/frame/direct_frame.h"
 
 namespace lfgs::cuda {
 namespace {
 
-// Where the frame has more pairs than places there is but one list, of all splats drawn, and the first block sorts it.
-__global__ void __launch_bounds__(sorting::kThreads, 4) sort_lists_kernel(const __grid_constant__ LensFrame frame) {
+// Where the frame has more intersections than places there is but one list, of all splats drawn, and the first block
+// sorts it.
+__global__ void __launch_bounds__(sorting::kThreads, 4) sort_lists_kernel(const __grid_constant__ DirectFrame frame) {
   __shared__ uint64_t keys[sorting::kKept];
   __shared__ unsigned buckets[sorting::kKept], warps[2 * sorting::kWarps];
   const FrameState& state = *frame.state;
@@ -25,7 +26,7 @@ __global__ void __launch_bounds__(sorting::kThreads, 4) sort_lists_kernel(const 
 
 }  // namespace
 
-void frame_order(const LensFrame& frame, Stream stream) {
+void frame_order(const DirectFrame& frame, Stream stream) {
   if (frame.splats.count == 0) return;
   const int64_t most = blocks_for(frame.most_lists(), sorting::kWarps);
   const unsigned blocks = unsigned(std::min<int64_t>(resident_blocks(sort_lists_kernel, sorting::kThreads, 0), most));

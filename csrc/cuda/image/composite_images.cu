@@ -1,6 +1,6 @@
-// Stage composite for ordinary images on the device, and its reverse. Forward it reads the splats and the sorted pairs
-// and writes colour, alpha and depth; the reverse reads these images and their gradients, and writes the sums of every
-// slot and of the background.
+// Stage composite for ordinary images on the device, and its backward pass. Forward it reads the splats and the sorted
+// intersections and writes colour, alpha and depth; the backward pass reads these images and their gradients, and
+// writes the sums of every intersection and of the background.
 //
 // A block has a tile of 16 x 16 pixels, a warp a patch of 8 x 4 of them, a thread a pixel. Both directions go over the
 // splats nearest first. A warp passes over the splats that cannot touch its patch.
@@ -16,7 +16,7 @@ namespace {
 constexpr int kSide = 16, kThreads = kSide * kSide, kWarps = kThreads / 32;
 constexpr int kPatchWidth = 8, kPatchHeight = 4, kPatchesAcross = kSide / kPatchWidth;
 constexpr unsigned kAll = ~0u;  // lanes
-static_assert(kDenseTile.width_px == kSide && kDenseTile.height_px == kSide && kPatchWidth * kPatchHeight == 32);
+static_assert(kImageTile.width_px == kSide && kImageTile.height_px == kSide && kPatchWidth * kPatchHeight == 32);
 
 // A splat as the pixels of a tile read it.
 struct Staged {
@@ -52,13 +52,13 @@ struct Pixel {
 };
 
 // The patches of a tile that a splat may touch, a bit for each warp. The splat's centre counts from the tile's corner.
-__device__ uint32_t patches_of(const Splat<float>& s) {
+__device__ uint32_t touched_patches(const Splat<float>& s) {
   uint32_t patches = 0;
 #pragma unroll
   for (int down = 0; down < kSide / kPatchHeight; ++down) {
     const float top = down * kPatchHeight + 0.5f;
     float low, high;
-    if (!columns_of(s, top, top + (kPatchHeight - 1), 0.f, low, high)) continue;
+    if (!footprint_columns(s, top, top + (kPatchHeight - 1), 0.f, low, high)) continue;
 #pragma unroll
     for (int across = 0; across < kPatchesAcross; ++across) {
       const float left = across * kPatchWidth + 0.5f;
@@ -74,7 +74,7 @@ __device__ Staged stage(const Splats<float>& splats, uint32_t id, const Pixel& p
   const float4 c = __ldg(reinterpret_cast<const float4*>(splats.colours) + id);
   s.u0 -= float(pixel.x0), s.v0 -= float(pixel.y0);
   return {make_float4(s.u0, s.v0, s.c0, s.tau), make_float4(c.x, c.y, c.z, s.depth),
-          make_float2(s.log2_opacity, 1 / s.S0), patches_of(s)};
+          make_float2(s.log2_opacity, 1 / s.S0), touched_patches(s)};
 }
 
 // Which of 32 staged splats, from `first` on, may touch the patch of this warp. The first of them is the highest bit,
@@ -93,8 +93,8 @@ __device__ int take_first(unsigned& set) {
 
 // Draws a tile: the block stages its splats in batches, and each thread blends them into its pixel.
 __global__ void __launch_bounds__(kThreads)
-    composite_dense_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs,
-                           const float* background, DenseImages<float> out) {
+    composite_images_kernel(Splats<float> splats, Image image, const int64_t* ranges, Intersections intersections,
+                            const float* background, Images<float> out) {
   __shared__ Staged staged[kThreads];
   const Pixel pixel(image);
   float transmittance = pixel.inside ? 1.f : 0.f, rest = 0, r = 0, g = 0, b = 0, depth = 0;
@@ -104,7 +104,8 @@ __global__ void __launch_bounds__(kThreads)
     // End the list where no pixel takes light any more; else stage a splat a thread
     if (__syncthreads_and(transmittance == 0)) break;
     const int count = int(min(int64_t(kThreads), end - begin));
-    if (int(threadIdx.x) < count) staged[threadIdx.x] = stage(splats, splat_of(pairs, begin + threadIdx.x), pixel);
+    if (int(threadIdx.x) < count)
+      staged[threadIdx.x] = stage(splats, sorted_splat(intersections, begin + threadIdx.x), pixel);
     __syncthreads();
 
     // Take 32 at a time: each lane looks at one, then all lanes blend those that may touch the patch
@@ -112,7 +113,7 @@ __global__ void __launch_bounds__(kThreads)
       for (unsigned todo = candidates(staged, first, count, pixel); todo;) {
         const Staged& s = staged[first + take_first(todo)];
         float weight;
-        over(alpha_of(s.power(pixel.x, pixel.y)), transmittance, rest, weight);
+        over(to_alpha(s.power(pixel.x, pixel.y)), transmittance, rest, weight);
         r += weight * s.colour.x, g += weight * s.colour.y, b += weight * s.colour.z, depth += weight * s.colour.w;
       }
     }
@@ -129,37 +130,37 @@ __global__ void __launch_bounds__(kThreads)
   out.depth[pixel.index] = depth;
 }
 
-// --- The reverse. A warp goes back and forth between two steps: first every lane finds what its pixel says of kHits
-// splats that may touch the patch (hits), then the lanes share the sums of that over the pixels. Within either step no
-// lane waits for another.
+// --- The backward pass. A warp goes back and forth between two steps: first every lane finds what its pixel says of
+// kHits splats that may touch the patch (intersections), then the lanes share the sums of that over the pixels. Within
+// either step no lane waits for another.
 
 template <int kSums>
-constexpr int kBatchOf = kSums == kDenseSums ? 64 : 60;  // splats staged at a time: 48 KiB hold no more with all sums
-constexpr int kHits = 8;                                 // with the four rows of a patch, a sum for every lane
-static_assert(kHits * kPatchHeight == 32);
+constexpr int kBatchOf = kSums == kImageSums ? 64 : 60;  // splats staged at a time: 48 KiB hold no more with all sums
+constexpr int kIntersections = 8;                        // with the four rows of a patch, a sum for every lane
+static_assert(kIntersections * kPatchHeight == 32);
 
-// A sample in the reverse. `behind` is what all that is behind the splat at hand adds to the loss; at the start, which
-// is before the first splat, it follows from the sample's gradients and its image.
+// A sample in the backward pass. `behind` is what all that is behind the splat at hand adds to the loss; at the start,
+// which is before the first splat, it follows from the sample's gradients and its image.
 struct Sample {
   float4 gradient;  // of r, g, b, depth
   float transmittance, behind;
 
   // Takes the sample from before a splat to behind it. Returns the gradient of the exponent at this sample, divided by
-  // ln 2 (x), and the weight of the splat there (y); see over_adjoint() for the formula.
+  // ln 2 (x), and the weight of the splat there (y); see over_backward() for the formula.
   __device__ float2 pass(const Staged& s, float x, float y) {
     const float power = s.power(x, y), before = transmittance;
-    float alpha = alpha_of(power);
+    float alpha = to_alpha(power);
     const float weight = over_again(alpha, transmittance);
     const float v =
         gradient.x * s.colour.x + gradient.y * s.colour.y + gradient.z * s.colour.z + gradient.w * s.colour.w;
     behind -= weight * v;
-    const float g_alpha = over_adjoint<true>(alpha, before, v, behind);
+    const float g_alpha = over_backward<true>(alpha, before, v, behind);
     return make_float2(power < float(kLog2MaxAlpha) ? g_alpha * alpha : 0.f, weight);
   }
 };
 
 // The sample of this thread before the first splat; `rest` receives the light that it left for the background.
-__device__ Sample sample_at(const Pixel& pixel, DenseImages<const float> images, DenseImages<const float> gradients,
+__device__ Sample sample_at(const Pixel& pixel, Images<const float> images, Images<const float> gradients,
                             float& rest) {
   rest = 0;
   if (!pixel.inside) return {make_float4(0, 0, 0, 0), 0, 0};
@@ -201,7 +202,7 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
     colour[1] += effect.y * gradient.y, colour[2] += effect.y * gradient.z;
   }
 
-  // The numbers of a slot follow from these
+  // The numbers of an intersection follow from these
   for (float& moment : moments) moment *= float(kLn2);
   const float dy = y - s.place.y, dx = x - s.place.x - s.place.z * dy, g = moments[0];
   const float gx = -2 * s.size.y * (moments[1] + dx * g);
@@ -210,7 +211,7 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
   sums[kSSum] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
   sums[kDepthSum] = depth;
   for (int c = 0; c < 3; ++c) sums[kColourSum + c] = colour[c];
-  if constexpr (kSums == kAbsoluteDenseSums) {
+  if constexpr (kSums == kAbsoluteImageSums) {
     const float2 absolute = absolute_sums(s, effects, dx, dy);
     sums[kAbsoluteSum] = absolute.x, sums[kAbsoluteSum + 1] = absolute.y;
   }
@@ -218,7 +219,7 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
   // Join the rows
 #pragma unroll
   for (int f = 0; f < kSums; ++f)
-    for (int step = kHits; step < 32; step *= 2) sums[f] += __shfl_xor_sync(kAll, sums[f], step);
+    for (int step = kIntersections; step < 32; step *= 2) sums[f] += __shfl_xor_sync(kAll, sums[f], step);
 }
 
 // Writes the gradient of the background, summed over the tile: over each warp, then over the warps.
@@ -235,17 +236,19 @@ __device__ void background_backward(const Pixel& pixel, const Sample& sample, fl
   tile_background[3 * int64_t(blockIdx.x) + threadIdx.x] = sum;
 }
 
-// Writes the sums of every slot of a tile, a block each. They are taken within each warp, then over the warps that the
-// splat hits, always in the same order, so that the bits are always the same.
+// Writes the sums of every intersection of a tile, a block each. They are taken within each warp, then over the warps
+// that the splat touches, always in the same order, so that the bits are always the same.
 template <int kSums>
 __global__ void __launch_bounds__(kThreads, 4)
-    composite_dense_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs,
-                                    DenseImages<const float> images, DenseImages<const float> gradients,
-                                    float* slot_gradients, float* tile_background) {
+    composite_images_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges,
+                                     Intersections intersections, Images<const float> images,
+                                     Images<const float> gradients, float* intersection_gradients,
+                                     float* tile_background) {
   constexpr int kBatch = kBatchOf<kSums>;
   __shared__ Staged staged[kBatch];
-  __shared__ uint32_t slots[kBatch], summed[kBatch];  // summed, bit w: warp w has sums of this splat
-  __shared__ float2 effects[kWarps][kHits][32 + 1];   // odd rows, so that no two lanes of a half warp meet in a bank
+  __shared__ uint32_t indices[kBatch], summed[kBatch];  // summed, bit w: warp w has sums of this splat
+  __shared__ float2
+      effects[kWarps][kIntersections][32 + 1];  // odd rows, so that no two lanes of a half warp meet in a bank
   __shared__ float4 pixel_gradients[kWarps][32];
   __shared__ float partial[kWarps][kBatch][kSums], partial_background[kWarps][3];
   const Pixel pixel(image);
@@ -254,8 +257,8 @@ __global__ void __launch_bounds__(kThreads, 4)
   pixel_gradients[pixel.warp][pixel.lane] = sample.gradient;
   background_backward(pixel, sample, rest, partial_background, tile_background);
 
-  // What this lane sums up: which hit and which row of the patch; and the middle of the row
-  const int hit = pixel.lane % kHits, row = pixel.lane / kHits;
+  // What this lane sums up: which intersection and which row of the patch; and the middle of the row
+  const int own = pixel.lane % kIntersections, row = pixel.lane / kIntersections;
   const float row_x = (pixel.warp % kPatchesAcross + 0.5f) * kPatchWidth;
   const float row_y = pixel.warp / kPatchesAcross * kPatchHeight + row + 0.5f;
 
@@ -265,8 +268,8 @@ __global__ void __launch_bounds__(kThreads, 4)
     __syncthreads();
     const int count = int(min(int64_t(kBatch), end - begin));
     if (int(threadIdx.x) < count) {
-      slots[threadIdx.x] = pairs.sorted_slots[begin + threadIdx.x], summed[threadIdx.x] = 0;
-      staged[threadIdx.x] = stage(splats, splat_of(pairs, begin + threadIdx.x), pixel);
+      indices[threadIdx.x] = intersections.sorted_indices[begin + threadIdx.x], summed[threadIdx.x] = 0;
+      staged[threadIdx.x] = stage(splats, sorted_splat(intersections, begin + threadIdx.x), pixel);
     }
     __syncthreads();
 
@@ -279,13 +282,13 @@ __global__ void __launch_bounds__(kThreads, 4)
         do {
           const int k = first + take_first(todo);
           effects[pixel.warp][filled][pixel.lane] = sample.pass(staged[k], pixel.x, pixel.y);
-          splat = hit == filled ? k : splat;
-        } while (++filled < kHits && todo);
+          splat = own == filled ? k : splat;
+        } while (++filled < kIntersections && todo);
         __syncwarp();
         float sums[kSums];
-        sum_over_patch(staged[splat], &effects[pixel.warp][hit][row * kPatchWidth],
+        sum_over_patch(staged[splat], &effects[pixel.warp][own][row * kPatchWidth],
                        &pixel_gradients[pixel.warp][row * kPatchWidth], row_x, row_y, sums);
-        if (row == 0 && hit < filled)
+        if (row == 0 && own < filled)
           for (int f = 0; f < kSums; ++f) partial[pixel.warp][splat][f] = sums[f];
         __syncwarp();
       }
@@ -297,32 +300,33 @@ __global__ void __launch_bounds__(kThreads, 4)
       const int k = i / kSums, f = i % kSums;
       float sum = 0;
       for (uint32_t warps = summed[k]; warps; warps &= warps - 1) sum += partial[__ffs(int(warps)) - 1][k][f];
-      slot_gradients[int64_t(slots[k]) * kSums + f] = sum;
+      intersection_gradients[int64_t(indices[k]) * kSums + f] = sum;
     }
   }
 }
 
 }  // namespace
 
-void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
-                     const float* background, DenseImages<float> out, Stream stream) {
+void composite_images(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                      const Intersections& intersections, const float* background, Images<float> out, Stream stream) {
   const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   if (tiles == 0) return;
-  composite_dense_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs,
-                                                                                 background, out);
-  check_launch("composite_dense");
+  composite_images_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, intersections,
+                                                                                  background, out);
+  check_launch("composite_images");
 }
 
-void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                              const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
-                              bool absolute, float* slot_gradients, float* tile_background, Stream stream) {
+void composite_images_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                               const Intersections& intersections, Images<const float> images,
+                               Images<const float> gradients, bool absolute, float* intersection_gradients,
+                               float* tile_background, Stream stream) {
   const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   if (tiles == 0) return;
   const auto kernel =
-      absolute ? composite_dense_backward_kernel<kAbsoluteDenseSums> : composite_dense_backward_kernel<kDenseSums>;
-  kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, images, gradients,
-                                                                 slot_gradients, tile_background);
-  check_launch("composite_dense_backward");
+      absolute ? composite_images_backward_kernel<kAbsoluteImageSums> : composite_images_backward_kernel<kImageSums>;
+  kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, intersections, images,
+                                                                 gradients, intersection_gradients, tile_background);
+  check_launch("composite_images_backward");
 }
 
 }  // namespace lfgs::cuda

@@ -26,33 +26,33 @@ __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, i
 
 // Projects all Gaussians into all images: blocks along x have the Gaussians of a scene, along y the images.
 template <bool kCompensated>
-__global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
-                                     uint64_t* keys) {
+__global__ void project_images_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
+                                      uint64_t* keys) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y, n = gaussians.count;
   if (i >= n) return;
   const Gaussians<const float> scene = gaussians.slice(image / cameras.per_scene * n);
-  const View<float> view = cameras.view<float>(image);
-  const Shape<float> shape = shape_of(scene, i);
+  const Camera<float> camera = cameras.camera<float>(image);
+  const Shape<float> shape = load_shape(scene, i);
   const int64_t index = image * n + i;
   vec3 colour(0);
-  if (store_splat(projected<kCompensated>(cameras, image, view, shape), cameras, image, index, out, keys))
-    colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
+  if (store_splat(projected<kCompensated>(cameras, image, camera, shape), cameras, image, index, out, keys))
+    colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, camera.centre());
   reinterpret_cast<float4*>(out.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
 }
 
 }  // namespace
 
-void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
-                   uint64_t* keys, Stream stream) {
+void project_images(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
+                    uint64_t* keys, Stream stream) {
   if (gaussians.count == 0 || cameras.images() == 0) return;
   require(cameras.images() <= kMostImages, std::to_string(cameras.images()) +
                                                " images, and at most 65,535 are drawn "
                                                "at a time on CUDA: render fewer scenes or cameras in a call");
   const dim3 blocks(unsigned(blocks_for(gaussians.count, kThreads)), unsigned(cameras.images()));
-  const auto kernel = cameras.compensated() ? project_dense_kernel<true> : project_dense_kernel<false>;
+  const auto kernel = cameras.compensated() ? project_images_kernel<true> : project_images_kernel<false>;
   kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);
-  check_launch("project_dense");
+  check_launch("project_images");
 }
 
 }  // namespace lfgs::cuda

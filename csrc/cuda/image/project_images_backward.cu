@@ -1,7 +1,8 @@
-// Reverse of stage project for ordinary images on the device: reads the sums of all splats' slots, writes the gradients
-// of the Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A thread has a
-// Gaussian of a scene, and goes through the cameras of the scene in order; a block adds up what its Gaussians say of
-// each camera. Splats and colours are computed once more, so that nothing of the forward has to be kept for this.
+// Backward pass of stage project for ordinary images on the device: reads the sums of all splats' intersections, writes
+// the gradients of the Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A
+// thread has a Gaussian of a scene, and goes through the cameras of the scene in order; a block adds up what its
+// Gaussians say of each camera. Splats and colours are computed once more, so that nothing of the forward has to be
+// kept for this.
 //
 // Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
 // moves those of its 32 Gaussians together, through shared memory.
@@ -19,15 +20,15 @@ namespace lfgs::cuda {
 namespace {
 
 using glm::vec3;
-constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
+constexpr int kThreads = 128, kWarps = kThreads / 32, kCameraNumbers = 12;
 
-// What sum_slots() wrote, for all splats.
+// What sum_intersections() wrote, for all splats.
 struct AllSums {
   const float* sums;
   bool absolute;  // whether there are absolute gradients
 };
 
-// The numbers of a splat's slots, added up; the last two are 0 unless there are absolute gradients.
+// The numbers of a splat's intersections, added up; the last two are 0 unless there are absolute gradients.
 struct SplatSums {
   float numbers[kSplatSums];
 
@@ -53,12 +54,12 @@ struct SplatSums {
   }
 };
 
-// Turns the sums of a splat's slots into the gradients of the splat and of its colour.
+// Turns the sums of a splat's intersections into the gradients of the splat and of its colour.
 template <class R>
 __device__ Splat<R> splat_gradient(const Splat<float>& s, const SplatSums& sums, vec3& colour) {
-  R sum[kDenseSums];
-  for (int f = 0; f < kDenseSums; ++f) sum[f] = R(sums.numbers[f]);
-  Splat<R> g = dense_gradient_of(s, sum);
+  R sum[kImageSums];
+  for (int f = 0; f < kImageSums; ++f) sum[f] = R(sums.numbers[f]);
+  Splat<R> g = image_gradient(s, sum);
   g.depth = sum[kDepthSum];
   colour = vec3(sum[kColourSum], sum[kColourSum + 1], sum[kColourSum + 2]);
   return g;
@@ -72,36 +73,37 @@ __device__ bool is_needle(const Splat<float>& s) {
 }
 
 // The gradients of a Gaussian and of a camera so far, and those of a splat's colour and of its place on the screen.
-struct Adjoint {
+struct Gradients {
   Shape<float> shape{vec3(0), glm::vec4(0), vec3(0), 0};
-  ViewAdjoint<float> view;
+  CameraGradient<float> camera;
   vec3 colour;
   float2 place;
 };
 
-// `so_far` and the adjoint of the projection of Gaussian `i` of a scene into an image, which is computed in double and
-// then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything once more,
-// and gradients go in and out by value: what is handed over by its address lies in memory for ordinary splats as well.
+// `so_far` and the backward pass of the projection of Gaussian `i` of a scene into an image, which is computed in
+// double and then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything
+// once more, and gradients go in and out by value: what is handed over by its address lies in memory for ordinary
+// splats as well.
 template <bool kCompensated>
-__device__ __noinline__ Adjoint with_exact_adjoint(const Gaussians<const float>& gaussians,
-                                                   const Cameras<float>& cameras, const AllSums& sums, int64_t image,
-                                                   int64_t i, Adjoint so_far) {
+__device__ __noinline__ Gradients with_exact_backward(const Gaussians<const float>& gaussians,
+                                                      const Cameras<float>& cameras, const AllSums& sums, int64_t image,
+                                                      int64_t i, Gradients so_far) {
   const int64_t n = gaussians.count;
-  const View<float> view = cameras.view<float>(image);
-  const Shape<float> shape = shape_of(gaussians.slice(image / cameras.per_scene * n), i);
-  const View<double> exact = cameras.view<double>(image);
+  const Camera<float> camera = cameras.camera<float>(image);
+  const Shape<float> shape = load_shape(gaussians.slice(image / cameras.per_scene * n), i);
+  const Camera<double> exact = cameras.camera<double>(image);
   const Shape<double> wide = widened(shape);
-  Splat<double> gradient = splat_gradient<double>(projected<kCompensated>(cameras, image, view, shape),
+  Splat<double> gradient = splat_gradient<double>(projected<kCompensated>(cameras, image, camera, shape),
                                                   SplatSums::of(sums, image * n + i), so_far.colour);
   so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
-  ViewAdjoint<double> of_view;
+  CameraGradient<double> of_camera;
 
-  // The adjoint, in double
+  // The backward pass, in double
   const Projection<double> projection(exact, wide);
-  Compensation<double> sharp{};
-  if (kCompensated) sharp = projection.compensate_adjoint(exact, gradient);
-  projection.adjoint<kCompensated>(exact, wide, gradient, sum, of_view, sharp);
+  Compensation<double> g_D{};
+  if (kCompensated) g_D = projection.compensate_backward(exact, gradient);
+  projection.backward<kCompensated>(exact, wide, gradient, sum, of_camera, g_D);
 
   // Add it to what other cameras have said
   Shape<float>& g = so_far.shape;
@@ -110,8 +112,8 @@ __device__ __noinline__ Adjoint with_exact_adjoint(const Gaussians<const float>&
   for (int c = 0; c < 4; ++c) add(g.quaternion[c], sum.quaternion[c]);
   add(g.opacity, sum.opacity);
   for (int c = 0; c < 3; ++c) {
-    add(so_far.view.translation[c], of_view.translation[c]);
-    for (int r = 0; r < 3; ++r) add(so_far.view.rotation[c][r], of_view.rotation[c][r]);
+    add(so_far.camera.translation[c], of_camera.translation[c]);
+    for (int r = 0; r < 3; ++r) add(so_far.camera.rotation[c][r], of_camera.rotation[c][r]);
   }
   return so_far;
 }
@@ -122,8 +124,8 @@ struct HarmonicRows {
   float* rows;
   int numbers;
 
-  static __host__ __device__ constexpr int stride_of(int numbers) { return numbers | 1; }
-  __device__ float* own() const { return rows + int(threadIdx.x % 32) * stride_of(numbers); }
+  static __host__ __device__ constexpr int padded(int numbers) { return numbers | 1; }
+  __device__ float* own() const { return rows + int(threadIdx.x % 32) * padded(numbers); }
 
   // Reads the rows whose bits are set in `which`; `from` is the first of 32 in memory.
   __device__ void load(const float* from, unsigned which) const {
@@ -145,14 +147,13 @@ struct HarmonicRows {
   __device__ void load_one_by_one(const float* from, unsigned which) const {
     for (int row = 0; row < 32; ++row)
       if (which >> row & 1)
-        for (int k = threadIdx.x % 32; k < numbers; k += 32)
-          rows[row * stride_of(numbers) + k] = from[row * numbers + k];
+        for (int k = threadIdx.x % 32; k < numbers; k += 32) rows[row * padded(numbers) + k] = from[row * numbers + k];
     __syncwarp();
   }
 
   // Sets all rows to zero.
   __device__ void clear() const {
-    for (int k = threadIdx.x % 32; k < 32 * stride_of(numbers); k += 32) rows[k] = 0;
+    for (int k = threadIdx.x % 32; k < 32 * padded(numbers); k += 32) rows[k] = 0;
     __syncwarp();
   }
 
@@ -176,7 +177,7 @@ struct HarmonicRows {
     __syncwarp();
     for (int row = 0; row < count; ++row)
       for (int k = threadIdx.x % 32; k < numbers; k += 32)
-        to[row * numbers + k] = which >> row & 1 ? rows[row * stride_of(numbers) + k] : 0.f;
+        to[row * numbers + k] = which >> row & 1 ? rows[row * padded(numbers) + k] : 0.f;
   }
 
  private:
@@ -210,18 +211,19 @@ struct HarmonicRows {
   }
   template <int kNumbers>
   static __device__ int place(int at) {
-    return at / kNumbers * stride_of(kNumbers) + at % kNumbers;
+    return at / kNumbers * padded(kNumbers) + at % kNumbers;
   }
 };
 
 // Writes the sums of a block over its threads' gradients of a camera to `out`: over each warp, then over the warps.
-__device__ void store_view(const ViewAdjoint<float>& g_view, float (&partial)[kWarps][kViewNumbers], float* out) {
-  for (int f = 0; f < kViewNumbers; ++f) {
-    const float sum = warp_sum(f % 4 == 3 ? g_view.translation[f / 4] : g_view.rotation[f % 4][f / 4]);
+__device__ void store_camera(const CameraGradient<float>& g_camera, float (&partial)[kWarps][kCameraNumbers],
+                             float* out) {
+  for (int f = 0; f < kCameraNumbers; ++f) {
+    const float sum = warp_sum(f % 4 == 3 ? g_camera.translation[f / 4] : g_camera.rotation[f % 4][f / 4]);
     if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;
   }
   __syncthreads();
-  if (threadIdx.x < kViewNumbers) {
+  if (threadIdx.x < kCameraNumbers) {
     float sum = 0;
     for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
     out[threadIdx.x] = sum;
@@ -247,104 +249,103 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
   }
 }
 
-// Writes all gradients. The adjoint of an ordinary splat fits the registers that three blocks on a multiprocessor
+// Writes all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
 // leave, or four without the gradients of cameras (kCameras). Needles, and all compensated splats (see
-// compensated_splat()), go through with_exact_adjoint() instead. kOneView: there is one camera a scene, so that the
+// compensated_splat()), go through with_exact_backward() instead. kOneCamera: there is one camera a scene, so that the
 // gradients of harmonics can take the place of these.
-template <bool kCompensated, bool kOneView, bool kCameras>
+template <bool kCompensated, bool kOneCamera, bool kCameras>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
-    project_dense_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
-                                  const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
-                                  Gaussians<float> out, float* screen, float* view_partials) {
-  __shared__ float partial[kWarps][kViewNumbers];
+    project_images_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
+                                   const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
+                                   Gaussians<float> out, float* screen, float* camera_partials) {
+  __shared__ float partial[kWarps][kCameraNumbers];
   extern __shared__ float harmonics[];
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, scene = blockIdx.y, n = gaussians.count;
   const bool real = i < n;
   const Gaussians<const float> own = gaussians.slice(scene * n);
   const Gaussians<float> g_own = out.slice(scene * n);
-  const Shape<float> shape = shape_of(own, real ? i : 0);
+  const Shape<float> shape = load_shape(own, real ? i : 0);
   Adjoint g;
 
   // Harmonics of those of which something is said, and room for their gradients
-  const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::stride_of(numbers);
+  const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::padded(numbers);
   const int64_t first = i - threadIdx.x % 32;  // Gaussian of this warp
   const unsigned lit = __ballot_sync(~0u, real && is_lit(sums, cameras, scene, n, i));
   const HarmonicRows rows{harmonics + threadIdx.x / 32 * warp_floats, numbers};
-  const HarmonicRows g_rows{kOneView ? rows.rows : rows.rows + kWarps * warp_floats, numbers};
+  const HarmonicRows g_rows{kOneCamera ? rows.rows : rows.rows + kWarps * warp_floats, numbers};
   const float* sh = own.sh + numbers * first;
   float* g_sh = g_own.sh + numbers * first;
   const bool in_fours = first + 32 <= n && reinterpret_cast<uintptr_t>(sh) % sizeof(float4) == 0 &&
                         reinterpret_cast<uintptr_t>(g_sh) % sizeof(float4) == 0;
   in_fours ? rows.load(sh, lit) : rows.load_one_by_one(sh, lit);
-  if (!kOneView) g_rows.clear();
+  if (!kOneCamera) g_rows.clear();
 
-  const int64_t views = kOneView ? 1 : cameras.per_scene;
+  const int64_t views = kOneCamera ? 1 : cameras.per_scene;
   for (int64_t v = 0; v < views; ++v) {
     const int64_t image = scene * cameras.per_scene + v;
-    const View<float> view = cameras.view<float>(image);
+    const Camera<float> camera = cameras.camera<float>(image);
     const int64_t index = image * n + i;
     const SplatSums of_splat = real ? SplatSums::of(sums, index) : SplatSums{};
-    g.view = {}, g.place = make_float2(0, 0);
+    g.camera = {}, g.place = make_float2(0, 0);
     if (of_splat.any()) {
-      const Projection<float> projection(view, shape);
-      const Splat<float> splat = projection.splat(view, shape.opacity);
+      const Projection<float> projection(camera, shape);
+      const Splat<float> splat = projection.splat(camera, shape.opacity);
       if (kCompensated || is_needle(splat)) {
-        g = with_exact_adjoint<kCompensated>(gaussians, cameras, sums, image, i, g);
+        g = with_exact_backward<kCompensated>(gaussians, cameras, sums, image, i, g);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, of_splat, g.colour);
-        projection.adjoint(view, shape, g_splat, g.shape, g.view);
+        projection.backward(camera, shape, g_splat, g.shape, g.camera);
         g.place = make_float2(g_splat.u0, g_splat.v0);
       }
 
       // The colour, through its clamp at zero; it also depends on the eye, which is -R^T t
-      const vec3 colour = sh_colour<float>(own.sh_degree, rows.own(), shape.mean, view.centre());
+      const vec3 colour = sh_colour<float>(own.sh_degree, rows.own(), shape.mean, camera.centre());
       for (int c = 0; c < 3; ++c) g.colour[c] = colour[c] > 0 ? g.colour[c] : 0.f;
-      const vec3 g_mean =
-          sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g.colour, g_rows.own());
+      const vec3 g_mean = sh_colour_backward<!kOneCamera>(own.sh_degree, rows.own(), shape.mean, camera.centre(),
+                                                          g.colour, g_rows.own());
       g.shape.mean += g_mean;
       if constexpr (kCameras) {
-        g.view.rotation += glm::outerProduct(-view.translation, -g_mean);
-        g.view.translation += view.rotation * g_mean;
+        g.camera.rotation += glm::outerProduct(-camera.translation, -g_mean);
+        g.camera.translation += camera.rotation * g_mean;
       }
     }
     if (screen && real) store_place(g.place, of_splat, sums.absolute, screen, index);
     if constexpr (kCameras)
-      store_view(g.view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
+      store_camera(g.camera, partial, camera_partials + (image * gridDim.x + blockIdx.x) * kCameraNumbers);
   }
   if (real) store_gradient(shape, g.shape, g_own, i);
   in_fours ? g_rows.store(g_sh, lit) : g_rows.store_one_by_one(g_sh, lit, int(min(int64_t(32), n - first)));
 }
 
-using Kernel = decltype(&project_dense_backward_kernel<false, true, false>);
+using Kernel = decltype(&project_images_backward_kernel<false, true, false>);
 
 template <bool kCompensated>
-Kernel kernel_of(bool one_view, bool cameras) {
-  if (one_view)
-    return cameras ? project_dense_backward_kernel<kCompensated, true, true>
-                   : project_dense_backward_kernel<kCompensated, true, false>;
-  return cameras ? project_dense_backward_kernel<kCompensated, false, true>
-                 : project_dense_backward_kernel<kCompensated, false, false>;
+Kernel select_kernel(bool one_camera, bool cameras) {
+  if (one_camera)
+    return cameras ? project_images_backward_kernel<kCompensated, true, true>
+                   : project_images_backward_kernel<kCompensated, true, false>;
+  return cameras ? project_images_backward_kernel<kCompensated, false, true>
+                 : project_images_backward_kernel<kCompensated, false, false>;
 }
 
 }  // namespace
 
-int64_t view_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads); }
+int64_t camera_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads); }
 
-void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
-                            const Gaussians<float>& out, float* screen, bool absolute, float* view_partials,
-                            Stream stream) {
+void project_images_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
+                             const Gaussians<float>& out, float* screen, bool absolute, float* camera_partials,
+                             Stream stream) {
   if (gaussians.count == 0 || cameras.scenes == 0) return;
-  const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
+  const dim3 blocks(unsigned(camera_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
   const auto kernel =
-      cameras.compensated() ? kernel_of<true>(one, view_partials) : kernel_of<false>(one, view_partials);
-  const size_t bytes =
-      size_t(one ? 1 : 2) * kThreads * HarmonicRows::stride_of(3 * gaussians.sh_count()) * sizeof(float);
+      cameras.compensated() ? select_kernel<true>(one, camera_partials) : select_kernel<false>(one, camera_partials);
+  const size_t bytes = size_t(one ? 1 : 2) * kThreads * HarmonicRows::padded(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
-        "project_dense_backward: shared memory");
+        "project_images_backward: shared memory");
   kernel<<<blocks, kThreads, bytes, cudaStream_t(stream)>>>(gaussians, cameras, AllSums{sums, absolute}, out, screen,
-                                                            view_partials);
-  check_launch("project_dense_backward");
+                                                            camera_partials);
+  check_launch("project_images_backward");
 }
 
 }  // namespace lfgs::cuda

@@ -164,7 +164,7 @@ __device__ void load_codes(const PngImage& image, uint32_t (&codes)[kDeflateSymb
 }
 
 // How many bits the thread's segment takes. A run has one bit for its distance.
-__device__ unsigned bits_of(const Segment& segment, const uint32_t (&codes)[kDeflateSymbols]) {
+__device__ unsigned bit_count(const Segment& segment, const uint32_t (&codes)[kDeflateSymbols]) {
   unsigned bits = 0;
   segment.symbols([&](uint8_t byte) { bits += codes[byte] >> 16; },
                   [&](int bytes) {
@@ -195,7 +195,7 @@ __global__ void __launch_bounds__(kThreads) measure_kernel(const __grid_constant
   __shared__ unsigned sums[kWarps];
   load_codes(image, codes);
   const Segment segment(image, pieces, shared, [](uint8_t, int64_t, int) {});
-  const unsigned bits = bits_of(segment, codes), before = sum_before(bits, sums);
+  const unsigned bits = bit_count(segment, codes), before = sum_before(bits, sums);
   image.starts[int64_t(blockIdx.x) * kThreads + threadIdx.x] = before;
   if (threadIdx.x == kThreads - 1) image.offsets[blockIdx.x] = before + bits;
 }

@@ -1,4 +1,4 @@
-// How the fields that are optimised become those that are drawn, and the limits that keep both finite: scales are
+// How the parameters that are optimised become those that are drawn, and the limits that keep both finite: scales are
 // exp(log_scale), opacities are sigmoid(logit) (Kerbl et al. 2023, section 5).
 #pragma once
 

@@ -19,7 +19,7 @@ LFGS_HD glm::vec<3, R> position_noise(const RandomStream& stream, uint64_t index
   normals4(stream, index, z);
   const R length = std::sqrt(glm::dot(quaternion, quaternion));
   if (!(length > 0)) return glm::vec<3, R>(0);
-  const glm::mat<3, 3, R> axes = rotation_of(quaternion / length);
+  const glm::mat<3, 3, R> axes = rotation_matrix(quaternion / length);
   glm::vec<3, R> along = glm::vec<3, R>(z[0], z[1], z[2]) * axes;  // components along the axes of the Gaussian
   along *= scale * scale * (strength * sigmoid(R(kNoiseSteepness) * (R(kNoiseOpacity) - opacity)));
   return axes * along;

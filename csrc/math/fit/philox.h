@@ -38,6 +38,6 @@ struct RandomStream {
 constexpr uint32_t kNoisePurpose = 0;  // of math/fit/noise.h
 
 // Two words as a number in [0, 1), of 53 bits.
-LFGS_HD double uniform_of(uint32_t high, uint32_t low) { return double((uint64_t(high) << 32 | low) >> 11) * 0x1p-53; }
+LFGS_HD double to_uniform(uint32_t high, uint32_t low) { return double((uint64_t(high) << 32 | low) >> 11) * 0x1p-53; }
 
 }  // namespace lfgs

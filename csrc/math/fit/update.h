@@ -11,9 +11,9 @@
 
 namespace lfgs {
 
-// The fields that are optimised, or their moments: log_scales and logits stand for scales and opacities.
+// The parameters that are optimised, or their moments: log_scales and logits stand for scales and opacities.
 template <class T>
-struct Fields {
+struct Parameters {
   T* means = nullptr;        // [N, 3]
   T* log_scales = nullptr;   // [N, 3]
   T* quaternions = nullptr;  // [N, 4] wxyz of any length
@@ -26,18 +26,18 @@ template <class T>
 struct StepNumbers {
   T means, log_scales, quaternions, logits, sh_dc, sh_rest;  // rates
   T first_correction, second_correction;                     // 1 - beta1^t, 1 - beta2^t
-  T noise_rate;                                              // of the noise of positions, times the rate of means
-  T opacity_share, scale_share;                              // of the mean opacity and the mean scale in the loss
+  T noise_lr;                                                // of the noise of positions, times the rate of means
+  T opacity_reg, scale_reg;                                  // of the mean opacity and the mean scale in the loss
 };
 constexpr int kStepColumns = sizeof(StepNumbers<float>) / sizeof(float);
 
 // Gradients of what is drawn go through the chain rule of exp and sigmoid, the regularisers are added, Adam moves the
-// fields, noise moves the means, and what is drawn is written anew. Of Gaussians with a gradient that is_usable()
+// parameters, noise moves the means, and what is drawn is written anew. Of Gaussians with a gradient that is_usable()
 // refuses nothing changes, and they are counted. So are all, where `step` is not a row of the table.
 template <class T>
 struct Update {
-  Gaussians<const T> gradients;  // of what is drawn; its count and degree are those of all fields
-  Fields<T> fields, first, second;
+  Gaussians<const T> gradients;  // of what is drawn; its count and degree are those of all parameters
+  Parameters<T> parameters, first, second;
   T* scales = nullptr;                    // [N, 3] exp(log_scales): what the gradients were taken at; written anew
   T* opacities = nullptr;                 // [N] sigmoid(logits), likewise
   const uint8_t* seen = nullptr;          // [N] whom the regularisers are for, or null for all
@@ -64,8 +64,8 @@ struct Step {
   LFGS_HD explicit Step(const Update<R>& job)
       : numbers(job.table[*job.step]),
         adam(job.decay, numbers.first_correction, numbers.second_correction),
-        opacity_push(numbers.opacity_share / R(job.count())),
-        scale_push(numbers.scale_share / R(3 * job.count())),
+        opacity_push(numbers.opacity_reg / R(job.count())),
+        scale_push(numbers.scale_reg / R(3 * job.count())),
         noise{job.seed, uint32_t(*job.step), kNoisePurpose} {}
 
   LFGS_HD R scaled(R rate) const { return rate * adam.inverse_correction; }
@@ -73,13 +73,13 @@ struct Step {
   LFGS_HD R sh_rate(int k) const { return scaled(k < 3 ? numbers.sh_dc : numbers.sh_rest); }
 };
 
-// Gradients of one Gaussian's fields, but for its harmonics.
+// Gradients of one Gaussian's parameters, but for its harmonics.
 template <class R>
-struct FieldGradient {
+struct ParameterGradients {
   R means[3], log_scales[3], quaternions[4], logit;
 
-  FieldGradient() = default;
-  LFGS_HD FieldGradient(const Update<R>& job, const Step<R>& step, int64_t i) {
+  ParameterGradients() = default;
+  LFGS_HD ParameterGradients(const Update<R>& job, const Step<R>& step, int64_t i) {
     const Gaussians<const R>& g = job.gradients;
     const bool pushed = !job.seen || job.seen[i];
     for (int c = 0; c < 3; ++c) {
@@ -111,29 +111,30 @@ LFGS_HD void move_numbers(const AdamStep<R>& adam, const R (&gradient)[size], R 
 
 // All of the step for one Gaussian but its harmonics.
 template <class R>
-LFGS_HD void move_gaussian(const Update<R>& job, const Step<R>& step, const FieldGradient<R>& g, int64_t i) {
-  const Fields<R>&fields = job.fields, &first = job.first, &second = job.second;
+LFGS_HD void move_gaussian(const Update<R>& job, const Step<R>& step, const ParameterGradients<R>& g, int64_t i) {
+  const Parameters<R>&parameters = job.parameters, &first = job.first, &second = job.second;
   const StepNumbers<R>& n = step.numbers;
-  move_numbers(step.adam, g.means, step.scaled(n.means), i, fields.means, first.means, second.means);
-  move_numbers(step.adam, g.log_scales, step.scaled(n.log_scales), i, fields.log_scales, first.log_scales,
+  move_numbers(step.adam, g.means, step.scaled(n.means), i, parameters.means, first.means, second.means);
+  move_numbers(step.adam, g.log_scales, step.scaled(n.log_scales), i, parameters.log_scales, first.log_scales,
                second.log_scales);
-  move_numbers(step.adam, g.quaternions, step.scaled(n.quaternions), i, fields.quaternions, first.quaternions,
+  move_numbers(step.adam, g.quaternions, step.scaled(n.quaternions), i, parameters.quaternions, first.quaternions,
                second.quaternions);
-  const R logit = step.adam.moved(fields.logits[i], g.logit, step.scaled(n.logits), first.logits[i], second.logits[i]);
-  fields.logits[i] = clamped(logit, R(kMostLogit));
+  const R logit =
+      step.adam.moved(parameters.logits[i], g.logit, step.scaled(n.logits), first.logits[i], second.logits[i]);
+  parameters.logits[i] = clamped(logit, R(kMostLogit));
 
   glm::vec<3, R> scale;
   for (int c = 0; c < 3; ++c) {
-    R& log_scale = fields.log_scales[3 * i + c];
+    R& log_scale = parameters.log_scales[3 * i + c];
     log_scale = clamped(log_scale, R(kMostLogScale));
     job.scales[3 * i + c] = scale[c] = std::exp(log_scale);
   }
-  const R opacity = job.opacities[i] = sigmoid(fields.logits[i]);
-  if (n.noise_rate > 0) {
-    const R* q = fields.quaternions + 4 * i;
+  const R opacity = job.opacities[i] = sigmoid(parameters.logits[i]);
+  if (n.noise_lr > 0) {
+    const R* q = parameters.quaternions + 4 * i;
     const glm::vec<3, R> noise =
-        position_noise(step.noise, i, glm::vec<4, R>(q[0], q[1], q[2], q[3]), scale, opacity, n.noise_rate * n.means);
-    for (int c = 0; c < 3; ++c) fields.means[3 * i + c] += noise[c];
+        position_noise(step.noise, i, glm::vec<4, R>(q[0], q[1], q[2], q[3]), scale, opacity, n.noise_lr * n.means);
+    for (int c = 0; c < 3; ++c) parameters.means[3 * i + c] += noise[c];
   }
 }
 

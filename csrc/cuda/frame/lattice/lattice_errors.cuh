@@ -68,13 +68,13 @@ struct ErrorSums {
   }
   // Puts together the `count` errors of all threads of the block, which call this together: returns the largest, or
   // `share` times the root mean square if that is more.
-  __device__ float of_block(Memory& memory, int count, float share) const {
+  __device__ float of_block(Memory& memory, int count, float factor) const {
     const float most = warp_max(largest), sum = warp_sum(squares);
     if (threadIdx.x % 32 == 0) memory.largest[threadIdx.x / 32] = most, memory.squares[threadIdx.x / 32] = sum;
     __syncthreads();
     float all = 0, all_squares = 0;
     for (int w = 0; w < kWarps; ++w) all = fmaxf(all, memory.largest[w]), all_squares += memory.squares[w];
-    return fmaxf(all, share * sqrtf(all_squares * fast_reciprocal(float(count))));
+    return fmaxf(all, factor * sqrtf(all_squares * fast_reciprocal(float(count))));
   }
 };
 
@@ -124,10 +124,10 @@ __device__ void for_each_error(const Lattice& lattice, int section, const Memory
     visit(n - first, difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
 }
 
-// Moves every node by a share of the errors at the middles round it, see kNodeShare, and returns the largest move of
+// Moves every node by a share of the errors at the middles round it, see kNodeFactor, and returns the largest move of
 // this thread's nodes. Nodes round which there are errors of both signs, as at an edge, stay where they are. By all
 // threads of the block.
-__device__ float share_errors(const Lattice& lattice, int section, Memory& memory) {
+__device__ float move_nodes(const Lattice& lattice, int section, Memory& memory) {
   for_each_error(lattice, section, memory, [&](int number, float3 e) { memory.errors[number] = Triple(e); });
   __syncthreads();
   float largest = 0;
@@ -137,8 +137,8 @@ __device__ float share_errors(const Lattice& lattice, int section, Memory& memor
     const float3 mean = errors_round(lattice, node, memory.errors);
     const int place = place_of(memory, lattice, section, node);
     auto moved = [&](int c, float error) {
-      largest = fmaxf(largest, fabsf(kNodeShare * error));
-      return fmaf(-kNodeShare, error, __half2float(memory.corners[c][place].low.x));
+      largest = fmaxf(largest, fabsf(kNodeFactor * error));
+      return fmaf(-kNodeFactor, error, __half2float(memory.corners[c][place].low.x));
     };
     store_node(lattice, node, make_float3(moved(0, mean.x), moved(1, mean.y), moved(2, mean.z)), place, memory);
   }

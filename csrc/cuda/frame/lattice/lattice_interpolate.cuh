@@ -9,7 +9,7 @@ namespace lfgs::cuda {
 namespace {
 
 // A colour in 0..1 as stored() makes it. Instead of a conversion a number is added that leaves the byte in the bits.
-__device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
+__device__ inline uint8_t to_byte(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, NodePosition::kMagic))); }
 
 // Interpolates a run of sub-pixels, ends.x to before ends.y, in row r of a tile of lenses, and calls put(m, colour) for
 // each. `phase` is that of the first.
@@ -94,7 +94,7 @@ __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw
     __syncthreads();
     draw(top, end, [&](int r, int at, float colour) {
       if constexpr (sizeof(Out) == 1)
-        memory.interpolated.bytes[(r - top) * row_bytes + at] = byte_of(colour);
+        memory.interpolated.bytes[(r - top) * row_bytes + at] = to_byte(colour);
       else
         out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
             __saturatef(colour);

@@ -6,7 +6,7 @@
 
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lattice.cuh"
-#include "cuda/frame/lens_plan.cuh"
+#include "cuda/frame/kernel_cost.cuh"
 #include "math/colour_circle.h"
 
 namespace lfgs::cuda {
@@ -47,8 +47,8 @@ class LatticePlanner {
   // add up what belongs to one bin, each the terms of every other splat.
   __device__ void measure(const List& list, const LatticePart& part) {
     constexpr int kMeasured = 256;  // about; enough for averages
-    constexpr int kShare = 32 / LatticeCurvature::kBins;
-    const int lane = threadIdx.x % 32, bin = lane / kShare;
+    constexpr int kLanesPerBin = 32 / LatticeCurvature::kBins;
+    const int lane = threadIdx.x % 32, bin = lane / kLanesPerBin;
     LatticeCurvature& curvature = *reinterpret_cast<LatticeCurvature*>(curvature_);
     if (lane == 0) new (&curvature) LatticeCurvature(part);
     __syncwarp();
@@ -64,7 +64,7 @@ class LatticePlanner {
       }
       __syncwarp();
 #pragma unroll 2
-      for (unsigned t = lane % kShare; t < min(32u, measured - begin); t += kShare) {
+      for (unsigned t = lane % kLanesPerBin; t < min(32u, measured - begin); t += kLanesPerBin) {
         const LatticeCurvature::Term& term = terms_[t];
         if (term.first <= bin && bin <= term.last) sums.add(term);
       }
@@ -72,10 +72,10 @@ class LatticePlanner {
     }
 
     // Join the sums of the lanes that have the same bin
-    for (int step = kShare / 2; step > 0; step /= 2)
+    for (int step = kLanesPerBin / 2; step > 0; step /= 2)
       for (float* sum : {&sums.weight, &sums.x, &sums.y, &sums.x_du, &sums.x_du2})
         *sum += __shfl_xor_sync(~0u, *sum, step);
-    if (lane % kShare == 0) curvature.set(bin, sums);
+    if (lane % kLanesPerBin == 0) curvature.set(bin, sums);
     __syncwarp();
   }
 
@@ -93,7 +93,7 @@ class LatticePlanner {
     __syncwarp();
 
     // How far each plane leans, a plane a lane, and the columns that this takes
-    const float lean = curvature.lean_of(lane, lattice), margin = warp_max(fabsf(lean));
+    const float lean = curvature.plane_lean(lane, lattice), margin = warp_max(fabsf(lean));
     if (lane == 0) curvature.widen(margin, lattice);
     __syncwarp();
     if (lattice.planes > kMostLatticePlanes || lattice.across > kMostNodes || lattice.down > kMostNodes) return false;

@@ -1,34 +1,34 @@
 // Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80). Reads
 // the frame's splats and sorted lists, writes the image.
 //
-// The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: an *ordinal* t covers 1 / P_e of it.
-// A warp task is 4 lenses x 16 rows at one ordinal, 64 samples. x, y and v (the view, scaled) count from the centre of
-// the task. The exponent of a splat at a sample is
+// The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: an *lens column* t covers 1 / P_e of
+// it. A warp task is 4 lenses x 16 rows at one lens column, 64 samples. x, y and v (the view, scaled) count from the
+// centre of the task. The exponent of a splat at a sample is
 //   A(y) - d(x, y, v)^2,   A = log2 o - tau (y - v0)^2,   d = S^(-1/2) (x - m(y, s)) to second order in v.
 // Both A and d are inner products of *features* of the sample (1, x, y, v, x v ...) with *coefficients* of the splat:
 // d has 16 of them and A has 8. They are in half precision, large coefficients as the sum of two halves; the tensor
 // cores multiply them and add in float. Colours are inner products, too: each sample has features that are not zero
 // only for its own channel. A splat's colour enters as the difference to that of the splat before.
-// Where S varies too much within the ordinal for the polynomial, S^(-1/2) is evaluated sample by sample: such hits (a
-// hit is a splat that may touch the task's samples) are *careful*.
+// Where S varies too much within the lens column for the polynomial, S^(-1/2) is evaluated sample by sample: such
+// intersections (an intersection is a splat that may touch the task's samples) are *careful*.
 //
-// A block draws a tile of 16 lenses x 32 rows with 8 warps. The ordinals of a tile come in groups, each with a list of
-// splats, and are drawn in passes of a whole group or of half of one, as there is shared memory, see BlockLayout. Of
-// each quad of lanes every lane takes one contiguous quarter of a task's hits; since over is associative, the quarters
-// are joined once at the end.
+// A block draws a tile of 16 lenses x 32 rows with 8 warps. The lens columns of a tile come in groups, each with a list
+// of splats, and are drawn in passes of a whole group or of half of one, as there is shared memory, see BlockLayout. Of
+// each quad of lanes every lane takes one contiguous quarter of a task's intersections; since over is associative, the
+// quarters are joined once at the end.
 #include <cuda_fp16.h>
 
-#include "cuda/frame/ordinal/ordinal_colours.cuh"
-#include "cuda/frame/ordinal/ordinal_task.cuh"
+#include "cuda/frame/lens_column/lens_column_colours.cuh"
+#include "cuda/frame/lens_column/lens_column_task.cuh"
 
 namespace lfgs::cuda {
 namespace {
 
 #if __CUDA_ARCH__ >= 800
 // Brings `count` splats of a list into the block's shared memory, as Memory says, and finds which patches of the tile
-// they may touch at the ordinals first .. last of a group. Two threads have a splat, one for each row of patches.
+// they may touch at the lens columns first .. last of a group. Two threads have a splat, one for each row of patches.
 template <class Layout>
-__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first_lens, int row0, int first,
+__device__ void stage(const DirectFrame& frame, const uint32_t* ids, int count, int first_lens, int row0, int first,
                       int last, Memory<Layout>& memory) {
   static_assert(kWarpsDown == 2);
   const float4* colours = reinterpret_cast<const float4*>(frame.splats.colours);
@@ -58,13 +58,14 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
 // Draws one tile, by all threads of the block. In the full layout bytes are collected in shared memory and then stored
 // row by row; otherwise what is finished goes straight to the image.
 template <bool Compensated, class Layout, class Out>
-__device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
+__device__ void draw_tile(const DirectFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
                           const float4& background, Out* out, Memory<Layout>& memory) {
   constexpr bool kBytes = sizeof(Out) == 1;
   const LensOptics& lens = frame.optics;
-  const Ordinals& ordinals = lens.ordinals;
-  const int tile_x = tile % frame.ordinal.across, tile_y = tile / frame.ordinal.across, width = 3 * lens.width_px;
-  const int first_lens = ordinals.first_lens + tile_x * kTileLenses;
+  const LensColumns& lens_columns = lens.lens_columns;
+  const int tile_x = tile % frame.lens_column.across, tile_y = tile / frame.lens_column.across,
+            width = 3 * lens.width_px;
+  const int first_lens = lens_columns.first_lens + tile_x * kTileLenses;
 
   // Where the tile's rows begin and end; where none is on the panel there is nothing to draw
   bool shown = false;
@@ -92,13 +93,13 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
   // all passes of its group, and once only where it is the whole list
   constexpr unsigned kNone = ~0u;
   unsigned staged = kNone;  // where the batch begins that is in shared memory
-  for (int first = 0; first < ordinals.count; first += Layout::kOrdinals) {
-    const int group = first / kGroupOrdinals, of_group = group * kGroupOrdinals;
-    const int last = min(first + Layout::kOrdinals, ordinals.count) - 1;
-    const int last_of_group = min(of_group + kGroupOrdinals, ordinals.count) - 1;
+  for (int first = 0; first < lens_columns.count; first += Layout::kLensColumns) {
+    const int group = first / kGroupColumns, of_group = group * kGroupColumns;
+    const int last = min(first + Layout::kLensColumns, lens_columns.count) - 1;
+    const int last_of_group = min(of_group + kGroupColumns, lens_columns.count) - 1;
     if (first == of_group) staged = kNone;
     task.clear(first);
-    const uint2 range = lists.range(int64_t(tile) * ordinals.groups + group);
+    const uint2 range = lists.range(int64_t(tile) * lens_columns.groups + group);
     for (unsigned begin = range.x; begin < range.y; begin += Layout::kBatch) {
       const int count = min(unsigned(Layout::kBatch), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
@@ -110,11 +111,11 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
       }
       if (opaque) continue;
 #pragma unroll 1
-      for (int ordinal = first; ordinal <= last; ++ordinal) {
-        const int t = ordinal - first;
+      for (int lens_column = first; lens_column <= last; ++lens_column) {
+        const int t = lens_column - first;
         if (task.opaque(t)) continue;
-        const int n = task.cull(ordinal - of_group, count);
-        if (n > 0) task.draw(t, n, ordinal);
+        const int n = task.cull(lens_column - of_group, count);
+        if (n > 0) task.draw(t, n, lens_column);
       }
     }
     __syncwarp();
@@ -136,16 +137,16 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
 // tile after another until none is left, and a thread has the parts described at Task.
 template <class Layout, bool Compensated, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
-    composite_ordinal_kernel(const __grid_constant__ LensFrame frame, int row_bytes, const float* background,
+    composite_ordinal_kernel(const __grid_constant__ DirectFrame frame, int row_bytes, const float* background,
                              Out* out) {
 #if __CUDA_ARCH__ >= 800
-  if (!frame.ordinal_chosen()) return;
+  if (!frame.lens_column_chosen()) return;
   extern __shared__ __align__(16) char shared[];
   Memory<Layout>& memory = *reinterpret_cast<Memory<Layout>*>(shared);
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
-  const unsigned tiles = tiles_to_draw(frame, frame.ordinal);
-  WorkQueue work(frame, LensKernel::kOrdinal);
+  const unsigned tiles = tiles_to_draw(frame, frame.lens_column);
+  WorkQueue work(frame, FrameKernel::kLensColumn);
   constexpr int kBlack = Layout::kHoldsColours ? Layout::kBatch : 0;  // see Task::colour()
   if (Layout::kHoldsColours && threadIdx.x == 0) memory.colour[kBlack] = make_float4(0, 0, 0, 0);
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
@@ -169,42 +170,43 @@ size_t block_bytes(float line_number) {
 template <class Kernel>
 void allow_shared_memory(Kernel kernel, size_t bytes) {
   int device = 0, all = 0;
-  check(cudaGetDevice(&device), "composite_ordinal: device");
+  check(cudaGetDevice(&device), "composite_lens_column: device");
   check(cudaDeviceGetAttribute(&all, cudaDevAttrMaxSharedMemoryPerMultiprocessor, device),
-        "composite_ordinal: memory of a multiprocessor");
+        "composite_lens_column: memory of a multiprocessor");
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
-        "composite_ordinal: shared memory");
+        "composite_lens_column: shared memory");
   const int percent = int(blocks_for(100 * 2 * int64_t(bytes + kReservedBytes), all));
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributePreferredSharedMemoryCarveout, std::min(percent, 100)),
-        "composite_ordinal: cache");
+        "composite_lens_column: cache");
 }
 
-// Launches the kernels that make colours and shares by ordinal, where the scene needs them, and the one that draws.
+// Launches the kernels that make colours and shares by lens column, where the scene needs them, and the one that draws.
 template <class Layout, bool Compensated, class Out>
-void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
+void launch(const DirectFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (Layout::kHarmonics && frame.splats.count) {
-    const int64_t items = frame.splats.count * (frame.optics.ordinals.columns() / kShare);
-    ordinal_colours_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
-    check_launch("composite_ordinal: colours");
+    const int64_t items = frame.splats.count * (frame.optics.lens_columns.columns() / kShare);
+    lens_column_colours_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
+    check_launch("composite_lens_column: colours");
   }
   if (Compensated && frame.splats.count) {
-    const int64_t items = frame.splats.count * frame.optics.ordinals.columns();
-    ordinal_shares_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
-    check_launch("composite_ordinal: shares");
+    const int64_t items = frame.splats.count * frame.optics.lens_columns.columns();
+    lens_column_compensations_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
+    check_launch("composite_lens_column: compensations");
   }
   const auto kernel = composite_ordinal_kernel<Layout, Compensated, Out>;
   const size_t bytes = block_bytes<Layout>(frame.optics.line_number);
   const int row = lens_row_bytes(frame.optics.line_number);
   allow_shared_memory(kernel, bytes);
   kernel<<<resident_blocks(kernel, kThreads, bytes), kThreads, bytes, stream>>>(frame, row, background, out);
-  check_launch("composite_ordinal");
+  check_launch("composite_lens_column");
 }
 
 // Whether the kernel can draw a lens, on a device that has room for its tiles.
-bool suits_ordinals(const Lens& lens) {
+bool suits_lens_columns(const Lens& lens) {
   const double number = lens.line_number, views_each = double(lens.views) / number;
   if (!lens.has_cells) return number >= kMinLineNumber && number <= kMaxLineNumber && views_each <= kMostViewsEach;
-  // With cells there are two more ordinals, and each sees more views; and what lies at a place must be of one channel
+  // With cells there are two more lens columns, and each sees more views; and what lies at a place must be of one
+  // channel
   return number >= kMinCellLineNumber && number <= kMaxLineNumber - 2 && lens.stands_in_order() &&
          lens.has_one_order() && (1 + 2 * lens.most_beyond()) * views_each <= kMostViewsEach;
 }
@@ -212,22 +214,23 @@ bool suits_ordinals(const Lens& lens) {
 }  // namespace
 
 // Asks what the kernels were compiled for, since a device may run PTX made for an older one without tensor cores.
-OrdinalLayout ordinal_layout(const Lens& lens, int64_t shared_memory) {
+LensColumnLayout lens_column_layout(const Lens& lens, int64_t shared_memory) {
   int device = 0, limit = 0;
   cudaFuncAttributes built{};
-  check(cudaGetDevice(&device), "composite_ordinal: device");
-  check(cudaFuncGetAttributes(&built, ordinal_colours_kernel), "composite_ordinal: architecture");
+  check(cudaGetDevice(&device), "composite_lens_column: device");
+  check(cudaFuncGetAttributes(&built, lens_column_colours_kernel), "composite_lens_column: architecture");
   check(cudaDeviceGetAttribute(&limit, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
-        "composite_ordinal: shared memory");
+        "composite_lens_column: shared memory");
   const int64_t most = shared_memory ? std::min(shared_memory, int64_t(limit)) : limit;
-  if (built.ptxVersion < 80 || most < kCompactBytes || !suits_ordinals(lens)) return OrdinalLayout::kNone;
+  if (built.ptxVersion < 80 || most < kCompactBytes || !suits_lens_columns(lens)) return LensColumnLayout::kNone;
   // A multiprocessor has what the largest block may take and what the system takes for that
   const int64_t full = int64_t(block_bytes<BlockLayout<true, false>>(float(lens.line_number)));
-  return 2 * (full + kReservedBytes) <= most + kReservedBytes ? OrdinalLayout::kFull : OrdinalLayout::kCompact;
+  return 2 * (full + kReservedBytes) <= most + kReservedBytes ? LensColumnLayout::kFull : LensColumnLayout::kCompact;
 }
 
-void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
-  if (!frame.has_ordinal()) return;
+void composite_lens_column(const DirectFrame& frame, const float* background, float* out, uint8_t* out8,
+                           Stream stream) {
+  if (!frame.has_lens_column()) return;
   auto in_layout = [&](auto layout, auto* image) {
     const auto to = cudaStream_t(stream);
     using Chosen = decltype(layout);
@@ -237,7 +240,7 @@ void composite_ordinal(const LensFrame& frame, const float* background, float* o
       launch<Chosen, false>(frame, background, image, to);
   };
   auto draw = [&](auto harmonics, auto* image) {
-    if (frame.ordinal_layout == OrdinalLayout::kCompact)
+    if (frame.lens_column_layout == LensColumnLayout::kCompact)
       in_layout(BlockLayout<harmonics, true>(), image);
     else
       in_layout(BlockLayout<harmonics, false>(), image);

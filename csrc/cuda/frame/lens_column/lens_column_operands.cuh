@@ -1,5 +1,5 @@
-// What the kernel of composite_ordinal.cu multiplies: the layout of a block's shared memory, numbers written as halves,
-// and the instructions of the tensor cores.
+// What the kernel of composite_lens_column.cu multiplies: the layout of a block's shared memory, numbers written as
+// halves, and the instructions of the tensor cores.
 #pragma once
 
 #include <type_traits>
@@ -16,7 +16,7 @@ constexpr int kWarpsDown = kTileRows / kWarpRows, kWarps = kWarpsAcross * kWarps
 // The 64 samples of a patch: four fragments of 16, as a product of the tensor cores takes them; two halves of 32, which
 // are 8 rows each and one sample a lane.
 constexpr int kFragments = 4, kHalves = 2;
-constexpr float kMaxLineNumber = kMostOrdinals - 1, kMinLineNumber = 4, kMostViewsEach = 16;
+constexpr float kMaxLineNumber = kMostLensColumns - 1, kMinLineNumber = 4, kMostViewsEach = 16;
 constexpr float kMinCellLineNumber = 6;  // then half a lens is wider than a sub-pixel can stand aside of its stripe
 constexpr unsigned kOnes = 0x3c003c00u;  // 1 and 1, as halves
 constexpr unsigned kNothing = 0xe3d0;    // -1000 and 0, as halves: an exponent that draws nothing
@@ -29,43 +29,45 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 //   samples 24, 12    queues 9, 6    operands 12.5    colours 9.5    lenses 3
 //   staged splats and their patches 31.5, 5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
 // What a task takes was counted, in warp instructions, where its list is a batch (sheet:512 at 40 degrees): 1460 for 52
-// hits, of them 380 to set it up and to join what it has drawn, 170 for each 32 operands, 104 for each batch of
-// products. So a list that is cut in two costs a third more, and the batch is what must not be small. The compact
-// layout holds no splats, only their numbers, and every task reads its hits from the cache. It draws half a group of
-// ordinals at a time, a *pass*. Where a list is one batch, it is staged once for both passes.
+// intersections, of them 380 to set it up and to join what it has drawn, 170 for each 32 operands, 104 for each batch
+// of products. So a list that is cut in two costs a third more, and the batch is what must not be small. The compact
+// layout holds no splats, only their numbers, and every task reads its intersections from the cache. It draws half a
+// group of lens columns at a time, a *pass*. Where a list is one batch, it is staged once for both passes.
 template <bool Harmonics_, bool Compact_>
 struct BlockLayout {
   static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
-  static constexpr bool kHoldsColours = !kHarmonics && !kCompact;  // otherwise they are read when a hit is drawn
-  static constexpr int kOrdinals = kCompact ? kGroupOrdinals / 2 : kGroupOrdinals;  // drawn at a time
+  static constexpr bool kHoldsColours =
+      !kHarmonics && !kCompact;  // otherwise they are read when an intersection is drawn
+  static constexpr int kLensColumns = kCompact ? kGroupColumns / 2 : kGroupColumns;  // drawn at a time
   // Splats staged at a time
   static constexpr int kBatch = kHarmonics && kCompact ? 400 : 576;
-  static_assert(kGroupOrdinals % kOrdinals == 0);  // those drawn at a time have one list
+  static_assert(kGroupColumns % kLensColumns == 0);  // those drawn at a time have one list
 };
-// When a lane looks for hits it looks at so many splats of a batch at once.
+// When a lane looks for intersections it looks at so many splats of a batch at once.
 constexpr int kAhead = 2;
 // What the system takes for each block, and what a block may take where two stand on 100 KB.
 constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedBytes;
 
-// What a warp keeps in shared memory. The state of samples is the largest part, 512 bytes for each ordinal.
+// What a warp keeps in shared memory. The state of samples is the largest part, 512 bytes for each lens_column.
 template <class Layout>
 struct WarpMemory {
   static constexpr bool kHarmonics = Layout::kHarmonics;
-  // Used in turn for features, 32 samples x 48 bytes; and for the coefficients of 32 hits: those of d in two parts,
-  // then those of A, 16 bytes each.
+  // Used in turn for features, 32 samples x 48 bytes; and for the coefficients of 32 intersections: those of d in two
+  // parts, then those of A, 16 bytes each.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[kHarmonics ? 32 : 1];
-  // The colours of the last hit of every quarter in this round and in the one before, which change places
+  // The colours of the last intersection of every quarter in this round and in the one before, which change places
   float4 last_colour[2][Layout::kHoldsColours ? 1 : 4];
   uint2 last_slope[2][kHarmonics ? 4 : 1];
-  uint16_t queue[Layout::kBatch];  // the hits of the ordinal that is drawn: which of the staged splats they are
-  float2 state[Layout::kOrdinals * kHalves][32];  // colour and transmittance of each sample
-  // For the lens of each sample, in the sample's row: the sub-pixel at ordinal 0; the first ordinal that is the lens's
-  // own, and the first that is no more. They are in memory since the compiler would rather compute them again for every
-  // ordinal than keep so many registers.
+  uint16_t
+      queue[Layout::kBatch];  // the intersections of the lens column that is drawn: which of the staged splats they are
+  float2 state[Layout::kLensColumns * kHalves][32];  // colour and transmittance of each sample
+  // For the lens of each sample, in the sample's row: the sub-pixel at lens column 0; the first lens column that is the
+  // lens's own, and the first that is no more. They are in memory since the compiler would rather compute them again
+  // for every lens column than keep so many registers.
   int start[kHalves][32];
-  uchar2 ordinals[kHalves][32];
-  float x_first;  // x of ordinal -1/2, the left edge of the first, in the middle row
+  uchar2 lens_columns[kHalves][32];
+  float x_first;  // x of lens column -1/2, the left edge of the first, in the middle row
 };
 
 // What a block keeps in shared memory. In the full layout the bytes of the tile follow behind it: kTileRows x
@@ -127,8 +129,9 @@ __device__ inline int forgotten(int number) {
 }
 
 #if __CUDA_ARCH__ >= 800
-// c = a b on the tensor cores, for a fragment of 16 samples and a batch of 8 hits, over 16 or over 8 coefficients. A
-// lane receives samples lane / 4 (c[0], c[1]) and 8 more (c[2], c[3]) at hits 2 (lane % 4) and the next.
+// c = a b on the tensor cores, for a fragment of 16 samples and a batch of 8 intersections, over 16 or over 8
+// coefficients. A lane receives samples lane / 4 (c[0], c[1]) and 8 more (c[2], c[3]) at intersections 2 (lane % 4) and
+// the next.
 __device__ inline void multiply(float (&c)[4], const unsigned (&a)[4], unsigned b0, unsigned b1) {
   asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0,%1,%2,%3},{%4,%5,%6,%7},{%8,%9},{%10,%10,%10,%10};"
       : "=f"(c[0]), "=f"(c[1]), "=f"(c[2]), "=f"(c[3])
@@ -153,9 +156,9 @@ __device__ inline void load_matrix(unsigned (&r)[2], unsigned address) {
                : "memory");
 }
 
-// Blends one hit into one sample. `change` is the step from the colour of the hit before: it is added with all the
-// light that has come so far, also where this hit draws nothing, for the hits behind build on it. Limit: whether alpha
-// may be above its most.
+// Blends one intersection into one sample. `change` is the step from the colour of the intersection before: it is added
+// with all the light that has come so far, also where this intersection draws nothing, for the intersections behind
+// build on it. Limit: whether alpha may be above its most.
 template <bool Limit>
 __device__ inline void blend(float d, float A, float change, float cut, float& colour, float& transmittance) {
   const float power = fmaf(-d, d, A);
@@ -165,8 +168,8 @@ __device__ inline void blend(float d, float A, float change, float cut, float& c
   if (power >= cut) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
-// A hit's coefficients as halves: those of d in two parts, and those of A. Each lane of a quad reads two words next to
-// each other, so the four words of `low` are for the first two lanes and those of `high` for the others.
+// An intersection's coefficients as halves: those of d in two parts, and those of A. Each lane of a quad reads two
+// words next to each other, so the four words of `low` are for the first two lanes and those of `high` for the others.
 struct Operands {
   uint4 low, high, exponent;
 };

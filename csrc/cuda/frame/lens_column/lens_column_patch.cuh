@@ -1,32 +1,32 @@
-// A warp's patch in composite_ordinal.cu, 4 lenses x 16 rows: where its samples are, which splats touch it, and what
-// its samples hold. It reads the frame and the staged splats, and writes the warp's part of shared memory: cull() the
-// queues of hits, clear() the state of the samples, which finish() hands out as colours.
+// A warp's patch in composite_lens_column.cu, 4 lenses x 16 rows: where its samples are, which splats touch it, and
+// what its samples hold. It reads the frame and the staged splats, and writes the warp's part of shared memory: cull()
+// the queues of intersections, clear() the state of the samples, which finish() hands out as colours.
 //
 // All 32 lanes of a warp call these functions together.
 #pragma once
 
-#include "cuda/frame/ordinal/ordinal_reach.cuh"
+#include "cuda/frame/lens_column/lens_column_reach.cuh"
 
 namespace lfgs::cuda {
 
 #if __CUDA_ARCH__ >= 800
 template <class Layout>
 struct Patch {
-  static constexpr int kOrdinals = Layout::kOrdinals;  // of a *pass*: those that are drawn at a time
-  const LensFrame& frame;
+  static constexpr int kLensColumns = Layout::kLensColumns;  // of a *pass*: those that are drawn at a time
+  const DirectFrame& frame;
   Memory<Layout>& memory;
   WarpMemory<Layout>& own;
   int lane, row0, lens0;  // of the patch
   float middle_y;
   unsigned places;  // bit 8 p + s: this lane's sample s is of a lens that starts at place p
 
-  __device__ Patch(const LensFrame& frame_, Memory<Layout>& memory_, int tile_x, int tile_y)
+  __device__ Patch(const DirectFrame& frame_, Memory<Layout>& memory_, int tile_x, int tile_y)
       : frame(frame_), memory(memory_), own(memory_.warps[threadIdx.x / 32]), lane(threadIdx.x % 32) {
     const int warp = threadIdx.x / 32, across = warp % kWarpsAcross, down = warp / kWarpsAcross;
     const LensOptics& lens = frame.optics;
 
     row0 = tile_y * kTileRows + down * kWarpRows;
-    lens0 = lens.ordinals.first_lens + (tile_x * kWarpsAcross + across) * kWarpLenses;
+    lens0 = lens.lens_columns.first_lens + (tile_x * kWarpsAcross + across) * kWarpLenses;
     middle_y = row0 + 0.5f * kWarpRows;
     if (lane == 0) own.x_first = sheared_x(lens, lens0) - lens.slant_tan * middle_y;
 
@@ -36,7 +36,7 @@ struct Patch {
       const int begin = lens_start(lens, row, number);
       const int start = lens.has_cells ? first_stripe(lens, row, number) - lens.lead : begin;
       own.start[h][lane] = start;
-      own.ordinals[h][lane] = make_uchar2(begin - start, lens_start(lens, row, number + 1) - start);
+      own.lens_columns[h][lane] = make_uchar2(begin - start, lens_start(lens, row, number + 1) - start);
     }
     __syncwarp();
 
@@ -52,7 +52,7 @@ struct Patch {
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
   }
 
-  // Which of the `count` staged splats may touch the patch at the t-th ordinal of the group. Fills the queue, which
+  // Which of the `count` staged splats may touch the patch at the t-th lens column of the group. Fills the queue, which
   // keeps the splats in their order, and returns how many there are.
   __device__ int cull(int t, int count) {
     const int warp = threadIdx.x / 32;
@@ -67,9 +67,9 @@ struct Patch {
       for (int k = 0; k < kAhead; ++k) at[k] = touched[i + 32 * k];
 #pragma unroll
       for (int k = 0; k < kAhead; ++k) {
-        const unsigned hits = __ballot_sync(~0u, at[k] & mine);
-        if (at[k] & mine) own.queue[n + __popc(hits & before)] = uint16_t(i + 32 * k);
-        n += __popc(hits);
+        const unsigned intersections = __ballot_sync(~0u, at[k] & mine);
+        if (at[k] & mine) own.queue[n + __popc(intersections & before)] = uint16_t(i + 32 * k);
+        n += __popc(intersections);
       }
     }
     __syncwarp();
@@ -93,11 +93,11 @@ struct Patch {
     for (int i = 0; i < kHalves; ++i) {
       const int2 place = place_of_kept(i);
       const int row = row0 + place.y / kWarpLenses + 8 * place.x, start = own.start[place.x][place.y];
-      const uchar2 ordinals = own.ordinals[place.x][place.y];
-      const int begin = max(start + ordinals.x, 0);
-      const int end = row < lens.height_px ? min(start + ordinals.y, 3 * lens.width_px) : 0;
+      const uchar2 lens_columns = own.lens_columns[place.x][place.y];
+      const int begin = max(start + lens_columns.x, 0);
+      const int end = row < lens.height_px ? min(start + lens_columns.y, 3 * lens.width_px) : 0;
 #pragma unroll
-      for (int t = 0; t < kOrdinals; ++t) {
+      for (int t = 0; t < kLensColumns; ++t) {
         const int m = start + first + t;
         own.state[t * kHalves + i][lane] = make_float2(0, m >= begin && m < end ? 1.f : 0.f);
       }
@@ -105,16 +105,16 @@ struct Patch {
     __syncwarp();
   }
 
-  // Whether all samples of the patch are done: at ordinal t of the pass; at all of the first ordinals.
+  // Whether all samples of the patch are done: at lens column t of the pass; at all of the first lens_columns.
   __device__ bool opaque(int t) const {
     bool all = true;
 #pragma unroll
     for (int i = 0; i < kHalves; ++i) all = all & (own.state[t * kHalves + i][lane].y < frame.stop);
     return __all_sync(~0u, all);
   }
-  __device__ bool all_opaque(int ordinals) const {
+  __device__ bool all_opaque(int lens_columns) const {
     bool all = true;
-    for (int t = 0; t < ordinals; ++t) all = all && opaque(t);
+    for (int t = 0; t < lens_columns; ++t) all = all && opaque(t);
     return all;
   }
 
@@ -123,7 +123,7 @@ struct Patch {
     int row, m, place;
   };
 
-  // Hands every finished sample of ordinals first .. last that is on the panel to put(Finished, value).
+  // Hands every finished sample of lens columns first .. last that is on the panel to put(Finished, value).
   template <class Put>
   __device__ void finish(int first, int last, const float4& background, const Put& put) {
     const LensOptics& lens = frame.optics;
@@ -133,12 +133,12 @@ struct Patch {
       const int2 kept = place_of_kept(i);
       const int row = kept.y / kWarpLenses + 8 * kept.x, start = own.start[kept.x][kept.y];
       if (row0 + row >= lens.height_px) continue;
-      const uchar2 ordinals = own.ordinals[kept.x][kept.y];
-      const int begin = max(start + max(int(ordinals.x), first), 0);
-      const int end = min(start + min(int(ordinals.y), last + 1), 3 * lens.width_px);
+      const uchar2 lens_columns = own.lens_columns[kept.x][kept.y];
+      const int begin = max(start + max(int(lens_columns.x), first), 0);
+      const int end = min(start + min(int(lens_columns.y), last + 1), 3 * lens.width_px);
       int place = place_of(start + first);
 #pragma unroll
-      for (int t = 0; t < kOrdinals; ++t, place = place == 2 ? 0 : place + 1) {
+      for (int t = 0; t < kLensColumns; ++t, place = place == 2 ? 0 : place + 1) {
         const int m = start + first + t;
         if (m < begin || m >= end) continue;
         const float2 state = own.state[t * kHalves + i][lane];

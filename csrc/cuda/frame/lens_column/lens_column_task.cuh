@@ -1,11 +1,11 @@
-// A warp's task in composite_ordinal.cu: its patch at one ordinal, from the hits to the samples.
+// A warp's task in composite_lens_column.cu: its patch at one lens column, from the intersections to the samples.
 //
-// It reads the staged splats and the queue of hits that Patch::cull() wrote, has the tensor cores multiply the features
-// of the samples with the coefficients of the hits, and adds what comes out to the colours and transmittances in
-// WarpMemory::state. composite_ordinal.cu has the formulas.
+// It reads the staged splats and the queue of intersections that Patch::cull() wrote, has the tensor cores multiply the
+// features of the samples with the coefficients of the intersections, and adds what comes out to the colours and
+// transmittances in WarpMemory::state. composite_lens_column.cu has the formulas.
 #pragma once
 
-#include "cuda/frame/ordinal/ordinal_features.cuh"
+#include "cuda/frame/lens_column/lens_column_features.cuh"
 
 namespace lfgs::cuda {
 
@@ -18,7 +18,7 @@ struct Task : Features<Layout, Compensated> {
   static constexpr int kBatch = Layout::kBatch;
   using Base = Features<Layout, Compensated>;
   using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::staged, Base::queued;
-  using Base::colour_features_at, Base::complete, Base::features, Base::pick, Base::take_share;
+  using Base::colour_features_at, Base::complete, Base::features, Base::pick, Base::take_compensation;
   using Base::view_of;
 
   // Where the block holds colours: that of staged splat i, the same for all cameras. Number kBatch is black.
@@ -28,15 +28,15 @@ struct Task : Features<Layout, Compensated> {
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
     return out;
   }
-  // Elsewhere: a colour out of the two pieces in which LensFrame stores it; without harmonics the second is nothing.
+  // Elsewhere: a colour out of the two pieces in which DirectFrame stores it; without harmonics the second is nothing.
   static __device__ Colour whole(const float4& c, const uint2& slopes) {
     Colour out;
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
     out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
     return out;
   }
-  // Keeps such a colour in the warp's memory, as the last of a quarter in a round, and reads it again, for the hit that
-  // follows takes the difference to it. Odd rounds have places of their own (turn 1).
+  // Keeps such a colour in the warp's memory, as the last of a quarter in a round, and reads it again, for the
+  // intersection that follows takes the difference to it. Odd rounds have places of their own (turn 1).
   __device__ void keep(int turn, int quarter, const float4& c, const uint2& slopes) {
     own.last_colour[turn][Layout::kHoldsColours ? 0 : quarter] = c;
     if (Harmonics) own.last_slope[turn][Harmonics ? quarter : 0] = slopes;
@@ -56,30 +56,31 @@ struct Task : Features<Layout, Compensated> {
     return out;
   }
 
-  // Adds the n hits of the queue, those of ordinal t of the pass, to the state of the samples. The hits are taken in
-  // four quarters at once, and of each quad a lane blends one quarter: over is associative, and join() puts the
-  // quarters together. In each round 8 hits of every quarter become operands, one a lane; then come up to four batches
-  // of products, each of 8 hits (two of every quarter) and all 64 samples.
-  __device__ void draw(int t, int n, int ordinal) {
+  // Adds the n intersections of the queue, those of lens column t of the pass, to the state of the samples. The
+  // intersections are taken in four quarters at once, and of each quad a lane blends one quarter: over is associative,
+  // and join() puts the quarters together. In each round 8 intersections of every quarter become operands, one a lane;
+  // then come up to four batches of products, each of 8 intersections (two of every quarter) and all 64 samples.
+  __device__ void draw(int t, int n, int lens_column) {
     const int quad = lane % 4, row = lane / 4;
 
     // Features of the samples
-    const float x_centre = floorf(own.x_first + (ordinal + 0.5f) * (1.f / 3));
+    const float x_centre = floorf(own.x_first + (lens_column + 0.5f) * (1.f / 3));
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
-    features(ordinal, x_centre, d_features, A_features);
-    const Ordinals& ordinals = frame.optics.ordinals;
-    const float centre = ordinals.centre[ordinal], unit = offset_unit(frame.optics);
-    colour_features_at(ordinal, A_features, colour_features);
+    features(lens_column, x_centre, d_features, A_features);
+    const LensColumns& lens_columns = frame.optics.lens_columns;
+    const float centre = lens_columns.centre[lens_column], unit = offset_unit(frame.optics);
+    colour_features_at(lens_column, A_features, colour_features);
 
-    // Nothing drawn in any quarter yet, and black before the first hit
+    // Nothing drawn in any quarter yet, and black before the first intersection
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
-    int begin = 0, hit = kBatch, kept = hit;  // this lane's hit of this round, of the last; kBatch: none
+    int begin = 0, intersection = kBatch,
+        kept = intersection;  // this lane's intersection of this round, of the last; kBatch: none
     if (!Layout::kHoldsColours && lane < 4) keep(1, lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
     for (; begin < quarter; begin += 8) {
-      // Read this lane's hit: those of quarter q are in the columns 2 q and 2 q + 1 of the four batches
+      // Read this lane's intersection: those of quarter q are in the columns 2 q and 2 q + 1 of the four batches
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
       const int i = queued(valid ? q * quarter + j : 0);
@@ -88,27 +89,28 @@ struct Task : Features<Layout, Compensated> {
       uint2 slopes = make_uint2(0, 0);
       // Colours are asked for first, since they take a while; __syncwarp keeps them before the rest
       if constexpr (Harmonics) {
-        const unsigned at = __float_as_uint(splat.depth) + ordinal;
-        if (valid) c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
-        if (valid) slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
+        const unsigned at = __float_as_uint(splat.depth) + lens_column;
+        if (valid) c = reinterpret_cast<const float4*>(frame.lens_column_colours)[at];
+        if (valid) slopes = reinterpret_cast<const uint2*>(frame.lens_column_slopes)[at];
       } else if constexpr (!Layout::kHoldsColours) {
         c = reinterpret_cast<const float4*>(frame.splats.colours)[memory.id[i]];
       }
-      [[maybe_unused]] float2 share;
+      [[maybe_unused]] float2 compensation;
       if constexpr (Compensated)
-        share = reinterpret_cast<const float2*>(frame.ordinal_shares)[__float_as_uint(splat.depth) + ordinal];
+        compensation = reinterpret_cast<const float2*>(
+            frame.lens_column_compensations)[__float_as_uint(splat.depth) + lens_column];
       __syncwarp();
 
       // Make its operands, and see whether any of the 32 is opaque or may be careful
-      const OrdinalShape shape(splat, centre, unit);
+      const LensColumnShape shape(splat, centre, unit);
       Operands operands = Base::template coefficients<false>(splat, shape, centre, unit, x_centre);
-      if constexpr (Compensated) take_share(operands, splat, share);
+      if constexpr (Compensated) take_compensation(operands, splat, compensation);
       const bool opaque = valid && splat.log2_opacity > float(kLog2MaxAlpha);
-      bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
-      if constexpr (Compensated) special = special || __any_sync(~0u, valid && lacks(share));
+      bool special = __any_sync(~0u, opaque || (valid && shape.s2 > lens_columns.most_bend));
+      if constexpr (Compensated) special = special || __any_sync(~0u, valid && not_fitted(compensation));
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
 
-      // Store them, the colour as the difference to that of the hit before
+      // Store them, the colour as the difference to that of the intersection before
       if constexpr (!Layout::kHoldsColours) {
         if (!Harmonics) {
           c = by_place(frame.optics, c);
@@ -121,26 +123,26 @@ struct Task : Features<Layout, Compensated> {
         if (j - begin == min(7, quarter - 1 - begin)) keep(turn, q, c, slopes);
         store_operands(operands, now, last);
       } else {
-        kept = hit, hit = valid ? i : kBatch;
-        store_operands(operands, colour(hit), colour(before(hit, kept)));
+        kept = intersection, intersection = valid ? i : kBatch;
+        store_operands(operands, colour(intersection), colour(before(intersection, kept)));
       }
 
-      // Replace the operands of careful hits. This is rare: it starts from the splat once more, so that common rounds
-      // keep no registers for it
-      unsigned careful = 0;  // a bit for each lane
+      // Replace the operands of exact intersections. This is rare: it starts from the splat once more, so that common
+      // rounds keep no registers for it
+      unsigned needs_exact = 0;  // a bit for each lane
       if (special) {
         const Splat<float> again = staged(i);
-        const OrdinalShape varying(again, centre, unit);
-        bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
-        if constexpr (Compensated) mine = mine || (valid && lacks(share));
-        careful = __ballot_sync(~0u, mine);
-        special = careful || __any_sync(~0u, opaque);
-        if (mine) store_carefully(Base::template coefficients<true>(again, varying, centre, unit, x_centre));
+        const LensColumnShape varying(again, centre, unit);
+        bool mine = valid && varying.parabola_error(lens_columns, again.log2_opacity) > kMostParabolaError;
+        if constexpr (Compensated) mine = mine || (valid && not_fitted(compensation));
+        needs_exact = __ballot_sync(~0u, mine);
+        special = needs_exact || __any_sync(~0u, opaque);
+        if (mine) store_exactly(Base::template coefficients<true>(again, varying, centre, unit, x_centre));
       }
       __syncwarp();
 
-      // One batch: multiply, complete what is careful, and blend two hits at two samples of each fragment, the nearer
-      // hit first
+      // One batch: multiply, complete what is careful, and blend two intersections at two samples of each fragment, the
+      // nearer intersection first
       const int batches = min(4, (quarter - begin + 1) / 2);
       auto batch = [&](int b, auto limited, const auto&... completed) {
         const char* at = own.operands + quad / 2 * kHighOffset + (8 * b + row) * 16 + quad % 2 * 8;
@@ -162,10 +164,10 @@ struct Task : Features<Layout, Compensated> {
           }
           constexpr bool Limit = decltype(limited)::value;
           (completed(d, A, f), ...);
-          blend<Limit>(d[0], A[0], c[0], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
-          blend<Limit>(d[2], A[2], c[2], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
-          blend<Limit>(d[1], A[1], c[1], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
-          blend<Limit>(d[3], A[3], c[3], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
+          blend<Limit>(d[0], A[0], c[0], frame.sample_cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[2], A[2], c[2], frame.sample_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
+          blend<Limit>(d[1], A[1], c[1], frame.sample_cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[3], A[3], c[3], frame.sample_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
         }
       };
 
@@ -178,25 +180,25 @@ struct Task : Features<Layout, Compensated> {
           if (batches > 3) batch(3, std::false_type{});
         }
       } else {
-        OrdinalShape varying(staged(i), centre, unit);
-        OrdinalShare varied = share_of(i, varying, centre, unit);
-        if (!(careful >> lane & 1)) varying.s1 = varying.s2 = 0, varied = OrdinalShare();
+        LensColumnShape varying(staged(i), centre, unit);
+        LensColumnCompensation varied = exact_compensation(i, varying, centre, unit);
+        if (!(needs_exact >> lane & 1)) varying.s1 = varying.s2 = 0, varied = LensColumnCompensation();
 #pragma unroll 1
         for (int b = 0; b < batches; ++b) {
-          if (!(careful >> 8 * b & 0xff)) {
+          if (!(needs_exact >> 8 * b & 0xff)) {
             batch(b, std::true_type{});
             continue;
           }
           const int at = 8 * b + 2 * quad;
           float2 s[2];
-          OrdinalShare shares[2];
+          LensColumnCompensation compensations[2];
 #pragma unroll
           for (int i = 0; i < 2; ++i) {
             s[i] = make_float2(__shfl_sync(~0u, varying.s1, at + i), __shfl_sync(~0u, varying.s2, at + i));
-            if constexpr (Compensated) shares[i] = varied.of_lane(at + i);
+            if constexpr (Compensated) compensations[i] = varied.of_lane(at + i);
           }
           batch(b, std::true_type{},
-                [&](float (&d)[4], float (&A)[4], int f) { complete(d, A, d_features, f, s, shares); });
+                [&](float (&d)[4], float (&A)[4], int f) { complete(d, A, d_features, f, s, compensations); });
         }
       }
     }
@@ -206,28 +208,29 @@ struct Task : Features<Layout, Compensated> {
     if (quarter % 2 == 0) {
       const int j = quarter - 1 - (begin - 8), last = j / 2 * 8 + quad * 2 + j % 2;
       const Colour end =
-          Layout::kHoldsColours ? colour(__shfl_sync(~0u, hit, last)) : kept_colour((begin / 8 - 1) % 2, quad);
-      close(end, ordinal % 3, A_features, colours, transmittances);
+          Layout::kHoldsColours ? colour(__shfl_sync(~0u, intersection, last)) : kept_colour((begin / 8 - 1) % 2, quad);
+      close(end, lens_column % 3, A_features, colours, transmittances);
     }
     join(t, colours, transmittances);
   }
 
-  // Which lane has the hit before this lane's in the same quarter: the one a column before. Before the first column of
-  // a round comes the last one of the round before, which before() and draw() look up in what was kept.
+  // Which lane has the intersection before this lane's in the same quarter: the one a column before. Before the first
+  // column of a round comes the last one of the round before, which before() and draw() look up in what was kept.
   __device__ bool first_of_quarter() const { return lane / 8 == 0 && lane % 2 == 0; }
   __device__ int lane_before() const { return lane % 2 ? lane - 1 : first_of_quarter() ? lane + 25 : lane - 7; }
-  __device__ int before(int hit, int kept) const {
+  __device__ int before(int intersection, int kept) const {
     const bool last = lane / 8 == 3 && lane % 2 == 1;
-    return __shfl_sync(~0u, last ? kept : hit, lane_before());
+    return __shfl_sync(~0u, last ? kept : intersection, lane_before());
   }
 
-  // Whether a parabola is too rough for a hit's share of opacity, which ShareFit says with a NaN.
-  __device__ static bool lacks(float2 share) { return !(share.x == share.x); }
+  // Whether a parabola is too rough for an intersection's compensation, which CompensationFit says with a NaN.
+  __device__ static bool not_fitted(float2 compensation) { return !(compensation.x == compensation.x); }
   // The share of staged splat i as a function of v, without that approximation.
-  __device__ OrdinalShare share_of(int i, const OrdinalShape& shape, float centre, float unit) const {
+  __device__ LensColumnCompensation exact_compensation(int i, const LensColumnShape& shape, float centre,
+                                                       float unit) const {
     if constexpr (!Compensated) return {};
-    const unsigned id = __float_as_uint(staged(i).depth) / unsigned(frame.optics.ordinals.columns());
-    return OrdinalShare(frame.splats.compensations[id], shape, centre, unit);
+    const unsigned id = __float_as_uint(staged(i).depth) / unsigned(frame.optics.lens_columns.columns());
+    return LensColumnCompensation(frame.splats.compensations[id], shape, centre, unit);
   }
 
   // Stores this lane's coefficients of d.
@@ -235,12 +238,13 @@ struct Task : Features<Layout, Compensated> {
     reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
   }
-  // Overwrites the coefficients of a careful hit; with compensation also those of A, which then lack the share.
-  __device__ void store_carefully(const Operands& operands) {
+  // Overwrites the coefficients of an exact intersection; with compensation also those of A, which then lack the share.
+  __device__ void store_exactly(const Operands& operands) {
     store_shape(operands);
     if constexpr (Compensated) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
   }
-  // Stores all operands of this lane's hit; the colour as the difference to the hit before it in its quarter.
+  // Stores all operands of this lane's intersection; the colour as the difference to the intersection before it in its
+  // quarter.
   __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {
     store_shape(operands);
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
@@ -296,7 +300,7 @@ struct Task : Features<Layout, Compensated> {
       colour[i] = over(odd, own_c, c, own_T, T), transmittance[i] = own_T * T;
     }
 
-    // The front half of the hits and the back one, and both behind what was drawn before
+    // The front half of the intersections and the back one, and both behind what was drawn before
 #pragma unroll
     for (int i = 0; i < kHalves; ++i) {
       const int away = kHalves + i;
