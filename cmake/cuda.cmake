@@ -45,10 +45,7 @@ set_target_properties(_core PROPERTIES
 
 target_sources(bindings PRIVATE
   csrc/bind/cuda.cpp
-  csrc/bind/fit_cuda.cpp
-  csrc/bind/frame.cpp
-  csrc/bind/photo_cuda.cpp
-  csrc/bind/png_cuda.cpp)
+  csrc/bind/frame.cpp)
 target_compile_definitions(bindings PRIVATE LFGS_WITH_CUDA)
 target_include_directories(bindings PRIVATE ${CMAKE_CUDA_TOOLKIT_INCLUDE_DIRECTORIES})
 target_sources(_core PRIVATE

@@ -7,6 +7,9 @@
 #include "bind/addresses.h"
 #include "bind/parts.h"
 #include "stages/fit.h"
+#ifdef LFGS_WITH_CUDA
+#include "cuda/fit/fit.h"
+#endif
 
 namespace py = pybind11;
 
@@ -136,5 +139,35 @@ void bind_fit(py::module_ root) {
   bind_fit_stages<float>(root.attr("float32"));
   bind_fit_stages<double>(root.attr("float64"));
 }
+
+#ifdef LFGS_WITH_CUDA
+void bind_fit_cuda(py::module_ cuda) {
+  cuda.def("photo_loss_partials", &cuda::photo_loss_partials, py::arg("images"), py::arg("height_px"),
+           py::arg("width_px"));
+  cuda.def(
+      "photo_loss", [](const PhotoLoss<float>& job, Address stream) { cuda::photo_loss(job, at<void>(stream)); },
+      NoGil(), py::arg("job"), py::arg("stream"));
+  cuda.def(
+      "update", [](const Update<float>& job, Address stream) { cuda::update(job, at<void>(stream)); }, NoGil(),
+      py::arg("job"), py::arg("stream"));
+  cuda.def(
+      "uniforms",
+      [](uint64_t seed, uint32_t step, uint32_t purpose, int64_t count, Address out, Address stream) {
+        cuda::uniforms({seed, step, purpose}, count, at<double>(out), at<void>(stream));
+      },
+      NoGil(), py::arg("seed"), py::arg("step"), py::arg("purpose"), py::arg("count"), py::arg("out"),
+      py::arg("stream"));
+  cuda.def(
+      "normals",
+      [](uint64_t seed, uint32_t step, uint32_t purpose, int64_t count, Address out, Address stream) {
+        cuda::normals({seed, step, purpose}, count, at<float>(out), at<void>(stream));
+      },
+      NoGil(), py::arg("seed"), py::arg("step"), py::arg("purpose"), py::arg("count"), py::arg("out"),
+      py::arg("stream"));
+  cuda.def(
+      "dropout", [](const Dropout<float>& job, Address stream) { cuda::dropout(job, at<void>(stream)); }, NoGil(),
+      py::arg("job"), py::arg("stream"));
+}
+#endif
 
 }  // namespace lfgs

@@ -23,9 +23,9 @@ using cuda::FrameState;
 void force(DirectFrame& frame, int kernel) {
   require(kernel >= -1 && kernel < int(FrameKernel::kCount), "no such kernel: " + std::to_string(kernel));
   require(kernel != int(FrameKernel::kLensColumn) || frame.has_lens_column(),
-          "the lens_column kernel cannot draw this lens on this device");
+          "the lens-column kernel cannot draw this lens on this device");
   require(!frame.rig.compensated() || (kernel != int(FrameKernel::kPixel) && kernel != int(FrameKernel::kPixelSmall)),
-          "frames of compensated opacities are drawn by pixel-quadratic, pixel-quadratic-small or lens_column");
+          "frames of compensated opacities are drawn by pixel-quadratic, pixel-quadratic-small or lens-column");
   frame.forced = kernel;
 }
 

@@ -42,16 +42,16 @@ __global__ void __launch_bounds__(kThreads)
                            float eps, uint32_t* out) {
   __shared__ float parts[kWarps];
   const int image = blockIdx.x / maps.groups, group = blockIdx.x % maps.groups;
-  const int row = maps.channels / 2, pairs = row / maps.groups, first_pair = group * pairs;
+  const int row = maps.channels / 2, pairs = row / maps.groups, first = group * pairs;
 
   // Every thread stays with two channels; the last few threads of a block may have none
-  const int together = kThreads / pairs, pair = first_pair + threadIdx.x % pairs;
+  const int together = kThreads / pairs, pair = first + threadIdx.x % pairs;
   const int64_t start = threadIdx.x / pairs < together ? threadIdx.x / pairs : maps.pixels;
   const int64_t origin = int64_t(image) * maps.pixels * row;
   in += origin, out += origin;
 
   // Mean and variance. They are summed as differences to one of the numbers, so that large means do not take the digits
-  const float about = floats(in[first_intersection]).x;
+  const float about = floats(in[first]).x;
   float sum = 0, squares = 0;
 #pragma unroll 4
   for (int64_t p = start; p < maps.pixels; p += together) {

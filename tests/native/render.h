@@ -35,7 +35,7 @@ struct Render {
   std::vector<int64_t> drawn, offsets, first;
   const T background[3] = {T(0.2), T(0.4), T(0.6)};
   int threads;
-  std::vector<std::intersection<std::string, std::vector<T>>> results;  // what was drawn from what, by name
+  std::vector<std::pair<std::string, std::vector<T>>> results;  // what was drawn from what, by name
 
   explicit Render(int threads_) : threads(threads_) {
     std::mt19937 random(3);
@@ -150,16 +150,17 @@ struct Render {
     photo_loss<T>(loss, threads);
 
     std::vector<T> values(23 * kCount, T(-1)), first_moments(values.size()), second_moments(values.size());
-    auto fields_in = [](std::vector<T>& of) {
+    auto parameters_in = [](std::vector<T>& of) {
       T* at = of.data();
-      return Fields<T>{at, at + 3 * kCount, at + 6 * kCount, at + 10 * kCount, at + 11 * kCount};
+      return Parameters<T>{at, at + 3 * kCount, at + 6 * kCount, at + 10 * kCount, at + 11 * kCount};
     };
     const StepNumbers<T> row{T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.1), T(0.001), 100, 1, 1};
     const int64_t step = 0;
     int64_t skipped = 0;
     Update<T> job;
     job.gradients = {kCount, 1, g_means.data(), g_quaternions.data(), g_scales.data(), g_opacities.data(), g_sh.data()};
-    job.fields = fields_in(values), job.first = fields_in(first_moments), job.second = fields_in(second_moments);
+    job.fields = parameters_in(values), job.first = parameters_in(first_moments),
+    job.second = parameters_in(second_moments);
     std::vector<T> drawn_scales(scales), drawn_opacities(opacities);
     job.scales = drawn_scales.data(), job.opacities = drawn_opacities.data();
     job.table = &row, job.rows = 1, job.step = &step, job.skipped = &skipped;

@@ -71,7 +71,7 @@ def test_light_fields_and_their_gradients_are_those_of_the_module(precision, con
     rig = [*np.eye(4).ravel(), 90, 90, 75, 35, -1.5, 1.5, -1, 1, 0, 2.0]
     lens = [WIDTH, HEIGHT, VIEWS, STEP, STEP, STEP // 2, False, continuous]
     shape = [9.85, 1 / 6, 1.0, 0.7, -1.4 / VIEWS]
-    image = torch.ops.lightfield_gs.render_direct(*fields, background, list(map(float, rig)), lens, shape)
+    image = torch.ops.lightfield_gs.render_lens(*fields, background, list(map(float, rig)), lens, shape)
     image.backward(torch.from_numpy(ARM[precision, "gradient"].copy()).reshape(image.shape))
     name = "continuous" if continuous else "steps"
     agree(precision, name, ARM[precision, f"{name} image"], image.detach().numpy())

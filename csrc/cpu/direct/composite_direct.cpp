@@ -14,10 +14,9 @@
 #include "cpu/direct/direct_job.h"
 #include "cpu/direct/lens_run.h"
 #include "cpu/tile_lists.h"
-#include "cpu/direct/tile_splats.h"
 #include "hwy/cache_control.h"
 #include "math/colour_polynomial.h"
-#include "math/image_byte.h"
+#include "math/saturate.h"
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE

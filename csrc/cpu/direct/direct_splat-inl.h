@@ -12,7 +12,7 @@
 #include <cmath>
 
 #include "cpu/direct/direct_tile-inl.h"
-#include "cpu/direct/tile_splats.h"
+#include "cpu/direct/direct_job.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
 #include "math/colour_circle.h"

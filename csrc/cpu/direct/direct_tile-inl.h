@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "cpu/direct/lens_layout.h"
+#include "cpu/direct/sample_placer-inl.h"
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
@@ -72,6 +73,7 @@ class DirectTile {
   static constexpr int kCellsPerPatch = kLanes < 4 ? kLanes : 4, kRows = kLanes / kCellsPerPatch;
   static constexpr int kDown = kBandRows / kRows;
   using Rows = RowTerms<T, kLanes>;
+  using Placer = SamplePlacer<T>;
 
   // Sample arrays, [patch][lens_column][lane]; a *vector* is one (patch, lens column)
   hwy::AlignedFreeUniquePtr<T[]> x, s, colour, transmittance, gradient, total, prefix;
@@ -81,6 +83,7 @@ class DirectTile {
   DirectTile(const Lens& lens, const LensLayout& layout, bool backward)
       : lens_(lens),
         layout_(layout),
+        placer_(lens, layout),
         across_(layout.cells_per_tile / kCellsPerPatch),
         stride_(int64_t(row_stride(layout))),
         patches_(kDown * across_),
@@ -99,7 +102,6 @@ class DirectTile {
     alive_.resize(vectors), row_of_vector_.resize(vectors);
     starts_.resize(size_t(place(kBandRows, 0)));
     if (layout.lead) anchors_.resize(starts_.size());
-    if (lens.has_cells) fill_cells();
 
     // The rows of vectors, patches and lanes; what pads the patches to whole vectors is out of reach
     for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.lens_columns * across_));
@@ -342,124 +344,33 @@ class DirectTile {
     return kept;
   }
 
-  // Fills in x, s and channel of a patch's samples, and where the patch lies as a whole.
+  // Places the samples of a patch, and finds where the patch lies as a whole, for find().
   template <bool kCells>
   void place_patch(int64_t patch) {
-    const D d;
-    const hn::RebindToSigned<D> di;
-    const int64_t down = patch / across_, across = patch % across_;
-
-    // A lane is a cell in a row: where it starts, and which of its lens columns are sub-pixels of the panel
-    alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
-    alignas(64) T columns[kLanes];
-    alignas(64) uint64_t phases[kLanes];
-    [[maybe_unused]] double first_phase = 1e30, last_phase = 0;
-    [[maybe_unused]] const CellRow* cells[kLanes] = {};
-    constexpr uint64_t kAbove = uint64_t(3) << 32;  // keeps numbers positive for cells that begin left of the panel
-    const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
+    const int64_t down = patch / across_, across = patch % across_, first = patch * layout_.lens_columns * kLanes;
+    typename Placer::LaneCell lanes[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t r = first_row(down) + lane / kCellsPerPatch * stride_,
                     c = across * kCellsPerPatch + lane % kCellsPerPatch;
-      const int64_t row = row0_ + r, first = anchor(r, c), all = row < lens_.height_px ? width : 0;
-      const uint64_t above = uint64_t(first) + kAbove, pixel = above / 3;
-      outside[lane] = TI(std::max<int64_t>(start(r, c), 0) - first - 1);
-      ends[lane] = TI(std::min(start(r, c + 1), all) - first);
-      places[lane] = TI(above - 3 * pixel), columns[lane] = T(int32_t(int64_t(pixel) - left)) + T(0.5);
-      phases[lane] = lens_.phase_at(row, first);
-      const double phase = double(phases[lane]);
-      first_phase = std::min(first_phase, phase), last_phase = std::max(last_phase, phase);
-      if constexpr (kCells) {
-        const int64_t within = int64_t(above % kRowPeriod);
-        cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.lens_columns) + within)];
-        phases[lane] -= lens_.phase_x * uint64_t(within);
-      }
+      lanes[lane] = {row0_ + r, anchor(r, c), start(r, c), start(r, c + 1)};
     }
+    const auto spread = placer_.template place<kCells>(lanes, int64_t(x0_), &x[first], &s[first], &channel[first]);
 
-    // Lens column by lens column, all lanes at once
-    V column = hn::Load(d, columns), s_low = hn::Set(d, T(2)), s_high = hn::Set(d, T(-2));
-    auto place = hn::Load(di, places);
-    const auto before = hn::Load(di, outside), end = hn::Load(di, ends), two = hn::Set(di, TI(2));
-    for (int t = 0; t < layout_.lens_columns; ++t) {
-      const int64_t i = (patch * layout_.lens_columns + t) * kLanes;
-      const auto lens_column = hn::Set(di, TI(t));
-      // Rebound one by one: of one lane on ARM, GCC 12 takes the conjunction of integer masks, rebound, for false
-      const auto shown =
-          hn::And(hn::RebindMask(d, hn::Gt(lens_column, before)), hn::RebindMask(d, hn::Lt(lens_column, end)));
-      alignas(64) uint64_t in_cells[kLanes];
-      alignas(64) TI channels[kLanes];
-      if constexpr (kCells)
-        for (int lane = 0; lane < kLanes; ++lane)
-          in_cells[lane] = phases[lane] + cells[lane][t].phase, channels[lane] = TI(cells[lane][t].channel);
-      const V offset = next_offsets(kCells ? in_cells : phases);
-      s_low = hn::Min(s_low, hn::IfThenElse(shown, offset, s_low));
-      s_high = hn::Max(s_high, hn::IfThenElse(shown, offset, s_high));
-
-      // A lane without a sub-pixel of the panel stands where no splat reaches
-      hn::Store(hn::IfThenElse(shown, column, hn::Set(d, T(1e9))), d, &x[i]);
-      hn::Store(offset, d, &s[i]);
-      hn::Store(kCells ? hn::Load(di, channels) : lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
-      const auto last = hn::Eq(place, two);
-      place = hn::IfThenZeroElse(last, hn::Add(place, hn::Set(di, TI(1))));
-      column = hn::Add(column, hn::IfThenElseZero(hn::RebindMask(d, last), hn::Set(d, T(1))));
-    }
-
-    // The patch as a whole, for find()
     const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
     patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + first_row(down)) + double(middle_row())) - x0_);
-    const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
-    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_column_0) : T(0.5) * (low + high);
-    patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
+    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_column_0) : T(0.5) * (spread.s_low + spread.s_high);
+    patch_half_s_[patch] =
+        layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (spread.s_high - spread.s_low)) + T(1e-6);
     if (layout_.by_lens && !kCells) {
-      // Where all sub-pixels stand in stripes, the phases of the lanes say it more narrowly than the layout does
-      patch_s_[patch] = T(layout_.s_of_phase(lens_, 0.5 * (first_phase + last_phase)));
-      patch_half_s_[patch] = T(layout_.half_s_of_phases(lens_, last_phase - first_phase));
-    }
-  }
-
-  // A sub-pixel of a row of a panel with cells, by its number from the start of a period: its phase less that of the
-  // stripe of number 0, and its channel.
-  struct CellRow {
-    uint64_t phase;
-    int64_t channel;
-  };
-  void fill_cells() {
-    for (int row = 0; row < kCellPeriod; ++row)
-      for (int m = 0; m < kRowPeriod + layout_.lens_columns; ++m)
-        cells_.push_back({lens_.phase_x * uint64_t(m) + lens_.cells.phases[row][m % kRowPeriod],
-                          lens_.cells.channels[row][m % kRowPeriod]});
-  }
-
-  // The offsets s of the samples at these phases, exact but for the last rounding. The phases then move on to the next
-  // sub-pixel.
-  HWY_INLINE V next_offsets(uint64_t* HWY_RESTRICT phases) const {
-    const D d;
-    if constexpr (kLanes == 1) {
-      const uint64_t phase = *phases;
-      *phases += lens_.phase_x;
-      return hn::Set(d, T(layout_.s_start + layout_.s_step * camera_coordinate(lens_, phase)));
-    } else {
-      // camera_coordinate for half a vector at a time, in integers: the view, or for continuous cameras x / views in
-      // units of 2^-31
-      const hn::RebindToSigned<D> di;
-      const hn::RepartitionToWide<hn::RebindToUnsigned<D>> d64;
-      const hn::RebindToUnsigned<D> d32;
-      const auto views = hn::BitCast(d32, hn::Set(d64, uint64_t(lens_.views)));
-      auto next = [&](uint64_t* at) {
-        const auto phase = hn::Load(d64, at), high = hn::ShiftRight<32>(phase);
-        hn::Store(hn::Add(phase, hn::Set(d64, lens_.phase_x)), d64, at);
-        if (lens_.continuous) return hn::BitCast(d32, hn::ShiftRight<1>(high));
-        const auto carry = hn::ShiftRight<32>(hn::MulEven(hn::BitCast(d32, phase), views));
-        return hn::BitCast(d32, hn::ShiftRight<32>(hn::Add(hn::MulEven(hn::BitCast(d32, high), views), carry)));
-      };
-      const auto low = next(phases), integers = hn::ConcatEven(d32, next(phases + kLanes / 2), low);
-      const double unit = lens_.continuous ? double(lens_.views) / 2147483648.0 : 1, half = lens_.continuous ? 0 : 0.5;
-      return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, integers)), hn::Set(d, T(layout_.s_step * unit)),
-                        hn::Set(d, T(layout_.s_start + layout_.s_step * half)));
+      // Where all sub-pixels stand in stripes, the phases of the lanes give a tighter bound than the layout
+      patch_s_[patch] = T(layout_.s_of_phase(lens_, 0.5 * (spread.first_phase + spread.last_phase)));
+      patch_half_s_[patch] = T(layout_.half_s_of_phases(lens_, spread.last_phase - spread.first_phase));
     }
   }
 
   const Lens& lens_;
   const LensLayout& layout_;
+  const Placer placer_;
   int64_t across_, stride_, patches_, samples_, padded_;
   int64_t row0_ = 0, cell0_ = 0;
   double x0_ = 0;  // tile origin, pixels
@@ -474,7 +385,6 @@ class DirectTile {
   int64_t ends_[kDown] = {};                              // where each group of rows ends in the list
   std::vector<uint8_t> alive_, row_of_vector_;
   std::vector<int64_t> starts_, anchors_;
-  std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + lens_columns]
 };
 
 }  // namespace HWY_NAMESPACE

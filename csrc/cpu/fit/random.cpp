@@ -2,7 +2,7 @@
 #include <algorithm>
 
 #include "base/parallel.h"
-#include "math/fit/normal.h"
+#include "math/fit/random.h"
 #include "stages/fit.h"
 
 namespace lfgs {

@@ -1,6 +1,6 @@
 // Where the sheet over a photo lies: a work item has a row of pixels, of a layer or of a plane.
 #include "base/parallel.h"
-#include "cpu/photo/blur_weights.h"
+#include "math/photo/blur.h"
 #include "stages/photo.h"
 
 namespace lfgs {

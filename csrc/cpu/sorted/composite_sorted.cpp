@@ -10,7 +10,7 @@
 #include "base/parallel.h"
 #include "cpu/dispatch.h"
 #include "cpu/tile_lists.h"
-#include "math/image_byte.h"
+#include "math/saturate.h"
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE

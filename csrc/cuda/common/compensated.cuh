@@ -2,10 +2,11 @@
 // compensation that they keep; see math/compensation.h.
 #pragma once
 
-#include "cuda/common/widened.cuh"
 #include "math/projection.h"
 
 namespace lfgs::cuda {
+
+__device__ inline Shape<double> widened(const Shape<float>& s) { return {s.mean, s.quaternion, s.scale, s.opacity}; }
 
 // Projects a splat and finds its compensation. It is in double, since the area of a splat that is long and thinner than
 // a pixel has few digits left in float. (Without compensation that does not matter: only the blur is seen of it.)

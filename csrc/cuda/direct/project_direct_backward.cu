@@ -3,7 +3,7 @@
 // are always the same.
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/widened.cuh"
+#include "cuda/common/compensated.cuh"
 #include "cuda/direct/rounded_rig.cuh"
 #include "cuda/stages/stages.h"
 #include "math/colour_circle.h"

@@ -7,7 +7,7 @@
 
 #include "cuda/stages/stages.h"
 #include "math/fit/dropout.h"
-#include "math/fit/philox.h"
+#include "math/fit/random.h"
 #include "math/fit/photo_loss.h"
 #include "math/fit/update.h"
 

@@ -1,4 +1,4 @@
-// The loss of images against photographs, and its gradient, in two kernels; see strip.cuh for how they walk. The first
+// The loss of images against photographs, and its gradient, in two kernels. The first
 // blurs the five moments and writes the derivatives of SSIM and the sum of each block, the second blurs the derivatives
 // and writes the gradient; its first block adds up the sums, in a fixed order.
 //
@@ -8,12 +8,66 @@
 //   arithmetic: 11 x (5 + 5) multiply-adds and about 60 more for each of 42 rows, of which 32 are written, then
 //     11 x (3 + 3) and about 20: 340 instructions a sample, 0.027 ms; beside them 55 x 1.3 reads of shared memory, 32 a
 //     clock and multiprocessor, 0.023 ms.
+#include <cstdint>
+
 #include "cuda/common/check.h"
 #include "cuda/fit/fit.h"
-#include "cuda/fit/strip.cuh"
+#include "math/fit/ssim.h"
 
 namespace lfgs::cuda {
 namespace {
+
+// The walk of the kernels over images. A block has a strip of kStripSamples samples (32 pixels with
+// their three colours, side by side as they lie in memory) and kStripRows rows, a thread one sample of each row. Rows
+// come one after the other, with the samples beside the strip in shared memory; a thread blurs along the row, and adds
+// the result to the eleven rows of output that it belongs to, which it keeps in registers. So the blur across rows
+// reads nothing.
+constexpr int kStripSamples = 96, kStripRows = 32;  // a thread per sample
+constexpr int kStripMargin = 3 * kWindowReach;      // samples beside the strip
+constexpr int kStripWidth = kStripSamples + 2 * kStripMargin;
+constexpr int kBatchRows = 6;  // rows that are read together
+constexpr int kStripBatches = (kStripRows + 2 * kWindowReach) / kBatchRows;
+static_assert(kStripBatches * kBatchRows == kStripRows + 2 * kWindowReach);
+
+// Where a block's strip lies: its view, and its first row and sample.
+struct Strip {
+  int64_t view, top, left;
+  __device__ Strip()
+      : view(blockIdx.z), top(int64_t(blockIdx.y) * kStripRows), left(int64_t(blockIdx.x) * kStripSamples) {}
+};
+
+// Rows of one quantity, with their margins.
+using BatchRows = float[kBatchRows][kStripWidth];
+
+// Calls read(sample, row of the batch, column) for all that a batch has, with sample -1 beyond the image.
+template <class Read>
+__device__ void for_batch(const Strip& strip, int batch, int64_t height_px, int64_t row, const Read& read) {
+  for (int i = threadIdx.x; i < kBatchRows * kStripWidth; i += kStripSamples) {
+    const int r = i / kStripWidth, c = i % kStripWidth;
+    const int64_t y = strip.top - kWindowReach + batch * kBatchRows + r, x = strip.left - kStripMargin + c;
+    const bool inside = y >= 0 && y < height_px && x >= 0 && x < row;
+    read(inside ? (strip.view * height_px + y) * row + x : int64_t(-1), r, c);
+  }
+}
+
+// The blur across rows of one quantity: pending[0] is complete when eleven rows have been added.
+struct Pending {
+  float sums[kWindow] = {};
+  __device__ void add(float of_row) {
+#pragma unroll
+    for (int tap = 0; tap < kWindow - 1; ++tap) sums[tap] = fmaf(float(window_tap(tap)), of_row, sums[tap + 1]);
+    sums[kWindow - 1] = float(window_tap(kWindow - 1)) * of_row;
+  }
+  __device__ float complete() const { return sums[0]; }
+};
+
+// The blur along a row for the thread's sample.
+__device__ inline float blurred_along(const float (&row)[kStripWidth]) {
+  float sum = 0;
+#pragma unroll
+  for (int tap = 0; tap < kWindow; ++tap) sum = fmaf(float(window_tap(tap)), row[threadIdx.x + 3 * tap], sum);
+  return sum;
+}
 
 // The sum over all threads of the block in a fixed order.
 __device__ double block_sum(double value) {

@@ -1,7 +1,7 @@
 // Arrays of random numbers on the device: a thread has an index of the stream.
 #include "cuda/common/check.h"
 #include "cuda/fit/fit.h"
-#include "math/fit/normal.h"
+#include "math/fit/random.h"
 
 namespace lfgs::cuda {
 namespace {

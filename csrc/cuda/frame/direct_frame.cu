@@ -24,12 +24,12 @@ double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_p
 double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
 
 // How many lens columns lie before the first stripe of a lens.
-int lead(const Lens& lens) { return lens.has_cells ? 1 : 0; }
+int leading_columns(const Lens& lens) { return lens.has_cells ? 1 : 0; }
 
 // Which views each lens column sees, as offsets and as camera coordinates.
 LensColumns make_lens_columns(const Lens& lens) {
   LensColumns out{};
-  const int lead = lead(lens);
+  const int lead = leading_columns(lens);
   const double beyond = lens.most_beyond();
   out.count = int(std::ceil(lens.line_number)) + 2 * lead, out.per_group = kGroupColumns;
   out.groups = (out.count + kGroupColumns - 1) / kGroupColumns;
@@ -71,7 +71,7 @@ void set_places(const Lens& lens, LensOptics& out) {
     out.places[out.channels[k]] = k;
   }
   out.permuted = out.channels[0] != 0 || out.channels[1] != 1;
-  out.has_cells = lens.has_cells, out.lead = lead(lens), out.beyond = float(lens.most_beyond());
+  out.has_cells = lens.has_cells, out.lead = leading_columns(lens), out.beyond = float(lens.most_beyond());
   for (int row = 0; row < kCellPeriod; ++row)
     for (int m = 0; m < kRowPeriod; ++m) {
       const int k = m % 3, at = by_place ? k : lens.cells.channels[row][m];

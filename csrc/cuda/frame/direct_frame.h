@@ -115,7 +115,7 @@ struct DirectFrame {
   float left_out = 0;           // error allowed of what is left out of colour polynomials
   float lens_column_error = 0;  // error allowed of colours that are parabolas within a lens column; 0: not looked at
   float cut = 0, stop = 0;      // of Quality: log2 of the opacity cut, transmittance at which a sample may end
-  float sample_cut = 0;           // log2 of the alpha from which a splat that reaches a patch counts at a sample
+  float sample_cut = 0;         // log2 of the alpha from which a splat that reaches a patch counts at a sample
   float least_light = 0;        // splats of less light are pruned, see alpha_integral()
   float lattice = 0;            // of Quality: error allowed at the checks of a lattice; 0: no lattice
   bool in_half = false;  // of Quality: kPixel and kPixelSmall evaluate in half precision, and `cut` is for patches

@@ -9,7 +9,7 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/widened.cuh"
+#include "cuda/common/compensated.cuh"
 #include "cuda/stages/projected.cuh"
 #include "cuda/stages/stages.h"
 #include "math/gradient_sums.h"
@@ -265,7 +265,7 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
   const Gaussians<const float> own = gaussians.slice(scene * n);
   const Gaussians<float> g_own = out.slice(scene * n);
   const Shape<float> shape = load_shape(own, real ? i : 0);
-  Adjoint g;
+  Gradients g;
 
   // Harmonics of those of which something is said, and room for their gradients
   const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::padded(numbers);

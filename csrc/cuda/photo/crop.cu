@@ -1,6 +1,6 @@
 // Cropping a photo: a pass over all pixels finds the object, then a thread has a pixel of what is made, resized first
 // along rows and then along columns.
-#include "cuda/photo/crop.h"
+#include "cuda/photo/photo.h"
 
 #include <algorithm>
 

@@ -4,7 +4,7 @@
 
 #include <cstdint>
 
-#include "math/fit/philox.h"
+#include "math/fit/random.h"
 
 namespace lfgs {
 

@@ -3,13 +3,48 @@
 #pragma once
 
 #include <cstdint>
+#include <cmath>
 
-#include "math/fit/activation.h"
 #include "math/fit/adam.h"
-#include "math/fit/noise.h"
 #include "scene/gaussians.h"
+#include "math/covariance.h"
+#include "math/fit/random.h"
 
 namespace lfgs {
+
+// exp(-20) .. exp(20) is 2e-9 .. 5e8 scene units: beyond what float32 tells from zero beside a mean of 1, and beyond
+// any scene.
+constexpr double kMostLogScale = 20;
+// sigmoid(15) = 1 - 3e-7 is the largest that float32 still tells from 1 by a few steps: log(1 - opacity) stays finite.
+constexpr double kMostLogit = 15;
+
+template <class R>
+LFGS_HD R clamped(R value, R most) {
+  return value > most ? most : value < -most ? -most : value;
+}
+
+// 0 for very negative values, without overflow on the way.
+template <class R>
+LFGS_HD R sigmoid(R value) {
+  return 1 / (1 + std::exp(-clamped(value, R(80))));
+}
+
+constexpr double kNoiseSteepness = 100, kNoiseOpacity = 0.005;
+
+// Sigma z sigmoid(100 (0.005 - opacity)) strength, for normal z. The quaternion has any length but zero; of a Gaussian
+// whose quaternion is zero the noise is zero, for it has no directions.
+template <class R>
+LFGS_HD glm::vec<3, R> position_noise(const RandomStream& stream, uint64_t index, glm::vec<4, R> quaternion,
+                                      const glm::vec<3, R>& scale, R opacity, R strength) {
+  R z[4];
+  normals4(stream, index, z);
+  const R length = std::sqrt(glm::dot(quaternion, quaternion));
+  if (!(length > 0)) return glm::vec<3, R>(0);
+  const glm::mat<3, 3, R> axes = rotation_matrix(quaternion / length);
+  glm::vec<3, R> along = glm::vec<3, R>(z[0], z[1], z[2]) * axes;  // components along the axes of the Gaussian
+  along *= scale * scale * (strength * sigmoid(R(kNoiseSteepness) * (R(kNoiseOpacity) - opacity)));
+  return axes * along;
+}
 
 // The parameters that are optimised, or their moments: log_scales and logits stand for scales and opacities.
 template <class T>

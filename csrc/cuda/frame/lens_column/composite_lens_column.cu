@@ -137,7 +137,7 @@ __device__ void draw_tile(const DirectFrame& frame, const Lists& lists, unsigned
 // tile after another until none is left, and a thread has the parts described at Task.
 template <class Layout, bool Compensated, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
-    composite_ordinal_kernel(const __grid_constant__ DirectFrame frame, int row_bytes, const float* background,
+    composite_lens_column_kernel(const __grid_constant__ DirectFrame frame, int row_bytes, const float* background,
                              Out* out) {
 #if __CUDA_ARCH__ >= 800
   if (!frame.lens_column_chosen()) return;
@@ -184,7 +184,7 @@ void allow_shared_memory(Kernel kernel, size_t bytes) {
 template <class Layout, bool Compensated, class Out>
 void launch(const DirectFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (Layout::kHarmonics && frame.splats.count) {
-    const int64_t items = frame.splats.count * (frame.optics.lens_columns.columns() / kShare);
+    const int64_t items = frame.splats.count * (frame.optics.lens_columns.columns() / kPerThread);
     lens_column_colours_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
     check_launch("composite_lens_column: colours");
   }
@@ -193,7 +193,7 @@ void launch(const DirectFrame& frame, const float* background, Out* out, cudaStr
     lens_column_compensations_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
     check_launch("composite_lens_column: compensations");
   }
-  const auto kernel = composite_ordinal_kernel<Layout, Compensated, Out>;
+  const auto kernel = composite_lens_column_kernel<Layout, Compensated, Out>;
   const size_t bytes = block_bytes<Layout>(frame.optics.line_number);
   const int row = lens_row_bytes(frame.optics.line_number);
   allow_shared_memory(kernel, bytes);

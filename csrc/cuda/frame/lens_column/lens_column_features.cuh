@@ -44,7 +44,7 @@ struct Features : Patch<Layout> {
       low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
       // A has coefficients for v and v^2 only with compensation, where they make the compensation; otherwise
-      // these two stand here for the colours, see view_of()
+      // these two stand here for the colours, see view_bits()
       rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics || Compensated ? halves(v, vv) : 0);
     }
 
@@ -154,7 +154,7 @@ struct Features : Patch<Layout> {
     const unsigned third = quad == 3 ? of_place(2, lens_column) : mine;
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
-      const unsigned view = view_of(A, s);
+      const unsigned view = view_bits(A, s);
       const unsigned fine = bits(__hmul2(as_half2(view & 0xffff), __float2half2_rn(kFineStep)));
       const unsigned value = quad == 3 ? fine : kOnes, slope = quad == 3 ? fine : view;
       out[s / 2][s % 2] = first >> s & 1 ? value : second >> s & 1 ? fine << 16 : 0;

@@ -19,7 +19,7 @@ struct Task : Features<Layout, Compensated> {
   using Base = Features<Layout, Compensated>;
   using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::staged, Base::queued;
   using Base::colour_features_at, Base::complete, Base::features, Base::pick, Base::take_compensation;
-  using Base::view_of;
+  using Base::view_bits;
 
   // Where the block holds colours: that of staged splat i, the same for all cameras. Number kBatch is black.
   __device__ Colour colour(int i) const {
@@ -274,7 +274,7 @@ struct Task : Features<Layout, Compensated> {
       if (Harmonics) {
         const unsigned word = pick(end.slope, s);
         const __half2 slope = as_half2(word);
-        const float v = __low2float(as_half2(view_of(features, s)));
+        const float v = __low2float(as_half2(view_bits(features, s)));
         value += v * fmaf(v, __high2float(slope), fmaf(fine_steps(word), kFineStep, __low2float(slope)));
       }
       colours[s] = fmaf(-transmittances[s], value, colours[s]);
