@@ -1,4 +1,4 @@
-// Binds the CPU's stages in both precisions, and the choice of the vector instructions that they use.
+// Bind the CPU's stages in both precisions, and the choice of the vector instructions that they use.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
@@ -152,7 +152,7 @@ std::vector<std::string> simd_targets() {
   return names;
 }
 
-// Restricts run-time dispatch to one vector instruction set ("" for the best there is).
+// Restrict run-time dispatch to one vector instruction set ("" for the best there is).
 void set_simd_target(const std::string& name) {
   hwy::SetSupportedTargetsForTest(0);
   int64_t chosen = 0;

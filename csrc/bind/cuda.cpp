@@ -1,4 +1,4 @@
-// Binds the stages of a CUDA device and the kernels of the network. Streams and all pointers are integers, as on the
+// Bind the stages of a CUDA device and the kernels of the network. Streams and all pointers are integers, as on the
 // CPU.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>

@@ -1,4 +1,4 @@
-// Binds the stages of fitting: their buffers, and the stages of the CPU in both precisions.
+// Bind the stages of fitting: their buffers, and the stages of the CPU in both precisions.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 

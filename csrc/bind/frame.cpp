@@ -1,4 +1,4 @@
-// Binds the frame, a light-field image drawn on CUDA without the host in between; see cuda/frame/direct_frame.h and
+// Bind the frame, a light-field image drawn on CUDA without the host in between; see cuda/frame/direct_frame.h and
 // lightfield_gs/rasterizer/frame_cuda.py.
 #include "cuda/frame/direct_frame.h"
 
@@ -19,7 +19,7 @@ using cuda::DirectFrame;
 using cuda::FrameKernel;
 using cuda::FrameState;
 
-// Makes a frame use this kernel in place of the one that it would choose; -1 lets it choose.
+// Make a frame use this kernel in place of the one that it would choose; -1 lets it choose.
 void force(DirectFrame& frame, int kernel) {
   require(kernel >= -1 && kernel < int(FrameKernel::kCount), "no such kernel: " + std::to_string(kernel));
   require(kernel != int(FrameKernel::kLensColumn) || frame.has_lens_column(),

@@ -1,4 +1,4 @@
-// Binds the stages that lay a photo over what the network predicts.
+// Bind the stages that lay a photo over what the network predicts.
 #include "stages/photo.h"
 
 #include "bind/addresses.h"

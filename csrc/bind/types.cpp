@@ -1,4 +1,4 @@
-// Binds what the functions of the module take: constants, the panel and the rig, and for each precision the structs
+// Bind what the functions of the module take: constants, the panel and the rig, and for each precision the structs
 // that name buffers.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>

@@ -1,5 +1,5 @@
-// Stage bin: lists for every band of every image the splats whose rows touch it, nearest first. Reads splats and their
-// order, writes Bins; also numbers the intersections for the backward pass.
+// Stage bin: list for every band of every image the splats whose rows touch it, nearest first. Read splats and their
+// order, write Bins; also number the intersections for the backward pass.
 #include <algorithm>
 #include <vector>
 

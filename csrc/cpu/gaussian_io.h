@@ -21,7 +21,7 @@ Shape<double> load_shape(const Gaussians<const T>& g, int64_t i) {
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, double(g.opacities[i])};
 }
 
-// Sums the gradients of a splat's intersections, always in the order of its bands, so that every run has the same bits.
+// Sum the gradients of a splat's intersections, always in the order of its bands, so that every run has the same bits.
 template <class T>
 void sum_intersections(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* intersections,
                        double* sum) {
@@ -33,7 +33,7 @@ void sum_intersections(const Splat<T>& splat, int64_t height_px, int64_t first, 
     for (int f = 0; f < size; ++f) sum[f] += double(intersections[(first + k) * size + f]);
 }
 
-// Projects a Gaussian; sets `compensation` if its opacity is compensated and it is drawn.
+// Project a Gaussian; sets `compensation` if its opacity is compensated and it is drawn.
 inline Splat<double> projected(const Camera<double>& camera, const Shape<double>& shape,
                                Compensation<double>& compensation) {
   const Projection<double> projection(camera, shape);
@@ -42,7 +42,7 @@ inline Splat<double> projected(const Camera<double>& camera, const Shape<double>
   return splat;
 }
 
-// Adds the gradient of a Gaussian to those of the set.
+// Add the gradient of a Gaussian to those of the set.
 template <class T>
 void add_gradient(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
   const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);

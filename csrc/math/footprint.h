@@ -79,7 +79,7 @@ LFGS_HD T fraction_left_out(const Splat<T>& s, T log2_cut, T margin_px) {
   return ring > 0 ? ring / (ring + margin_px) : T(1);
 }
 
-// Raises the opacity cut of a splat from 1/255, and its opacity by as much: the integral of alpha over an image, which
+// Raise the opacity cut of a splat from 1/255, and its opacity by as much: the integral of alpha over an image, which
 // is proportional to opacity - cut, stays what it was (but where the opacity ends at 0.99). by_patches: alphas from
 // 1/255 on are drawn in whole patches that the cut touches, so that less is left out.
 template <class T>
@@ -100,7 +100,7 @@ LFGS_HD T alpha_integral(const Splat<T>& s) {
   return std::exp2(s.log2_opacity) * T(kPi / kLn2) * std::sqrt((left > right ? left : right) / s.tau);
 }
 
-// Marks splats as not seen that touch no pixel of the image from any camera of the rig, or whose numbers overflowed.
+// Mark splats as not seen that touch no pixel of the image from any camera of the rig, or whose numbers overflowed.
 template <class T>
 LFGS_HD void cull_outside(Splat<T>& s, int64_t width_px, int64_t height_px) {
   if (!(s.reach_y >= 0)) return;

@@ -12,7 +12,7 @@ namespace lfgs {
 constexpr int kMaxShCount = 16;
 constexpr double kConstantHarmonic = 0.28209479177387814;  // that of degree 0, 1 / (2 sqrt(pi))
 
-// Writes the values of the harmonics at the unit direction d: basis[k], k < (degree + 1)^2.
+// Write the values of the harmonics at the unit direction d: basis[k], k < (degree + 1)^2.
 template <class R>
 LFGS_HD void sh_basis(int degree, const glm::vec<3, R>& d, R* basis) {
   R x = d.x, y = d.y, z = d.z;
@@ -83,7 +83,7 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
   return sh_colour_towards(degree, sh, length > 0 ? to_mean / length : glm::vec<3, R>(0, 0, 1));
 }
 
-// Writes the gradients of the coefficients to g_sh, which may be sh itself, or adds them if kAdd. Returns the gradient
+// Write the gradients of the coefficients to g_sh, which may be sh itself, or add them if kAdd. Return the gradient
 // of the direction d.
 template <bool kAdd = true, class R, class T, class G>
 LFGS_HD glm::vec<3, R> sh_colour_towards_backward(int degree, const T* sh, const glm::vec<3, R>& d,
@@ -104,7 +104,7 @@ LFGS_HD glm::vec<3, R> sh_colour_towards_backward(int degree, const T* sh, const
   return sh_basis_backward(degree, d, g_basis);
 }
 
-// The same for the colour seen from `eye`. Returns the gradient of the mean; that of the eye is minus this.
+// The same for the colour seen from `eye`. Return the gradient of the mean; that of the eye is minus this.
 template <bool kAdd = true, class R, class T, class G>
 LFGS_HD glm::vec<3, R> sh_colour_backward(int degree, const T* sh, const glm::vec<3, R>& mean,
                                           const glm::vec<3, R>& eye, const glm::vec<3, R>& g_colour, G* g_sh) {

@@ -105,13 +105,13 @@ class LatticeCurvature {
   }
   LFGS_HD void set(int bin, const Sums& sums) { bins_[bin] = sums; }
 
-  // Sums over all bins.
+  // Sum over all bins.
   struct Totals {
     float weight = 0, x = 0, y = 0, spread = 0;
     LFGS_HD void add(const Sums& b) { weight += b.weight, x += b.x, y += b.y, spread += b.spread(); }
   };
 
-  // Plans a lattice with steps of about `fineness` standard deviations of what is seen, and with no more than
+  // Plan a lattice with steps of about `fineness` standard deviations of what is seen, and with no more than
   // most_planes planes.
   LFGS_HD void plan(float fineness, LatticePlan& out, int most_planes = kMostPlanes) const {
     Totals totals;

@@ -26,7 +26,7 @@ namespace HWY_NAMESPACE {
 
 // One splat over a vector of samples: `weight` is its share of the light of each, which their transmittances lose. A
 // sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
-// background. Returns whether a sample ended and with it the last of the vector.
+// background. Return whether a sample ended and with it the last of the vector.
 template <class D>
 HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmittance, hn::TFromD<D>* HWY_RESTRICT rest,
                      hn::Vec<D>& weight) {
@@ -46,7 +46,7 @@ HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmit
 }
 
 // The same splat on the way back: the transmittances lose what they lost to Over, and where a sample ended before it
-// alpha becomes zero. Returns where; `before` is what they were. Over subtracts the weight that it needs anyway, here
+// alpha becomes zero. Return where; `before` is what they were. Over subtracts the weight that it needs anyway, here
 // one operation does for both: so the last digit of a transmittance may differ.
 template <class D>
 HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_RESTRICT transmittance,
@@ -59,7 +59,7 @@ HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_REST
   return stop;
 }
 
-// Returns dL/dalpha, and adds this splat to `prefix`. kEstimate: divides by an estimate and a Newton step, as the dense
+// Return dL/dalpha, and add this splat to `prefix`. kEstimate: divide by an estimate and a Newton step, as the dense
 // sensor does; the lens sensor divides exactly. Which is used decides the last digits of its gradients.
 template <bool kEstimate, class D>
 HWY_INLINE hn::Vec<D> OverBackward(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::Vec<D> weight, hn::Vec<D> v,
@@ -113,7 +113,7 @@ struct SplatSums {
     S_s2 = hn::MulAdd(gS_s, s, S_s2);
   }
 
-  // Adds to `out` the splat's gradient, summed over the lanes.
+  // Add to `out` the splat's gradient, summed over the lanes.
   HWY_INLINE void Reduce(D d, const Splat<T>& s, Splat<T>& out) const {
     auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     T sums[kDirectFootprintSums];

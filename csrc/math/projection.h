@@ -143,7 +143,7 @@ struct Projection {
     }
   };
 
-  // Computes S(s) = xx(s) - xy(s)^2 / yy as a sum of squares of minors (Cauchy and Binet), for the difference has no
+  // Compute S(s) = xx(s) - xy(s)^2 / yy as a sum of squares of minors (Cauchy and Binet), for the difference has no
   // digits left where a needle is some thousand pixels long. So S(s) never falls below the blur's variance.
   LFGS_HD void conditional_variance(Splat<R>& s) const {
     const R blur(kBlurVariancePx);
@@ -195,7 +195,7 @@ struct Projection {
     return {half / D, 0, 0};
   }
 
-  // Adds to `out` and `camera_out` the gradients that follow from `s`, the gradient of the splat; for a compensated
+  // Add to `out` and `camera_out` the gradients that follow from `s`, the gradient of the splat; for a compensated
   // splat also from `g_D`, the gradient of D before compensate() divides it. What out.quaternion gets is the gradient
   // of the unit quaternion: a sum of it over cameras may cancel where quaternion_gradient would be infinite.
   template <bool kCompensated = false>

@@ -1,4 +1,4 @@
-// Keeps gradients finite that their number type cannot hold: the gradient of a quaternion grows without limit as its
+// Keep gradients finite that their number type cannot hold: the gradient of a quaternion grows without limit as its
 // length nears zero.
 #pragma once
 

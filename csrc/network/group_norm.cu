@@ -15,7 +15,7 @@ constexpr int kThreads = 512, kWarps = kThreads / 32;
 __device__ inline float2 floats(uint32_t pair) {
   return make_float2(__uint_as_float(pair << 16), __uint_as_float(pair & 0xffff0000u));
 }
-// Rounds to bfloat16, to nearest with ties to even; the result is in the upper half.
+// Round to bfloat16, to nearest with ties to even; the result is in the upper half.
 __device__ inline uint32_t rounded_bits(float a) {
   const uint32_t bits = __float_as_uint(a);
   return a == a ? bits + 0x7fffu + (bits >> 16 & 1) : 0x7fff0000u;  // rounding could turn the bits of a NaN into zero

@@ -58,7 +58,7 @@ struct Lens {
   }
   // The largest distance of a sub-pixel from its stripe, in sub-pixels.
   double most_beyond() const;
-  // Sets phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
+  // Set phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
   // stripes.
   void set_cells(const std::vector<uint64_t>& phases, const std::vector<int>& channels);
   // Whether the sub-pixels of a row follow each other as their stripes do, each less than one sub-pixel from its own:

@@ -129,7 +129,7 @@ void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& camer
 
 // The rig is a Camera with a sweep, the lens tells the size of the panel. Where a polynomial of the order might err by
 // more than the tolerance, the colour is on a circle if there is room for one. In float a splat's order is the smallest
-// whose dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Returns a bound of the error
+// whose dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Return a bound of the error
 // of the colours.
 template <class T>
 double project_direct(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
@@ -176,8 +176,8 @@ Counters composite_images_backward(const Splats<T>& splats, Bins bins, const Cam
                                    const int64_t* first_intersection, T* intersection_gradients, T* band_background,
                                    int threads);
 
-// Draws each sub-pixel by the camera of its view, one channel of one sample: image i is the i-th view of the lists.
-// Writes to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].
+// Draw each sub-pixel by the camera of its view, one channel of one sample: image i is the i-th view of the lists.
+// Write to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].
 template <class T>
 Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
                           const T* background, T* out, uint8_t* out8, int threads);

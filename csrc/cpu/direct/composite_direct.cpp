@@ -32,7 +32,7 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Puts the sub-pixels of pixels, drawn in the order of their places, in the order of the channels. `image` begins at
+// Put the sub-pixels of pixels, drawn in the order of their places, in the order of the channels. `image` begins at
 // row0.
 template <class U>
 void PlacesToChannels(const Lens& lens, int64_t row0, int64_t rows, U* image) {
@@ -86,7 +86,7 @@ struct SplatList {
   bool empty() const { return begin == end; }
 };
 
-// Draws bands, or takes their gradients: one worker's memory and counters.
+// Draw bands, or take their gradients: one worker's memory and counters.
 template <class T>
 class DirectBands {
  public:
@@ -98,7 +98,7 @@ class DirectBands {
         tile_(lens_, layout_, job_.backward),
         lattice_(lens_, job_.quality) {}
 
-  // Draws a band, or takes its gradients. Returns whether lattices were worth trying, if they were tried.
+  // Draw a band, or take its gradients. Return whether lattices were worth trying, if they were tried.
   bool draw(int64_t band, bool try_lattices) {
     band_ = band, row0_ = band * kBandRows, rows_ = std::min<int64_t>(kBandRows, lens_.height_px - row0_);
     const int64_t* offsets = job_.bins.band_offsets + band;
@@ -157,7 +157,7 @@ class DirectBands {
               : scene_.backdrop.draw(run, lens_.width_px, job_.out);
   }
 
-  // Draws cells in runs, each from a lattice if it can be. A run that needs a much finer lattice is halved: that is the
+  // Draw cells in runs, each from a lattice if it can be. A run that needs a much finer lattice is halved: that is the
   // next level.
   void draw_runs(SplatList splats, Range cells, int level) {
     TileLists& lists = runs_[size_t(level)];
@@ -175,7 +175,7 @@ class DirectBands {
     }
   }
 
-  // Draws a run from a lattice, in halves, or tile by tile, as the lattice judges. Lattices exist in float only.
+  // Draw a run from a lattice, in halves, or tile by tile, as the lattice judges. Lattices exist in float only.
   void draw_run(const LensRun& run, SplatList splats, Range cells, int level) {
     if constexpr (sizeof(T) == 4) {
       const bool last = level + 1 == kLatticeLevels;
@@ -245,7 +245,7 @@ class DirectBands {
       counters_.stopped_samples += FinishTile(job_, tile_, layout_.samples(), scene_.background);
   }
 
-  // Blends a splat by a rough footprint if one is near enough; returns whether.
+  // Blend a splat by a rough footprint if one is near enough; return whether.
   bool draw_approximately(int32_t id, const TileSplat<float>& splat) {
     const float cut = float(job_.quality.sample_cut());
     if (ApproximateFootprint<true>::fits(splat.root))
@@ -255,7 +255,7 @@ class DirectBands {
     return false;
   }
 
-  // Blends a splat by this footprint. Returns true, as draw_approximately does.
+  // Blend a splat by this footprint. Return true, as draw_approximately does.
   template <class Footprint>
   bool blend(int32_t id, const Splat<float>& splat, const Footprint& footprint) {
     const int64_t count = tile_.find(splat, footprint.units());

@@ -1,4 +1,4 @@
-// Blends one splat into the samples of a lens tile, or takes the gradient that these samples give to the splat; also
+// Blend one splat into the samples of a lens tile, or take the gradient that these samples give to the splat; also
 // what a tile begins and ends with. composite_direct.cpp calls this splat by splat, nearest first.
 
 #if defined(LFGS_CPU_DIRECT_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
@@ -23,7 +23,7 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Blends a splat into the `count` vectors that tile.find() has listed. It is never inlined, so that the splat's
+// Blend a splat into the `count` vectors that tile.find() has listed. It is never inlined, so that the splat's
 // constants stay in registers.
 template <class Footprint, int kOrder, class T>
 HWY_NOINLINE void ForwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, const T* background, int32_t id,
@@ -98,7 +98,7 @@ HWY_NOINLINE void ForwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, con
   }
 }
 
-// Calls visit with the order of a colour polynomial, as a constant where it is small. Else it is -1: also of a colour
+// Call visit with the order of a colour polynomial, as a constant where it is small. Else it is -1: also of a colour
 // on a circle.
 template <class Visit>
 void with_order(int order, const Visit& visit) {
@@ -114,7 +114,7 @@ void with_order(int order, const Visit& visit) {
   }
 }
 
-// Blends a splat by the cheapest code that is near enough for it.
+// Blend a splat by the cheapest code that is near enough for it.
 template <class T>
 void Forward(const DirectJob<T>& job, DirectTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
              int64_t count) {
@@ -126,7 +126,7 @@ void Forward(const DirectJob<T>& job, DirectTile<T>& tile, const T* background, 
   });
 }
 
-// Blends a splat by a rough footprint. Samples that stop are not looked for here; DirectTile::retire_below does that
+// Blend a splat by a rough footprint. Samples that stop are not looked for here; DirectTile::retire_below does that
 // from time to time.
 template <class Footprint, int kOrder>
 HWY_NOINLINE void ApproximateSplat(const DirectJob<float>& job, DirectTile<float>& tile, int32_t id,
@@ -151,8 +151,8 @@ HWY_NOINLINE void ApproximateSplat(const DirectJob<float>& job, DirectTile<float
   });
 }
 
-// Adds the background and writes the tile to the image, where the sub-pixels of a pixel lie in the order of their
-// places for now. Returns how many samples had stopped.
+// Add the background and write the tile to the image, where the sub-pixels of a pixel lie in the order of their
+// places for now. Return how many samples had stopped.
 template <class T>
 int64_t FinishTile(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples, const T* background) {
   const Tag<T> d;
@@ -210,7 +210,7 @@ struct CompensationSums {
     D0 = hn::Add(D0, of_D), D1 = hn::Add(D1, D_s), D2 = hn::MulAdd(D_s, s, D2);
     S0 = hn::Add(S0, of_S), S1 = hn::Add(S1, S_s), S2 = hn::MulAdd(S_s, s, S2);
   }
-  // Adds the sums to the splat's gradient and to that of its compensation.
+  // Add the sums to the splat's gradient and to that of its compensation.
   HWY_INLINE void Reduce(D d, Splat<hn::TFromD<D>>& splat, Compensation<hn::TFromD<D>>& compensation) const {
     auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     splat.S0 += sum(S0), splat.S1 += sum(S1), splat.S2 += sum(S2);
@@ -218,7 +218,7 @@ struct CompensationSums {
   }
 };
 
-// Adds to `out` the gradient of an intersection: what the samples of this tile give to the splat. math/over-inl.h has
+// Add to `out` the gradient of an intersection: what the samples of this tile give to the splat. math/over-inl.h has
 // the formula; a sample has one channel here.
 template <bool kCompensated, class T>
 void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, const IntersectionGradient<T>& out) {
@@ -309,7 +309,7 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
   if (order == kCircleOrder) out.colours()[kAlongSum] += sum(g_along), out.colours()[kAcrossSum] += sum(g_across);
 }
 
-// Loads what the backward pass reads at every sample: the gradient of its colour and, as math/over-inl.h needs it, the
+// Load what the backward pass reads at every sample: the gradient of its colour and, as math/over-inl.h needs it, the
 // total, which is gradient times colour.
 template <class T>
 void LoadGradients(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples) {

@@ -1,4 +1,4 @@
-// Draws a run of lens tiles from a coarse lattice where that is as good as asked for: judge() draws a lattice for the
+// Draw a run of lens tiles from a coarse lattice where that is as good as asked for: judge() draws a lattice for the
 // run and checks it, write() interpolates the run's sub-pixels and writes them to the image.
 
 #if defined(LFGS_CPU_DIRECT_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
@@ -51,7 +51,7 @@ class DirectLattice {
   static bool knows(const Lens& lens) { return !lens.has_cells || (kLanes % kCellPeriod == 0 && lens.has_one_order()); }
   void start_band() { fineness = first_fineness(float(quality_.lattice)), refused_ = 0; }
 
-  // Draws the nodes of a lattice for a run that has samples, and the middles of its cells, and compares them. kFits: it
+  // Draw the nodes of a lattice for a run that has samples, and the middles of its cells, and compare them. kFits: it
   // is as good as asked for. kSplit: one much finer than was tried is needed, which half a run may not need; never if
   // `last`. kRefuse: a lattice as good as asked for has too many nodes to be worth it. [begin, end): the splats that
   // the run's samples may meet, nearest first.
@@ -91,7 +91,7 @@ class DirectLattice {
     return Verdict::kRefuse;
   }
 
-  // Interpolates the run's samples and writes them, the sub-pixels of a pixel in the order of their places.
+  // Interpolate the run's samples and write them, the sub-pixels of a pixel in the order of their places.
   template <class Out>
   void write(const LensRun& run, Out* image) {
     for (int64_t r = 0; r < run.rows; ++r) {
@@ -126,7 +126,7 @@ class DirectLattice {
     nodes.finish(background);
   }
 
-  // Moves every node by its share of the errors at the middles round it, see kNodeFactor, and returns the largest move.
+  // Move every node by its share of the errors at the middles round it, see kNodeFactor, and return the largest move.
   // Nodes round which errors have both signs, as at an edge, stay.
   float move_nodes() {
     const Tag<float> d;
@@ -148,7 +148,7 @@ class DirectLattice {
     return hn::GetLane(hn::MaxOfLanes(d, most));
   }
 
-  // Compares what is interpolated at the middles of cells with what was drawn there: the largest error and the root
+  // Compare what is interpolated at the middles of cells with what was drawn there: the largest error and the root
   // mean square. The errors are kept in errors_.
   struct Error {
     float largest, mean;
@@ -187,7 +187,7 @@ class DirectLattice {
     return hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, 1.f));
   }
 
-  // Interpolates the pixels [pixel0, pixel0 + count) of a row, and the rest of the last vector.
+  // Interpolate the pixels [pixel0, pixel0 + count) of a row, and the rest of the last vector.
   template <bool kCells, class Out>
   HWY_NOINLINE void interpolate(int64_t row, int64_t pixel0, int64_t count, Out* to) {
     const Tag<float> d;
@@ -242,7 +242,7 @@ class DirectLattice {
       if (!continuous) view = hn::Floor(view);
       return hn::Max(hn::MulAdd(view, hn::Set(d, to_plane), hn::Set(d, plane0)), hn::Zero(d));
     }
-    // Moves on to the next vector of pixels.
+    // Move on to the next vector of pixels.
     HWY_INLINE void skip() { phase = hn::Add(phase, hn::Set(Words(), pixels)); }
   };
 

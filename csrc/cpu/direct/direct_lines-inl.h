@@ -1,4 +1,4 @@
-// Writes the bytes of a lens tile to the image. In a tile the samples of one lens column lie side by side, in the image
+// Write the bytes of a lens tile to the image. In a tile the samples of one lens column lie side by side, in the image
 // those of one cell and row. So blocks of 16 lens columns are transposed first, and then copied 16 sub-pixels at a
 // time.
 
@@ -28,7 +28,7 @@ class DirectLines {
   // lane.
   static constexpr bool pays(int lens_columns) { return kLanes >= 4 && lens_columns >= kLine / 2; }
 
-  // Transposes `samples`, [patch][lens_column][lane], into `lines`, which has room for four bytes a sample.
+  // Transpose `samples`, [patch][lens_column][lane], into `lines`, which has room for four bytes a sample.
   DirectLines(const DirectTile<T>& tile, const uint8_t* samples, uint8_t* lines)
       : tile_(tile), lines_(lines), blocks_((tile.lens_columns() + kLine - 1) / kLine) {
     for (int64_t p = 0; p < tile.patches(); ++p)
@@ -36,7 +36,7 @@ class DirectLines {
         turn(samples + (p * tile.lens_columns() + b * kLine) * kLanes, lines + (p * blocks_ + b) * kBlock);
   }
 
-  // Copies the transposed samples to an image whose rows are `stride` bytes long.
+  // Copy the transposed samples to an image whose rows are `stride` bytes long.
   void write(uint8_t* image, int64_t stride) const {
     const uint8_t* lines = lines_;
     const int64_t of_patch = blocks_ * kBlock;
@@ -59,7 +59,7 @@ class DirectLines {
  private:
   static constexpr int kBlock = kLine * kLanes;  // bytes of a block, [lane][lens_column]
 
-  // Transposes [16 lens_columns][lane] to [lane][16 lens_columns]. Interleaving the first half of the bytes with the
+  // Transpose [16 lens_columns][lane] to [lane][16 lens_columns]. Interleaving the first half of the bytes with the
   // second moves the highest bit of their index to its end; doing so four times moves all four bits of the lens column
   // behind those of the lane. A block that reaches beyond the last lens column has samples of the next patch there,
   // which are never copied.

@@ -103,7 +103,7 @@ struct ExactFootprint {
     const D d;
     return Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
   }
-  // Returns log2 of opacity * weight; also sets dx = px - m(s) and inverse_S = 1 / S(s).
+  // Return log2 of opacity * weight; also set dx = px - m(s) and inverse_S = 1 / S(s).
   template <class Rows>
   HWY_INLINE V power(V x, V s, const Rows& rows, V& dx, V& inverse_S) const {
     const D d;
@@ -116,7 +116,7 @@ struct ExactFootprint {
     V dx, inverse_S;
     return power(x, s, rows, dx, inverse_S);
   }
-  // Returns alpha of a power at the offset s.
+  // Return alpha of a power at the offset s.
   HWY_INLINE V alpha(V power, V) const { return Alpha(D(), power, cut); }
 };
 
@@ -240,7 +240,7 @@ class ApproximateFootprint {
   T root_, lean_, cut_;
 };
 
-// Calls visit with the cheapest footprint that is near enough for a splat; compensation: null, or that of the splat.
+// Call visit with the cheapest footprint that is near enough for a splat; compensation: null, or that of the splat.
 template <class T, class Visit>
 void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compensation, const Quality& quality,
                     const Visit& visit) {

@@ -47,7 +47,7 @@ struct RowVectors {
       : A(hn::Load(D(), rows.A)), M0(hn::Load(D(), rows.M0)), M1(hn::Load(D(), rows.M1)) {}
 };
 
-// Reads a term of RowTerms or of RowVectors.
+// Read a term of RowTerms or of RowVectors.
 template <class D>
 HWY_INLINE hn::Vec<D> Term(D d, const hn::TFromD<D>* term) {
   return hn::Load(d, term);
@@ -118,7 +118,7 @@ class DirectTile {
     return samples_ * int64_t(sizeof(T)) * (gradient ? 8 : 5) + int64_t(sizeof(*this)) + samples_ / kLanes * 6;
   }
 
-  // Makes this the tile of cells [cell0, cell0 + cells_per_tile) of the band that starts at row0.
+  // Make this the tile of cells [cell0, cell0 + cells_per_tile) of the band that starts at row0.
   void move_to(int64_t row0, int64_t cell0) {
     row0_ = row0, cell0_ = cell0;
     x0_ = std::floor(layout_.cell_x(double(cell0) + 0.5 * layout_.cells_per_tile, double(row0) + 0.5 * kBandRows));
@@ -142,7 +142,7 @@ class DirectTile {
       lens_.has_cells ? place_patch<true>(patch) : place_patch<false>(patch);
   }
 
-  // Finds the vectors that the splat may touch: the first sample of each is list()[0 .. result), and the
+  // Find the vectors that the splat may touch: the first sample of each is list()[0 .. result), and the
   // rows of each are filled.
   HWY_INLINE int64_t find(const Splat<T>& splat, const RowUnits<T>& units = {}) {
     const D d;
@@ -198,7 +198,7 @@ class DirectTile {
   const uint16_t* list() const { return list_.get(); }
   // The rows of a vector, by its first sample.
   const Rows& rows(uint16_t sample) const { return rows_[row_of_vector_[sample / kLanes]]; }
-  // Calls visit(rows, begin, end) for every group of rows in which find() has listed vectors.
+  // Call visit(rows, begin, end) for every group of rows in which find() has listed vectors.
   template <class Visit>
   HWY_INLINE void for_each_group(const Visit& visit) const {
     const uint16_t* begin = list_.get();
@@ -209,13 +209,13 @@ class DirectTile {
     }
   }
 
-  // Leaves the vector that begins with this sample out of later lists, for none of its samples takes light any more.
+  // Leave the vector that begins with this sample out of later lists, for none of its samples takes light any more.
   void retire(uint16_t sample) {
     open -= alive_[sample / kLanes];
     alive_[sample / kLanes] = 0;
   }
 
-  // Retires the vectors in which every sample lets less than `least` through.
+  // Retire the vectors in which every sample lets less than `least` through.
   void retire_below(T least) {
     const D d;
     const V limit = hn::Set(d, least);
@@ -229,7 +229,7 @@ class DirectTile {
   struct Run {
     int64_t row, first, count, tile_end, patch, lens_column, lane;
   };
-  // Calls visit(run) for all runs on the panel, those of a row from left to right. Members are copied first, since to
+  // Call visit(run) for all runs on the panel, those of a row from left to right. Members are copied first, since to
   // the compiler the bytes that a visit writes could change any of them.
   template <class Visit>
   HWY_INLINE void for_each_run(const Visit& visit) const {
@@ -285,7 +285,7 @@ class DirectTile {
   int64_t anchor(int64_t r, int64_t c) const { return layout_.lead ? anchors_[size_t(place(r, c))] : start(r, c); }
   int64_t place(int64_t r, int64_t c) const { return r * (layout_.cells_per_tile + 1) + c; }
 
-  // Fills the terms of all groups of rows for a splat at (u, v) from the tile's origin.
+  // Fill the terms of all groups of rows for a splat at (u, v) from the tile's origin.
   HWY_INLINE void fill_rows(const Splat<T>& splat, T u, T v, const RowUnits<T>& units) {
     const D d;
     const V lane_rows = hn::Load(d, row_of_lane_);
@@ -302,7 +302,7 @@ class DirectTile {
     }
   }
 
-  // Makes one flat list of vectors from the ranges of lens_columns. Every patch writes eight entries at least, and the
+  // Make one flat list of vectors from the ranges of lens_columns. Every patch writes eight entries at least, and the
   // next patch overwrites what was too much: so only a patch with more takes a branch, which is rare where splats are
   // small and the rule where they are large, and processors predict both.
   HWY_INLINE int64_t fill_list() {
@@ -344,7 +344,7 @@ class DirectTile {
     return kept;
   }
 
-  // Places the samples of a patch, and finds where the patch lies as a whole, for find().
+  // Place the samples of a patch, and find where the patch lies as a whole, for find().
   template <bool kCells>
   void place_patch(int64_t patch) {
     const int64_t down = patch / across_, across = patch % across_, first = patch * layout_.lens_columns * kLanes;

@@ -34,7 +34,7 @@ class LatticeNodes {
   static constexpr int kLanes = int(hn::MaxLanes(D()));
   int64_t evaluations = 0;
 
-  // Lays the nodes out with nothing drawn. Places in the plan are relative to an origin that the caller chooses.
+  // Lay the nodes out with nothing drawn. Places in the plan are relative to an origin that the caller chooses.
   void lay(const LatticePlan& plan) {
     plan_ = plan, row_ = (plan.across + kLanes - 1) / kLanes * kLanes;
     stride_ = int64_t(row_) * plan.down * plan.planes;
@@ -71,7 +71,7 @@ class LatticeNodes {
     return hn::AllTrue(d, hn::Eq(most, hn::Zero(d)));
   }
 
-  // Blends a splat whose centre is (u, v) from the plan's origin. colours: [order + 1, kColourStride], or on a circle;
+  // Blend a splat whose centre is (u, v) from the plan's origin. colours: [order + 1, kColourStride], or on a circle;
   // compensation: null, or that of a compensated splat.
   HWY_NOINLINE void add(const Splat<float>& splat, const Compensation<float>* compensation, float u, float v,
                         const float* colours, int order, const Quality& quality, const float* background) {
@@ -84,7 +84,7 @@ class LatticeNodes {
     for (const Block* block = list_.data.get(); block < end; ++block) blend(*block, quality, background);
   }
 
-  // Adds the background.
+  // Add the background.
   void finish(const float* background) {
     const D d;
     for (int c = 0; c < 3; ++c)
@@ -114,7 +114,7 @@ class LatticeNodes {
   static_assert(kMostPlanes * kMostRows <= 65536);
   static constexpr int kBlockBits = kLanes == 16 ? 4 : kLanes == 8 ? 3 : kLanes == 4 ? 2 : kLanes == 2 ? 1 : 0;
   static_assert(kLanes == 1 << kBlockBits);
-  // Finds the planes on which a splat may touch a node; false if there is none.
+  // Find the planes on which a splat may touch a node; false if there is none.
   HWY_INLINE bool planes_touched(const Splat<float>& splat, float u, float v, int& first, int& last) const {
     // The rows that the splat reaches, from its centre
     const float low = plan_.y0 - v, high = low + float(plan_.down - 1) * plan_.step_y;
@@ -159,7 +159,7 @@ class LatticeNodes {
     }
   }
 
-  // Lowers A on the lines of the planes from first to last by the compensation that a compensated splat keeps
+  // Lower A on the lines of the planes from first to last by the compensation that a compensated splat keeps
   // there.
   HWY_NOINLINE void compensate(const Splat<float>& splat, const Compensation<float>& c, int first, int last) {
     for (int k = first, l = first * plan_.down; k <= last; ++k) {
@@ -169,7 +169,7 @@ class LatticeNodes {
     }
   }
 
-  // Finds what a splat is on the lines [line, end): at node i log2 of its alpha is A - scale (i - middle)^2. Also finds
+  // Find what a splat is on the lines [line, end): at node i log2 of its alpha is A - scale (i - middle)^2. Also find
   // in which blocks the nodes are that it touches.
   HWY_INLINE void reach_on_lines(const Splat<float>& splat, float u, float v, int line, int end) {
     const D d;
@@ -203,7 +203,7 @@ class LatticeNodes {
     }
   }
 
-  // Lists the blocks that the splat touches on the planes from first to last, and returns the list's end. Two blocks
+  // List the blocks that the splat touches on the planes from first to last, and return the list's end. Two blocks
   // are written for every line, and the next line overwrites what was too much: so the only branch is for lines with
   // more, which are rare.
   HWY_INLINE const Block* list_blocks(int first, int last) {
@@ -221,7 +221,7 @@ class LatticeNodes {
 
   int64_t at(int plane, int row) const { return int64_t(plane * plan_.down + row) * row_; }
 
-  // Blends the splat at hand into the nodes of a block.
+  // Blend the splat at hand into the nodes of a block.
   HWY_INLINE void blend(Block block, const Quality& quality, const float* background) {
     const D d;
     evaluations += kLanes;
@@ -268,7 +268,7 @@ class LatticeErrors {
   using V = hn::Vec<D>;
   static constexpr int kLanes = LatticeNodes::kLanes;
 
-  // Makes room for the errors at the middles that this plan has.
+  // Make room for the errors at the middles that this plan has.
   void lay(const LatticePlan& middles) {
     cells_ = middles.across, down_ = middles.down, planes_ = middles.planes;
     // Room at both ends of rows: for cells beside a node beyond the samples, and for the rest of a vector
@@ -278,7 +278,7 @@ class LatticeErrors {
   float* row(int channel, int plane, int row) {
     return errors_.data() + size_t((channel * planes_ + plane) * down_ + row) * size_t(wide_) + spare_;
   }
-  // Fills the room beyond the ends of rows with the errors at the ends.
+  // Fill the room beyond the ends of rows with the errors at the ends.
   void widen() {
     for (float* row = errors_.data() + spare_; row < errors_.data() + errors_.size(); row += wide_)
       std::fill_n(row - spare_, spare_, row[0]), std::fill_n(row + cells_, spare_, row[cells_ - 1]);
@@ -310,7 +310,7 @@ class LatticeErrors {
   std::vector<float> errors_;
 };
 
-// Interpolates colours between the nodes, a row of samples at a time. Most of the time goes into looking nodes up; so
+// Interpolate colours between the nodes, a row of samples at a time. Most of the time goes into looking nodes up; so
 // they are rounded to 8 bits, and a word holds all four round a sample. The colours have 16 bits: 256 times those of 8
 // bits and a half, so that the upper byte is rounded.
 class LatticeRow {
@@ -321,7 +321,7 @@ class LatticeRow {
   static constexpr int kLanes = LatticeNodes::kLanes;
   static constexpr float kUnit = 255 * 256, kHalf = 128;
 
-  // Prepares the row at y, from the plan's origin, by linear interpolation between rows of nodes.
+  // Prepare the row at y, from the plan's origin, by linear interpolation between rows of nodes.
   void move_to(const LatticeNodes& nodes, float y) {
     const D d;
     const DI du;

@@ -18,7 +18,7 @@ namespace {
 
 constexpr double kDoubleColourError = 1e-12;
 
-// Stores the colour of a splat on its circle.
+// Store the colour of a splat on its circle.
 template <class T>
 void store_on_circle(int degree, const T* sh, const ColourCircle<double>& circle, T* colours) {
   dvec3 terms[kCircleTerms];

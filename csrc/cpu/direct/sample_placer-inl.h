@@ -1,4 +1,4 @@
-// Places the samples of one patch of a tile: the x of each sub-pixel, its offset s and its channel.
+// Place the samples of one patch of a tile: the x of each sub-pixel, its offset s and its channel.
 
 #if defined(LFGS_CPU_SAMPLE_PLACER_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_SAMPLE_PLACER_INL_H_

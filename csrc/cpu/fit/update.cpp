@@ -24,14 +24,14 @@ HWY_ATTR bool all_usable(const T* gradients, int size) {
   return bad == 0;
 }
 
-// Moves the harmonics of a Gaussian; rates [size].
+// Move the harmonics of a Gaussian; rates [size].
 template <class T>
 HWY_ATTR void move_harmonics(const AdamStep<T>& adam, int size, const T* rates, const T* __restrict gradients,
                              T* __restrict values, T* __restrict first, T* __restrict second) {
   for (int k = 0; k < size; ++k) values[k] = adam.moved(values[k], gradients[k], rates[k], first[k], second[k]);
 }
 
-// Gaussians [begin, end). Returns how many were skipped.
+// Gaussians [begin, end). Return how many were skipped.
 template <class T>
 HWY_ATTR int64_t move_chunk(const Update<T>& job, int64_t begin, int64_t end) {
   const Step<T> step(job);

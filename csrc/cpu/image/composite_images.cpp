@@ -76,7 +76,7 @@ struct ImageTile {
     patches.reopen(kPatches);
   }
 
-  // Calls visit(sample, index of its pixel) for the tile's samples inside the image.
+  // Call visit(sample, index of its pixel) for the tile's samples inside the image.
   template <class Visit>
   void for_each_pixel(int64_t width, int64_t height, const Visit& visit) const {
     for (int i = 0; i < kSamples; ++i) {
@@ -99,7 +99,7 @@ struct ImageSplat : SplatTerms<T> {
   }
 };
 
-// Blends a splat into the patches that find() has marked.
+// Blend a splat into the patches that find() has marked.
 template <class T>
 void ForwardSplat(ImageTile<T>& tile, const ImageSplat<T>& s) {
   using Tile = ImageTile<T>;
@@ -116,7 +116,7 @@ void ForwardSplat(ImageTile<T>& tile, const ImageSplat<T>& s) {
   });
 }
 
-// Adds to `out` the gradient of an intersection: what the pixels of this tile give to the splat. math/over-inl.h has
+// Add to `out` the gradient of an intersection: what the pixels of this tile give to the splat. math/over-inl.h has
 // the formula.
 template <bool kAbsolute, class T>
 void BackwardSplat(ImageTile<T>& tile, const ImageSplat<T>& s, const Splat<T>& splat,
@@ -170,7 +170,7 @@ void BeginForward(ImageTile<T>& tile) {
   std::fill(std::begin(tile.transmittance), std::end(tile.transmittance), T(1));
 }
 
-// Adds the background and writes colour, alpha and depth.
+// Add the background and write colour, alpha and depth.
 template <class T>
 void FinishForward(const ImagesJob<T>& job, const ImageTile<T>& tile) {
   const T* background = job.background + 3 * tile.image;
@@ -182,8 +182,8 @@ void FinishForward(const ImagesJob<T>& job, const ImageTile<T>& tile) {
   });
 }
 
-// Loads what the backward pass reads at every sample: the gradients of colour and depth, and the total of
-// math/over-inl.h, which follows from the image. Adds the gradient of the background to g_background.
+// Load what the backward pass reads at every sample: the gradients of colour and depth, and the total of
+// math/over-inl.h, which follows from the image. Add the gradient of the background to g_background.
 template <class T>
 void BeginBackward(const ImagesJob<T>& job, ImageTile<T>& tile, T* g_background) {
   for (auto& channel : tile.gradient) std::fill(std::begin(channel), std::end(channel), T(0));
@@ -203,7 +203,7 @@ void BeginBackward(const ImagesJob<T>& job, ImageTile<T>& tile, T* g_background)
   });
 }
 
-// Draws one band of one image, or takes its gradients, tile by tile.
+// Draw one band of one image, or take its gradients, tile by tile.
 template <class T>
 void CompositeBand(const ImagesJob<T>& job, int64_t item, TileLists& lists, ImageTile<T>& tile, Counters& counters) {
   using Tile = ImageTile<T>;

@@ -1,5 +1,5 @@
-// Stage composite for sub-pixels sorted by view, where each view is an ordinary camera. Reads splats and lists of
-// sub-pixels, writes the image. A work item is a group of bands of one view. A tile has only a few samples of the view;
+// Stage composite for sub-pixels sorted by view, where each view is an ordinary camera. Read splats and lists of
+// sub-pixels, write the image. A work item is a group of bands of one view. A tile has only a few samples of the view;
 // they are loaded in batches, which are cut into patches of one vector each, and splats are blended into a batch
 // nearest first. The lists run along the columns, so that a patch is compact.
 #include <algorithm>
@@ -64,7 +64,7 @@ struct SubpixelBatch {
   int count = 0;
   Patches<T, kPatches> patches;
 
-  // Loads `count_` samples, which are whole blocks; (x0, y0) is the tile's corner.
+  // Load `count_` samples, which are whole blocks; (x0, y0) is the tile's corner.
   void load(const SubpixelTile& tile, const uint16_t* codes, int count_, int64_t x0, int64_t y0, int64_t width_px) {
     count = count_;
     Subpixel s{};  // the tile's corner, if a list has no sub-pixel: its map changed after counting
@@ -89,7 +89,7 @@ struct SubpixelBatch {
     patches.reopen(count / kLanes);
   }
 
-  // Blends a splat into the patches that find() has marked.
+  // Blend a splat into the patches that find() has marked.
   HWY_INLINE void add(const SplatTerms<T>& s, const T* colour) {
     const D d;
     const hn::RebindToSigned<D> di;
@@ -103,7 +103,7 @@ struct SubpixelBatch {
     });
   }
 
-  // Adds the background and writes to the image.
+  // Add the background and write to the image.
   void store(const SortedJob<T>& job) const {
     for (int i = 0; i < count; ++i) {
       if (place[i] < 0) continue;
@@ -117,7 +117,7 @@ struct SubpixelBatch {
   }
 };
 
-// Draws the sub-pixels of one view in one band.
+// Draw the sub-pixels of one view in one band.
 template <class T>
 void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLists& lists, SubpixelBatch<T>& batch,
                    Counters& counters) {

@@ -100,7 +100,7 @@ class Weaver {
       shifts_.push_back(window.shift * ((double(view) + 0.5) / double(fan.views) - 0.5));
   }
 
-  // Calls mix_of(column, channel) for the mix of every sub-pixel of a row, whose count is 0 where nothing is shown.
+  // Call mix_of(column, channel) for the mix of every sub-pixel of a row, whose count is 0 where nothing is shown.
   template <class MixOf>
   void draw_row(int64_t row, const MixOf& mix_of) const {
     const int64_t width = fan_.map.width_px;

@@ -38,7 +38,7 @@ __device__ inline float to_alpha(float power) {
   return power >= float(kLog2MinAlpha) ? fminf(alpha, float(kMaxAlpha)) : 0.f;
 }
 
-// Blends a splat of this alpha into a sample: updates its transmittance, and `weight` receives the splat's share of the
+// Blend a splat of this alpha into a sample: update its transmittance, and `weight` receives the splat's share of the
 // light. A sample whose transmittance would fall below the limit ends: it keeps what is left for the background
 // (`rest`) and takes no more, so its transmittance becomes zero.
 __device__ inline void over(float alpha, float& transmittance, float& rest, float& weight) {
@@ -53,7 +53,7 @@ __device__ inline void over(float alpha, float& transmittance, float& rest, floa
 }
 
 // The same in the backward pass, which walks front to back as well: the sample's transmittance loses again what it lost
-// to over(). Where the sample ended before this splat, alpha becomes zero. Returns the weight.
+// to over(). Where the sample ended before this splat, alpha becomes zero. Return the weight.
 __device__ inline float over_again(float& alpha, float& transmittance) {
   const float before = transmittance, after = before - alpha * before;
   const bool open = after >= float(kMinTransmittance);

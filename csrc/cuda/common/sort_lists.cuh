@@ -1,4 +1,4 @@
-// Sorts lists of splats on the device: every list by depth, nearest first, ties by number.
+// Sort lists of splats on the device: every list by depth, nearest first, ties by number.
 //
 // A list is spread over buckets of depth, mostly of a splat or two each; within a bucket every splat counts those
 // before it, which gives its place. Where depths crowd, or the list does not fit shared memory, it is sorted by bitonic
@@ -74,7 +74,7 @@ __device__ void finish_runs(uint64_t* keys, unsigned count, unsigned half) {
   for (; half > 0; half /= 2) compare_halves<Team>(keys, count, half, false);
 }
 
-// Sorts keys by merging, from runs of one key up.
+// Sort keys by merging, from runs of one key up.
 template <class Team>
 __device__ void merge_all(uint64_t* keys, unsigned count) {
   for (unsigned run = 1; run < count; run *= 2) {
@@ -83,7 +83,7 @@ __device__ void merge_all(uint64_t* keys, unsigned count) {
   }
 }
 
-// Calls sort(kept, count) with the keys of a list in shared memory, and writes their order back.
+// Call sort(kept, count) with the keys of a list in shared memory, and write their order back.
 template <class Team, class Sort>
 __device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key, uint64_t* kept, const Sort& sort) {
   for (unsigned i = Team::rank(); i < count; i += Team::kSize) kept[i] = key(ids[i]);
@@ -93,7 +93,7 @@ __device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key,
   Team::wait();
 }
 
-// Sorts a list that is too long for shared memory, by all threads of a block: pieces that fit are sorted there, and
+// Sort a list that is too long for shared memory, by all threads of a block: pieces that fit are sorted there, and
 // steps that reach further are done in the list itself. A list of n keys takes log2(n / kKept)^2 / 2 rounds through
 // memory.
 __device__ inline void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key, uint64_t* kept) {
@@ -128,7 +128,7 @@ __device__ void find_extent(float& nearest, float& farthest, const Memory& memor
   Team::wait();
 }
 
-// Turns the number of keys in every bucket into the place where each bucket begins. A thread has kEach buckets in a
+// Turn the number of keys in every bucket into the place where each bucket begins. A thread has kEach buckets in a
 // row.
 template <class Team>
 __device__ void sum_buckets(const Memory& memory) {
@@ -148,7 +148,7 @@ __device__ void sum_buckets(const Memory& memory) {
   Team::wait();
 }
 
-// Sorts a list of at most kEach * kSize splats. Returns false, and leaves the list as it is, where depths crowd.
+// Sort a list of at most kEach * kSize splats. Return false, and leave the list as it is, where depths crowd.
 template <class Team>
 __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key, const Memory& memory) {
   constexpr unsigned kBuckets = kEach * Team::kSize, kBucketBits = 16, kBucket = (1u << kBucketBits) - 1;
@@ -201,7 +201,7 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key, 
   return true;
 }
 
-// Sorts a list that fits the team's shared memory.
+// Sort a list that fits the team's shared memory.
 template <class Team>
 __device__ void sort_kept(uint32_t* ids, unsigned count, const Keys& key, const Memory& memory) {
   if (!sort_by_buckets<Team>(ids, count, key, memory))
@@ -218,7 +218,7 @@ struct SplatLists {
   unsigned long_count;
 };
 
-// Sorts all lists, by all blocks of a launch: first every block takes long ones, then every warp short ones.
+// Sort all lists, by all blocks of a launch: first every block takes long ones, then every warp short ones.
 __device__ inline void sort_lists(const SplatLists& lists, const Memory& memory) {
   const Keys key{lists.depths};
   for (unsigned i = blockIdx.x; i < lists.long_count; i += gridDim.x) {

@@ -116,7 +116,7 @@ __device__ __noinline__ void circle_sums(const float* colour, const Sample (&sam
   if (lane == 0) out[kAlongSum] = along, out[kAcrossSum] = across;
 }
 
-// Draws a tile, a block each. The block stages splats in batches; every warp goes through a batch on its own, and
+// Draw a tile, a block each. The block stages splats in batches; every warp goes through a batch on its own, and
 // passes over the splats that cannot touch its pixels.
 template <bool kCompensated>
 __global__ void __launch_bounds__(kThreads)

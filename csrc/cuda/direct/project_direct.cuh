@@ -46,7 +46,7 @@ struct CircleOfGaussian {
   }
 };
 
-// Stores the colour of one drawn splat on its circle. The fourth number of the first term takes the place of the order:
+// Store the colour of one drawn splat on its circle. The fourth number of the first term takes the place of the order:
 // it is larger than any order, so that a kernel that knows only polynomials passes it over.
 __device__ inline __noinline__ void store_on_circle(const Gaussians<const float> gaussians, const Camera<double>& rig,
                                                     int64_t i, const Splats<float> out) {
@@ -67,7 +67,7 @@ struct ColourLimits {
   float interpolated, left_out;
 };
 
-// Stores the colour polynomial of one drawn splat: from its values at the nodes come Chebyshev coefficients, and from
+// Store the colour polynomial of one drawn splat: from its values at the nodes come Chebyshev coefficients, and from
 // these the powers of s that it needs; powers up to the second are always written, as zeros where it has none. The
 // fourth number of the first power repeats the order, so that a kernel that reads colours does not wait for it. Where
 // that would err too much, the colour is stored on its circle. watch(circle, amplitudes) is told
@@ -122,7 +122,7 @@ __device__ inline void store_colours(const Gaussians<const float>& gaussians, co
   for (int p = kept + 1; p <= 2; ++p) colours[p] = make_float4(0, 0, 0, 0);
 }
 
-// Stores the colour of a splat without harmonics: one for all cameras.
+// Store the colour of a splat without harmonics: one for all cameras.
 __device__ inline void store_colour(const Gaussians<const float>& gaussians, int64_t i, const Splats<float>& out) {
   const float* sh = gaussians.sh + 3 * i;
   const glm::vec3 colour = glm::max(sh_colour<float>(0, sh, glm::vec3(0, 0, 1), glm::vec3(0)), glm::vec3(0));
@@ -130,7 +130,7 @@ __device__ inline void store_colour(const Gaussians<const float>& gaussians, int
 }
 
 // Sets where the mean is seen, from arithmetic in double: on a panel of thousands of pixels the last digits of a float
-// show in small splats, by a dB. Returns what rounding took from u0 and v0.
+// show in small splats, by a dB. Return what rounding took from u0 and v0.
 __device__ inline float2 place_mean(const Camera<double>& rig, const glm::vec3& mean, Splat<float>& splat) {
   const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
   const double iz = 1 / t.z, u = rig.fx * t.x * iz + rig.cx, v = rig.fy * t.y * iz + rig.cy;
@@ -142,7 +142,7 @@ __device__ inline float2 place_mean(const Camera<double>& rig, const glm::vec3& 
   return make_float2(rest(u, splat.u0), rest(v, splat.v0));
 }
 
-// Projects, culls and stores splat i, and returns it; reach_y < 0 says that it is not drawn. Where `depths` is not
+// Project, cull and store splat i, and return it; reach_y < 0 says that it is not drawn. Where `depths` is not
 // null, the depth goes there, and its place in the splat receives what rounding took from u0 and v0, see
 // whole_splat_about(). watch(splat, circle, amplitudes) is told of every colour of an order above 2.
 template <int Order, bool kCompensated, class Watch>
@@ -179,7 +179,7 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   return splat;
 }
 
-// Calls run(order, compensated) with the order of the colours, and whether opacities are compensated, as compile-time
+// Call run(order, compensated) with the order of the colours, and whether opacities are compensated, as compile-time
 // constants.
 template <class Run>
 void with_order(int order, bool compensated, const Run& run) {

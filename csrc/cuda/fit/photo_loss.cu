@@ -39,7 +39,7 @@ struct Strip {
 // Rows of one quantity, with their margins.
 using BatchRows = float[kBatchRows][kStripWidth];
 
-// Calls read(sample, row of the batch, column) for all that a batch has, with sample -1 beyond the image.
+// Call read(sample, row of the batch, column) for all that a batch has, with sample -1 beyond the image.
 template <class Read>
 __device__ void for_batch(const Strip& strip, int batch, int64_t height_px, int64_t row, const Read& read) {
   for (int i = threadIdx.x; i < kBatchRows * kStripWidth; i += kStripSamples) {
@@ -99,7 +99,7 @@ struct PendingMoments {
   }
 };
 
-// The first kernel's work on a sample whose moments are complete. Returns what it adds to the loss.
+// The first kernel's work on a sample whose moments are complete. Return what it adds to the loss.
 __device__ float write_derivatives(const PhotoLoss<float>& job, const SsimMoments<float>& moments, int64_t sample) {
   const Ssim<float> ssim = compute_ssim(moments);
   const float w = job.weight_at(sample), y = job.photo_at(sample);
@@ -137,7 +137,7 @@ __global__ void __launch_bounds__(kStripSamples) derivatives_kernel(PhotoLoss<fl
   if (threadIdx.x == 0) job.partials[block] = sum;
 }
 
-// Adds up the sums of the first kernel's blocks.
+// Add up the sums of the first kernel's blocks.
 __device__ void write_loss(const PhotoLoss<float>& job) {
   const int64_t blocks = int64_t(gridDim.x) * gridDim.y * gridDim.z;
   double sum = 0;

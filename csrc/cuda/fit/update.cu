@@ -53,7 +53,7 @@ struct Harmonics {
   __device__ int place(int round) const { return (round * kHarmonicThreads + int(threadIdx.x)) * kWide; }
 };
 
-// Reads the gradients of a thread's harmonics, and marks the Gaussians of which one cannot be used.
+// Read the gradients of a thread's harmonics, and mark the Gaussians of which one cannot be used.
 template <int size>
 __device__ void read_harmonics(const Update<float>& job, const Harmonics<size>& mine, bool aligned, int* bad,
                                Four (&gradients)[Harmonics<size>::kRounds]) {

@@ -27,7 +27,7 @@ __device__ int lanes_per_splat(const DirectFrame& frame) {
   return lanes;
 }
 
-// Calls visit(first, last) for the runs of tiles that a splat may touch. In every row of tiles there is a run for each
+// Call visit(first, last) for the runs of tiles that a splat may touch. In every row of tiles there is a run for each
 // group of lens columns; this lane takes every `lanes`-th run, from number `lane` on. What it passes are numbers of
 // lists, and lists of neighbouring tiles in the run are `groups` numbers apart.
 template <class Visit>
@@ -73,11 +73,11 @@ struct Together {
     first = __ffs(int(lanes)) - 1;
   }
   __device__ unsigned count() const { return unsigned(__popc(lanes)); }
-  // Makes a list longer by an intersection of each lane.
+  // Make a list longer by an intersection of each lane.
   __device__ void lengthen(unsigned& end) const {
     if (!before) atomicAdd(&end, count());
   }
-  // The same; returns this lane's place.
+  // The same; return this lane's place.
   __device__ unsigned place(unsigned& end) const {
     unsigned begin = 0;
     if (!before) begin = atomicAdd(&end, count());
@@ -85,7 +85,7 @@ struct Together {
   }
 };
 
-// Goes through the intersections. Some lanes of a warp share a splat, see lanes_per_splat(); a block takes as many
+// Go through the intersections. Some lanes of a warp share a splat, see lanes_per_splat(); a block takes as many
 // splats at a time as it has threads for, until there are no more. One kernel does both passes, so that they find the
 // same tiles to the last bit.
 __global__ void __launch_bounds__(kThreads) intersections_kernel(const __grid_constant__ DirectFrame frame, Pass pass) {

@@ -33,14 +33,14 @@ __device__ inline unsigned tile_to_draw(const DirectFrame& frame, unsigned i) {
   return frame.state->lattices ? frame.refused[i] : i;
 }
 
-// Hands out the pieces of work of a kernel. The next piece is asked for while one is drawn, so that nobody waits for
+// Hand out the pieces of work of a kernel. The next piece is asked for while one is drawn, so that nobody waits for
 // it.
 struct WorkQueue {
   unsigned* next;
   unsigned claimed = 0;
 
   __device__ WorkQueue(const DirectFrame& frame, FrameKernel kernel) : next(&frame.state->next_tile[int(kernel)]) {}
-  // Asks for the next piece. Called by one of the threads that share it; the first `first` pieces are handed out
+  // Ask for the next piece. Called by one of the threads that share it; the first `first` pieces are handed out
   // without asking, one to each block or warp.
   __device__ void claim(unsigned first) { claimed = first + atomicAdd(next, 1u); }
 };
@@ -50,7 +50,7 @@ __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
   return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
 }
 
-// Reads a splat with its centre counted from a point. In a frame, the place of the depth has what rounding took from u0
+// Read a splat with its centre counted from a point. In a frame, the place of the depth has what rounding took from u0
 // and v0, as halves (see place_mean()). Small splats show the difference, so the second function adds it;
 // bounds do without.
 __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
@@ -67,7 +67,7 @@ __device__ inline Splat<float> whole_splat_about(const Splats<float>& splats, ui
   return splat;
 }
 
-// Stores two neighbouring pixels, the first in an even column. values are by place, and are put into the order of the
+// Store two neighbouring pixels, the first in an even column. values are by place, and are put into the order of the
 // channels. Cells: see by_place(). Bytes are stored two at a time where rows allow it.
 template <bool Cells, class Out>
 __device__ void store_pixels(const LensOptics& lens, int column, int row, const float (&values)[6], Out* out) {

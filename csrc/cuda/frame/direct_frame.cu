@@ -1,4 +1,4 @@
-// Makes a DirectFrame: rounds the lens for kernels, finds the sizes of tilings and of lens columns, and lays out the
+// Make a DirectFrame: round the lens for kernels, find the sizes of tilings and of lens columns, and lay out the
 // work buffer. On the host only.
 #include "cuda/frame/direct_frame.h"
 

@@ -142,7 +142,7 @@ struct DirectFrame {
   // not fit 32 bits.
   DirectFrame(int64_t gaussians, int sh_degree, int colour_order, const Camera<double>& rig, const Lens& lens,
               int64_t capacity, const Quality& quality, double colour_error, double left_out, int64_t shared_memory);
-  // Lays the parts out in `work` (null: only counts); returns the bytes.
+  // Lay the parts out in `work` (null: only counts); return the bytes.
   size_t place(void* work);
   // On the device only: the tiles of the kernel chosen; whether there are more intersections than the lists hold.
   LFGS_HD const Tiling& tiling() const { return lens_column_chosen() ? lens_column : pixel; }

@@ -106,7 +106,7 @@ __device__ inline void lens_column_terms(const LensOptics& lens, const Splat<flo
 // One in so many blocks of project adds its splats to the sums.
 __host__ __device__ inline unsigned sample_stride(int64_t count) { return unsigned(count / kSampledSplats + 1); }
 
-// Writes a splat's terms in the sums of errors and numbers; all are between 0 and 1.
+// Write a splat's terms in the sums of errors and numbers; all are between 0 and 1.
 __device__ inline void shape_terms(const DirectFrame& frame, const Splat<float>& s, float terms[kSums]) {
   const ShapeError error(s);
   const bool opaque = !frame.in_half && s.log2_opacity >= kExactOpacity;
@@ -124,7 +124,7 @@ __device__ inline void shape_terms(const DirectFrame& frame, const Splat<float>&
   if (frame.has_lens_column()) lens_column_terms(frame.optics, s, terms[kLensColumnError], terms[kLensColumnExact]);
 }
 
-// Adds a splat a thread to the frame's sums; a splat that is not drawn adds nothing. By all threads of a block.
+// Add a splat a thread to the frame's sums; a splat that is not drawn adds nothing. By all threads of a block.
 __device__ inline void add_to_sums(const DirectFrame& frame, const Splat<float>& s) {
   // First the block adds up its own: the frame's sums lie side by side in memory, which takes one addition at a time
   __shared__ unsigned long long of_block[kSums];
@@ -181,7 +181,7 @@ __device__ inline bool lattices_may_pay(const DirectFrame& frame, float half_wid
   return points <= points_worth(1.74f * half_width, 1.74f * half_height);
 }
 
-// Chooses the kernel that draws the frame, and the limits of errors that it keeps. Called by the thread that ends the
+// Choose the kernel that draws the frame, and the limits of errors that it keeps. Called by the thread that ends the
 // sums, when all of them are there.
 //
 // Each kernel is given a time in ms on an H200: tasks * (cost of an intersection * intersections + set-up) / rate. The

@@ -67,7 +67,7 @@ __device__ inline int in_image(const LensOptics& lens, int m) {
 // Bytes that the sub-pixels of a row of a tile of lenses take, at most.
 LFGS_HD int lens_row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
 
-// Stores the sub-pixels of a row from ends.x to before ends.y in the image, as far as they are on the panel. By a warp.
+// Store the sub-pixels of a row from ends.x to before ends.y in the image, as far as they are on the panel. By a warp.
 __device__ inline void store_row(const LensOptics& lens, int row, int2 ends, const uint8_t* bytes, uint8_t* out) {
   const int width = 3 * lens.width_px, end = min(ends.y, width);
   uint8_t* to = out + int64_t(row) * width;

@@ -38,7 +38,7 @@ __device__ __noinline__ float lens_column_colour_error(const DirectFrame& frame,
   return worst;
 }
 
-// Counts the splats whose colours the lens column kernel would draw too wrong. Within a lens column of half width w,
+// Count the splats whose colours the lens column kernel would draw too wrong. Within a lens column of half width w,
 // the error is at most w^3 / 12 times the third derivative by s. By the angle, harmonic k has derivatives of at most k,
 // k^2 and k^3 times its amplitude; by s, the angle has 1 / r, 1 / r^2 and 2 / r^3 at a distance r from the cameras.
 struct LensColumnWatch {
@@ -59,7 +59,7 @@ struct LensColumnWatch {
   }
 };
 
-// Projects a Gaussian a thread. Some blocks also add their splats to the frame's sums; the last of these to end reads
+// Project a Gaussian a thread. Some blocks also add their splats to the frame's sums; the last of these to end reads
 // the sums and chooses.
 template <int Order, bool kCompensated>
 __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ DirectFrame frame,

@@ -68,7 +68,7 @@ __device__ uint32_t touched_patches(const Splat<float>& s) {
   return patches;
 }
 
-// Reads a splat for the tile of this block.
+// Read a splat for the tile of this block.
 __device__ Staged stage(const Splats<float>& splats, uint32_t id, const Pixel& pixel) {
   Splat<float> s = read_splat(splats.splats + id);
   const float4 c = __ldg(reinterpret_cast<const float4*>(splats.colours) + id);
@@ -84,14 +84,14 @@ __device__ unsigned candidates(const Staged* staged, int first, int count, const
   return __ballot_sync(kAll, own < count && staged[own].patches >> pixel.warp & 1);
 }
 
-// Takes the first splat out of such a set, and returns its number there.
+// Take the first splat out of such a set, and return its number there.
 __device__ int take_first(unsigned& set) {
   const int first = __clz(int(set));
   set ^= 0x80000000u >> first;
   return first;
 }
 
-// Draws a tile: the block stages its splats in batches, and each thread blends them into its pixel.
+// Draw a tile: the block stages its splats in batches, and each thread blends them into its pixel.
 __global__ void __launch_bounds__(kThreads)
     composite_images_kernel(Splats<float> splats, Image image, const int64_t* ranges, Intersections intersections,
                             const float* background, Images<float> out) {
@@ -145,7 +145,7 @@ struct Sample {
   float4 gradient;  // of r, g, b, depth
   float transmittance, behind;
 
-  // Takes the sample from before a splat to behind it. Returns the gradient of the exponent at this sample, divided by
+  // Take the sample from before a splat to behind it. Return the gradient of the exponent at this sample, divided by
   // ln 2 (x), and the weight of the splat there (y); see over_backward() for the formula.
   __device__ float2 pass(const Staged& s, float x, float y) {
     const float power = s.power(x, y), before = transmittance;
@@ -222,7 +222,7 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
     for (int step = kIntersections; step < 32; step *= 2) sums[f] += __shfl_xor_sync(kAll, sums[f], step);
 }
 
-// Writes the gradient of the background, summed over the tile: over each warp, then over the warps.
+// Write the gradient of the background, summed over the tile: over each warp, then over the warps.
 __device__ void background_backward(const Pixel& pixel, const Sample& sample, float rest, float (&partial)[kWarps][3],
                                     float* tile_background) {
   const float behind[3] = {warp_sum(sample.gradient.x * rest), warp_sum(sample.gradient.y * rest),
@@ -236,7 +236,7 @@ __device__ void background_backward(const Pixel& pixel, const Sample& sample, fl
   tile_background[3 * int64_t(blockIdx.x) + threadIdx.x] = sum;
 }
 
-// Writes the sums of every intersection of a tile, a block each. They are taken within each warp, then over the warps
+// Write the sums of every intersection of a tile, a block each. They are taken within each warp, then over the warps
 // that the splat touches, always in the same order, so that the bits are always the same.
 template <int kSums>
 __global__ void __launch_bounds__(kThreads, 4)
@@ -295,7 +295,7 @@ __global__ void __launch_bounds__(kThreads, 4)
     }
     __syncthreads();
 
-    // Sum over the warps, a number a thread
+    // Sums over the warps, a number a thread
     for (int i = threadIdx.x; i < count * kSums; i += kThreads) {
       const int k = i / kSums, f = i % kSums;
       float sum = 0;

@@ -14,7 +14,7 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128;
 
-// Culls and stores one splat and its sort key; returns whether it is drawn.
+// Cull and store one splat and its sort key; return whether it is drawn.
 __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, int64_t image, int64_t index,
                             const Splats<float>& out, uint64_t* keys) {
   cull_outside(splat, cameras.width_px, cameras.height_px);
@@ -24,7 +24,7 @@ __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, i
   return drawn;
 }
 
-// Projects all Gaussians into all images: blocks along x have the Gaussians of a scene, along y the images.
+// Project all Gaussians into all images: blocks along x have the Gaussians of a scene, along y the images.
 template <bool kCompensated>
 __global__ void project_images_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
                                       uint64_t* keys) {

@@ -54,7 +54,7 @@ struct SplatSums {
   }
 };
 
-// Turns the sums of a splat's intersections into the gradients of the splat and of its colour.
+// Turn the sums of a splat's intersections into the gradients of the splat and of its colour.
 template <class R>
 __device__ Splat<R> splat_gradient(const Splat<float>& s, const SplatSums& sums, vec3& colour) {
   R sum[kImageSums];
@@ -127,7 +127,7 @@ struct HarmonicRows {
   static __host__ __device__ constexpr int padded(int numbers) { return numbers | 1; }
   __device__ float* own() const { return rows + int(threadIdx.x % 32) * padded(numbers); }
 
-  // Reads the rows whose bits are set in `which`; `from` is the first of 32 in memory.
+  // Read the rows whose bits are set in `which`; `from` is the first of 32 in memory.
   __device__ void load(const float* from, unsigned which) const {
     with_numbers([&]<int kNumbers>() {
       float4 fours[kFours<kNumbers>];
@@ -151,13 +151,13 @@ struct HarmonicRows {
     __syncwarp();
   }
 
-  // Sets all rows to zero.
+  // Set all rows to zero.
   __device__ void clear() const {
     for (int k = threadIdx.x % 32; k < 32 * padded(numbers); k += 32) rows[k] = 0;
     __syncwarp();
   }
 
-  // Writes 32 rows, zeros where the bit is not set.
+  // Write 32 rows, zero where the bit is not set.
   __device__ void store(float* to, unsigned which) const {
     __syncwarp();
     with_numbers([&]<int kNumbers>() {
@@ -184,7 +184,7 @@ struct HarmonicRows {
   template <int kNumbers>
   static constexpr int kFours = (kNumbers + 3) / 4;  // that a lane moves
 
-  // Calls with the numbers of a row as a template's argument.
+  // Call with the numbers of a row as a template's argument.
   template <class Call>
   __device__ void with_numbers(const Call& call) const {
     switch (numbers) {
@@ -215,7 +215,7 @@ struct HarmonicRows {
   }
 };
 
-// Writes the sums of a block over its threads' gradients of a camera to `out`: over each warp, then over the warps.
+// Write the sums of a block over its threads' gradients of a camera to `out`: over each warp, then over the warps.
 __device__ void store_camera(const CameraGradient<float>& g_camera, float (&partial)[kWarps][kCameraNumbers],
                              float* out) {
   for (int f = 0; f < kCameraNumbers; ++f) {
@@ -239,7 +239,7 @@ __device__ bool is_lit(const AllSums& sums, const Cameras<float>& cameras, int64
   return lit;
 }
 
-// Writes the gradient of a splat's place, and where they were asked for the absolute ones behind it.
+// Write the gradient of a splat's place, and where they were asked for the absolute ones behind it.
 __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolute, float* screen, int64_t index) {
   if (absolute) {
     const float* others = sums.numbers + kAbsoluteSum;
@@ -249,7 +249,7 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
   }
 }
 
-// Writes all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
+// Write all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
 // leave, or four without the gradients of cameras (kCameras). Needles, and all compensated splats (see
 // compensated_splat()), go through with_exact_backward() instead. kOneCamera: there is one camera a scene, so that the
 // gradients of harmonics can take the place of these.

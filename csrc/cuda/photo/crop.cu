@@ -44,7 +44,7 @@ struct Triangle {
   }
 };
 
-// Calls add(pixel, weight) for those that lie in the photo, from `start` to `end` of it; what lies beyond is zero.
+// Call add(pixel, weight) for those that lie in the photo, from `start` to `end` of it; what lies beyond is zero.
 template <class Add>
 __device__ void for_each_weight(const Triangle& triangle, int64_t origin, int64_t end, const Add& add) {
   float sum = 0;

@@ -25,10 +25,10 @@ struct Photo {
   float* checks = nullptr;         // [2] whether all values are in 0..1, whether there is an object
 };
 
-// Finds the object's box, and writes the checks.
+// Find the object's box, and write the checks.
 void find_object(const Photo& photo, Stream stream);
 
-// Writes [4, size_px, size_px], premultiplied, of the square round the box: zero beyond the photo's edges, by the
+// Write [4, size_px, size_px], premultiplied, of the square round the box: zero beyond the photo's edges, by the
 // antialiased bilinear filter. narrow: [height, size_px, 4], for what is resized along rows.
 void crop_object(const Photo& photo, int size_px, float* narrow, float* out, Stream stream);
 

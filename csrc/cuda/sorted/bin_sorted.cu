@@ -1,4 +1,4 @@
-// Stages count, fill and order of `sorted` on the device: list, for every (view, tile), the splats that may touch the
+// Stage count, fill and order of `sorted` on the device: list, for every (view, tile), the splats that may touch the
 // tile, nearest first. They read the projected splats, and write SortedChunk::ranges and ids.
 #include <algorithm>
 
@@ -19,13 +19,13 @@ constexpr int kManyRows = 8;  // of tiles: a splat that may touch more is shared
 // kFill fills the lists.
 enum class Pass { kCount, kFill };
 
-// Adds a splat to one list.
+// Add a splat to one list.
 __device__ void add(const SortedChunk& chunk, Pass pass, unsigned list, uint32_t id) {
   const unsigned place = atomicAdd(&reinterpret_cast<uint2*>(chunk.ranges)[list].y, 1u);
   if (pass == Pass::kFill) chunk.ids[place] = id;
 }
 
-// Adds the splats of a warp's lanes to a list each, lanes with `some` only. Splats that are neighbours mostly go to the
+// Add the splats of a warp's lanes to a list each, lanes with `some` only. Splats that are neighbours mostly go to the
 // same list, for which one lane asks then.
 __device__ void add_together(const SortedChunk& chunk, Pass pass, bool some, unsigned list, uint32_t id) {
   const unsigned lane = threadIdx.x % 32, none = ~0u;
@@ -39,7 +39,7 @@ __device__ void add_together(const SortedChunk& chunk, Pass pass, bool some, uns
   if (some) chunk.ids[place] = id;
 }
 
-// Goes through the intersections. A thread has a splat at a time, of whose tiles each lane adds one after the other; a
+// Go through the intersections. A thread has a splat at a time, of whose tiles each lane adds one after the other; a
 // warp shares the work for a large splat, a row of tiles a lane. One kernel does both passes, so that they find the
 // same tiles to the last bit.
 __global__ void __launch_bounds__(kThreads) intersections_kernel(const __grid_constant__ SortedChunk chunk, Pass pass) {

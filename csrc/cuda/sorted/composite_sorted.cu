@@ -85,7 +85,7 @@ __device__ Box bounding_box(const Sample (&samples)[kEach]) {
   return {(left + right) / 2, (top + bottom) / 2, (right - left) / 2, (bottom - top) / 2};
 }
 
-// Reads a splat for the tile whose corner is at (x0, y0).
+// Read a splat for the tile whose corner is at (x0, y0).
 __device__ Staged staged(const SortedChunk& chunk, uint32_t id, float x0, float y0) {
   const float4* footprint = reinterpret_cast<const float4*>(chunk.footprints) + 2 * int64_t(id);
   const float4 place = __ldg(footprint), size = __ldg(footprint + 1);
@@ -95,7 +95,7 @@ __device__ Staged staged(const SortedChunk& chunk, uint32_t id, float x0, float 
           -down_y * v0, size.x,         {colour.x, colour.y, colour.z}};
 }
 
-// Reads `count` splats of a list, up to kStaged, and fills the last group of kLanes up with some that touch nothing. A
+// Read `count` splats of a list, up to kStaged, and fill the last group of kLanes up with some that touch nothing. A
 // thread reads several before it waits for them.
 __device__ void stage(const SortedChunk& chunk, const uint32_t* ids, int count, float x0, float y0, Batch& batch) {
   constexpr int kTogether = 2;
@@ -111,8 +111,8 @@ __device__ void stage(const SortedChunk& chunk, const uint32_t* ids, int count, 
   }
 }
 
-// Writes the numbers of the batch's splats that may touch the group's box, in order, and then that of the splat that
-// touches nothing, until all groups of the warp have as many. Returns how many, a multiple of kAtATime.
+// Write the numbers of the batch's splats that may touch the group's box, in order, and then that of the splat that
+// touches nothing, until all groups of the warp have as many. Return how many, a multiple of kAtATime.
 __device__ int list_intersections(const Batch& batch, int count, const Box& box, uint16_t* intersections) {
   const int lane = threadIdx.x % kLanes, first_lane = threadIdx.x % 32 - lane;
   const unsigned group = (~0u >> (32 - kLanes)) << first_lane, before = ((1u << lane) - 1) << first_lane;
@@ -141,7 +141,7 @@ struct Light {
   __device__ bool open() const { return least < kClosed; }
   __device__ bool over_limit() const { return transmittance < float(kMinTransmittance); }
 
-  // Blends a splat; as over() in blend.cuh, with fewer steps.
+  // Blend a splat; as over() in blend.cuh, with fewer steps.
   __device__ void take(float power, float colour) {
     const float weight = fminf(fast_exp2(power), float(kMaxAlpha)) * transmittance, after = transmittance - weight;
     const bool seen = power >= least, full = after < float(kMinTransmittance);
@@ -175,8 +175,8 @@ struct Drawing {
       }
     }
   }
-  // Blends splats as if no sample came to the limit, which saves a third of the steps: transmittances only fall, so
-  // one look behind the last tells whether it was so, and if not, all is done again with care. Returns false when no
+  // Blend splats as if no sample came to the limit, which saves a third of the steps: transmittances only fall, so
+  // one look behind the last tells whether it was so, and if not, all is done again with care. Return false when no
   // sample of the warp is open any more.
   __device__ bool blend(const Batch& batch, const ushort4& intersections) {
     Drawing before = *this;
@@ -189,7 +189,7 @@ struct Drawing {
   }
 };
 
-// Draws the sub-pixels of one (view, tile), a block each. Blocks that start together have the views of one tile, so
+// Draw the sub-pixels of one (view, tile), a block each. Blocks that start together have the views of one tile, so
 // that what they write, a byte here and there, meets in the cache. For every kSubpixels of them the block stages the
 // tile's splats in batches, and each thread blends them into its own. tiles: of a view, `across` of them in a row.
 __global__ void __launch_bounds__(kThreads, kResident)

@@ -42,7 +42,7 @@ struct SortedChunk {
   int64_t splats() const { return image.count * count; }
   LFGS_HD int64_t tiles() const { return tile_count(image.tile, image.width_px, image.height_px); }
   LFGS_HD int64_t lists() const { return image.count * tiles(); }
-  // Lays the parts out in `work` (null: only counts); returns the bytes.
+  // Lay the parts out in `work` (null: only counts); return the bytes.
   size_t place(void* work);
 };
 
@@ -55,7 +55,7 @@ void project_sorted(const SortedChunk& chunk, const Gaussians<const float>& gaus
 void count_sorted(const SortedChunk& chunk, Stream stream);  // then state->intersections is known
 void fill_sorted(const SortedChunk& chunk, Stream stream);
 void order_sorted(const SortedChunk& chunk, Stream stream);
-// Writes the sub-pixels of the views to out8, or where that is null to out. The lists are those of the chunk's views.
+// Write the sub-pixels of the views to out8, or where that is null to out. The lists are those of the chunk's views.
 void composite_sorted(const SortedChunk& chunk, const SubpixelLists& lists, const float* background, float* out,
                       uint8_t* out8, Stream stream);
 

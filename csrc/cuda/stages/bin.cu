@@ -23,7 +23,7 @@ namespace {
 constexpr int kThreads = 128;
 constexpr uint32_t kNoTile = ~0u;  // of the room that no intersection took; sorts behind all tiles
 
-// Counts the tiles that each splat touches. A thread has a splat.
+// Count the tiles that each splat touches. A thread has a splat.
 __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= splats.images * splats.count) return;
@@ -46,7 +46,7 @@ auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
   return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
 }
 
-// Writes intersections of one splat with `count` tiles from `tile` on, to the intersections from `at` on that there is
+// Write intersections of one splat with `count` tiles from `tile` on, to the intersections from `at` on that there is
 // room for.
 __device__ void write_intersections(const Intersections& intersections, uint32_t index, uint32_t tile, int count,
                                     uint32_t at) {
@@ -56,7 +56,7 @@ __device__ void write_intersections(const Intersections& intersections, uint32_t
   }
 }
 
-// Writes the intersections of one splat, whose intersections begin at `at`, by all lanes of a warp: a lane has a row of
+// Write the intersections of one splat, whose intersections begin at `at`, by all lanes of a warp: a lane has a row of
 // tiles.
 __device__ void fill_together(const Splats<float>& splats, const Image& image, const Intersections& intersections,
                               uint32_t index, uint32_t first_tile, uint32_t at) {
@@ -72,7 +72,7 @@ __device__ void fill_together(const Splats<float>& splats, const Image& image, c
   }
 }
 
-// Writes the intersections in splat-major order, and where the intersections of each splat are. A thread has a splat,
+// Write the intersections in splat-major order, and where the intersections of each splat are. A thread has a splat,
 // by depth; a warp shares the work for a large one.
 __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* indices, const int64_t* ends,
                             Intersections intersections, IntersectionRange* intersection_ranges) {
@@ -104,7 +104,7 @@ __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* i
   }
 }
 
-// Writes where each tile's intersections begin and end among the sorted ones, and the splat of each intersection. A
+// Write where each tile's intersections begin and end among the sorted ones, and the splat of each intersection. A
 // thread has an intersection.
 __global__ void ranges_kernel(Intersections intersections, int64_t* ranges) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;

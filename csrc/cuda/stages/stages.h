@@ -39,7 +39,7 @@ void project_images(const Gaussians<const float>& gaussians, const Cameras<float
 void project_direct(const Gaussians<const float>& gaussians, const Camera<double>& rig, const Lens& lens,
                     double tolerance, const Splats<float>& out, uint64_t* keys, float* error, Stream stream);
 
-// --- order. Writes the indices [I * N] sorted by key. Raises when 32 bits do not hold an index.
+// --- order. Write the indices [I * N] sorted by key. Raise when 32 bits do not hold an index.
 size_t order_bytes(int64_t items);
 void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
            void* temporary, size_t temporary_bytes, Stream stream);
@@ -76,7 +76,7 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
               int64_t* ends, const Intersections& intersections, int64_t* ranges,
               IntersectionRange* intersection_ranges, void* temporary, size_t temporary_bytes, Stream stream);
 
-// --- composite. Reads the intersections of every tile, `ranges`, and writes the images.
+// --- composite. Read the intersections of every tile, `ranges`, and write the images.
 void composite_images(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                       const Intersections& intersections, const float* background, Images<float> out, Stream stream);
 void composite_direct(const Splats<float>& splats, const Image& image, const int64_t* ranges,
@@ -99,7 +99,7 @@ void composite_images_backward(const Splats<float>& splats, const Image& image, 
                                const Intersections& intersections, Images<const float> images,
                                Images<const float> gradients, bool absolute, float* intersection_gradients,
                                float* tile_background, Stream stream);
-// Adds up the intersections of each splat: sums [I, N, kSplatSums], the numbers of an intersection, all zero where a
+// Add up the intersections of each splat: sums [I, N, kSplatSums], the numbers of an intersection, all zero where a
 // splat has none; what is behind them is left alone.
 constexpr int kSplatSums = kAbsoluteImageSums;
 static_assert(kSplatSums == kSplatFields);  // for torch the sums are the gradient of the splats, and so of their shape

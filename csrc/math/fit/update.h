@@ -134,7 +134,7 @@ struct ParameterGradients {
   }
 };
 
-// Moves `size` numbers of Gaussian i that share a rate.
+// Move `size` numbers of Gaussian i that share a rate.
 template <int size, class R>
 LFGS_HD void move_numbers(const AdamStep<R>& adam, const R (&gradient)[size], R rate, int64_t i, R* values, R* first,
                           R* second) {

@@ -170,7 +170,7 @@ struct TexelGaussian {
   float opacity;
 };
 
-// Turns a texel along the surface, whose slopes across and down are given in footprints of depth a texel: its axes are
+// Turn a texel along the surface, whose slopes across and down are given in footprints of depth a texel: its axes are
 // the direction of descent, the level direction and the normal. Along the first, texels lie farther apart.
 LFGS_HD void lay_along(float across, float down, const glm::vec3& ray, TexelGaussian& texel) {
   const glm::vec3 tangent_x = glm::vec3(1, 0, 0) + across * ray, tangent_y = glm::vec3(0, 1, 0) + down * ray;

@@ -62,7 +62,7 @@ LFGS_HD float projected_area(const Gaussians<float>& cloud, int64_t i, float foc
   return 2 * float(kPi) * std::sqrt(glm::max(determinant, 1e-20f)) * per_pixel * per_pixel;
 }
 
-// Writes the fog of a Gaussian of a layer to set 0.
+// Write the fog of a Gaussian of a layer to set 0.
 LFGS_HD void weigh(const Surface& job, int layer, int64_t pixel) {
   const int64_t i = layer * job.pixels() + pixel;
   const float area = projected_area(job.cloud, i, job.intrinsics[0]), off = job.off(i);

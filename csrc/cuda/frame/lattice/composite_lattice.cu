@@ -1,5 +1,5 @@
 // Composite of a light-field frame where the light field is smooth: twin of cpu/direct/direct_lattice-inl.h on the
-// device. Reads the splats and the sorted lists of the frame; writes the image where a lattice is good enough, and the
+// device. Read the splats and the sorted lists of the frame; writes the image where a lattice is good enough, and the
 // numbers of all other tiles into DirectFrame::refused.
 //
 // The tiles and lists are those of the kernel that the frame chose. First a warp lays a coarse lattice in (x, y, view)
@@ -21,7 +21,7 @@ constexpr int kAttempts = 2;
 constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
 constexpr unsigned kLeastFitting = 3;  // lattices must fit one in so many of the tiles that a probed row tried
 
-// Copies splats of a list into shared memory, with their colours and 1 / S on every plane of the lattice and half-way
+// Copy splats of a list into shared memory, with their colours and 1 / S on every plane of the lattice and half-way
 // between planes. By all threads of the block: a thread makes the shape of a splat at one of these offsets.
 __device__ void stage(const List& list, unsigned begin, int count, const Lattice& lattice, Staged& staged) {
   const int half_planes = 2 * lattice.planes - 1, shapes = count * half_planes;
@@ -50,7 +50,7 @@ __device__ void stage(const List& list, unsigned begin, int count, const Lattice
   }
 }
 
-// Blends the staged splats from `first` to before `end` at a point. `seen` has the colour of the point so far, and in w
+// Blend the staged splats from `first` to before `end` at a point. `seen` has the colour of the point so far, and in w
 // its transmittance. The splat at which a point ends takes what light is left.
 __device__ void add_staged(const Staged& staged, int first, int end, int half_planes, const Point& point, float stop,
                            float4& seen) {
@@ -102,7 +102,7 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
                      __saturatef(fmaf(seen.w, background.z, seen.z)));
 }
 
-// Draws a section's nodes and the middles of its cells, by all threads of the block. Returns the error at the middles,
+// Draw a section's nodes and the middles of its cells, by all threads of the block. Return the error at the middles,
 // as a share of what is allowed. If it is more than that, nodes are moved to lower it, and what counts is the error
 // that is left, or the largest move if that is more.
 __device__ float draw_lattice(const DirectFrame& frame, const List& list, int section, float4 background,
@@ -135,7 +135,7 @@ __device__ float draw_lattice(const DirectFrame& frame, const List& list, int se
   return sums.of_block(memory, numbers, kMovedFactor) / frame.lattice;
 }
 
-// Draws the lattice that was laid through a section, or if need be a finer one; returns whether one of them is good
+// Draw the lattice that was laid through a section, or if need be a finer one; return whether one of them is good
 // enough. By all threads of the block.
 __device__ bool fits(const DirectFrame& frame, const List& list, const LatticePart& part, int section,
                      float4 background, Memory& memory) {
@@ -171,7 +171,7 @@ class ProbedRow {
  public:
   __device__ explicit ProbedRow(const unsigned long long& counts)
       : counts_(static_cast<const volatile unsigned long long&>(counts)) {}
-  // Adds a tile that is done. Called by one thread of its block.
+  // Add a tile that is done. Called by one thread of its block.
   static __device__ void report(unsigned long long& counts, bool tried, bool fits) {
     atomicAdd(&counts, 1ull | (unsigned long long)(tried) << kBits | (unsigned long long)(fits) << 2 * kBits);
   }
@@ -196,7 +196,7 @@ __device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int
   return above_done && below_done ? kNotWorth : kUnknown;
 }
 
-// Leaves a tile to the kernel chosen. Called by one thread of the block.
+// Leave a tile to the kernel chosen. Called by one thread of the block.
 __device__ void refuse(const DirectFrame& frame, int tile) {
   frame.refused[atomicAdd(&frame.state->refused_tiles, 1u)] = unsigned(tile);
 }
@@ -212,7 +212,7 @@ __device__ List make_list(const DirectFrame& frame, const Lists& lists, const Ti
 // few or not listed by tile; or a lattice would not pay there. The latter two are left to the kernel chosen.
 enum Unlaid : int { kUnseen = -3, kEmpty = -2, kUntried = -1, kPaysNot = 0 };
 
-// Lays lattices through the sections of all tiles, and writes them into DirectFrame::lattices. A warp has one tile.
+// Lay lattices through the sections of all tiles, and write them into DirectFrame::lattices. A warp has one tile.
 __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_constant__ DirectFrame frame) {
   __shared__ LatticePlanner planners[kWarps];
   __shared__ Lattice laid[kWarps];
@@ -246,7 +246,7 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : empty ? kEmpty : !tried ? kUntried : kPaysNot;
 }
 
-// Draws the nodes of a tile's lattices; false where one of them is not good enough. range is that of the first
+// Draw the nodes of a tile's lattices; false where one of them is not good enough. range is that of the first
 // section's list.
 __device__ bool draw_tile(const DirectFrame& frame, const Lists& lists, const Tile& tile, uint2 range,
                           float4 background, Memory& memory) {
@@ -260,7 +260,7 @@ __device__ bool draw_tile(const DirectFrame& frame, const Lists& lists, const Ti
   }
 }
 
-// Draws the tiles whose lattices fit. A block has a tile; its threads have points of the lattice, and then sub-pixels.
+// Draw the tiles whose lattices fit. A block has a tile; its threads have points of the lattice, and then sub-pixels.
 // The first blocks have the probed rows. Most blocks of the rows between find out at their start whether lattices are
 // worth it; one that cannot know yet tries its own, and then waits until the probed rows are done. That ends: blocks
 // are started in turn, so all blocks of a lower number are running, and none waits for a block of a higher number.

@@ -39,11 +39,11 @@ struct List {
   }
 };
 
-// Measures how fast the light field of a section varies, and lays a lattice for it. It lives in shared memory; all
+// Measure how fast the light field of a section varies, and lay a lattice for it. It lives in shared memory; all
 // lanes of a warp call its functions together.
 class LatticePlanner {
  public:
-  // Measures a part of the panel by some splats of its list. A lane works out the terms of one splat; then two lanes
+  // Measure a part of the panel by some splats of its list. A lane works out the terms of one splat; then two lanes
   // add up what belongs to one bin, each the terms of every other splat.
   __device__ void measure(const List& list, const LatticePart& part) {
     constexpr int kMeasured = 256;  // about; enough for averages
@@ -79,7 +79,7 @@ class LatticePlanner {
     __syncwarp();
   }
 
-  // Lays a lattice of the given fineness. False where it would take too many nodes to pay.
+  // Lay a lattice of the given fineness. False where it would take too many nodes to pay.
   __device__ bool lay(float fineness, Lattice& lattice) const {
     constexpr float kReach = 2.3f;  // how far splats reach, in the standard deviations in which a plan counts
     const LatticeCurvature& curvature = *reinterpret_cast<const LatticeCurvature*>(curvature_);

@@ -39,7 +39,7 @@ struct NodeRows {
   }
   __device__ int first_between(int row) const { return (row - top) * of_row; }
 
-  // Lays rows from top_ to before `end`. By all threads of the block: a thread has one node of one channel and plane,
+  // Lay rows from top_ to before `end`. By all threads of the block: a thread has one node of one channel and plane,
   // in all rows or in some of them.
   __device__ void lay(int top_, int end) {
     top = top_;
@@ -71,7 +71,7 @@ __device__ inline unsigned pack_bytes(__half2 first, __half2 second) {
   return __byte_perm(bits(__hfma2(first, scale, magic)), bits(__hfma2(second, scale, magic)), 0x6420);
 }
 
-// Puts four colours into a row of the image, from number `first` of the row on. Words: the image is of bytes, and they
+// Put four colours into a row of the image, from number `first` of the row on. Words: the image is of bytes, and they
 // may be stored four at a time.
 template <bool Words, class Out>
 __device__ void put_four(int width, int first, __half2 low, __half2 high, Out* row) {
@@ -84,7 +84,7 @@ __device__ void put_four(int width, int first, __half2 low, __half2 high, Out* r
     if (first + i < width) row[first + i] = stored(colours[i], row);
 }
 
-// Interpolates the tile's sub-pixels in the rows that were laid, to before `end`, in the order of the image. Table:
+// Interpolate the tile's sub-pixels in the rows that were laid, to before `end`, in the order of the image. Table:
 // whether `views` has one.
 template <bool Table, bool Words, class Out>
 __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const Views<RowSeen>& views,
@@ -135,7 +135,7 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
   }
 }
 
-// Interpolates the sub-pixels of a tile of pixels. By all threads of the block.
+// Interpolate the sub-pixels of a tile of pixels. By all threads of the block.
 template <class Out>
 __device__ void interpolate_pixels(const Tile& tile, Memory& memory, Out* out) {
   const Lattice& lattice = memory.lattices[0];

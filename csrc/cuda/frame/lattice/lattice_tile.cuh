@@ -137,7 +137,7 @@ struct Memory {
     Interpolated interpolated;
   };
 
-  // Takes the lattices that were laid through sections. By all threads of the block; the caller has them wait for each
+  // Take the lattices that were laid through sections. By all threads of the block; the caller has them wait for each
   // other afterwards.
   __device__ void take(const Lattice* laid, int sections) {
     const int *from = reinterpret_cast<const int*>(laid), words = sections * int(sizeof(Lattice) / sizeof(int));
@@ -172,7 +172,7 @@ struct Tile {
     const int first = column * 3 * int(tiling.width);
     return make_int2(first, first + 3 * int(tiling.width));
   }
-  // Finds the columns of pixels, by a warp of which each lane has a row. False where nothing is on the panel.
+  // Find the columns of pixels, by a warp of which each lane has a row. False where nothing is on the panel.
   __device__ bool find_columns(int2 row) {
     const int width = 3 * lens.width_px;
     const bool shown = int(threadIdx.x % 32) < rows && row.y > 0 && row.x < width;
@@ -181,7 +181,7 @@ struct Tile {
       low = min(low, __shfl_xor_sync(~0u, low, step)), high = max(high, __shfl_xor_sync(~0u, high, step));
     return high >= low;
   }
-  // Finds the columns, and writes rows, their phases and the columns into the block's memory. By all its threads.
+  // Find the columns, and write rows, their phases and the columns into the block's memory. By all its threads.
   __device__ void lay_rows(Memory& memory) {
     if (threadIdx.x < 32) {
       const int2 ends = row(threadIdx.x);
@@ -231,7 +231,7 @@ struct NodePosition {
   }
 };
 
-// Interpolates colours between the nodes of a section. What is read again and again is copied here, to be in registers.
+// Interpolate colours between the nodes of a section. What is read again and again is copied here, to be in registers.
 struct Nodes {
   const Corners* corners;
   int across, down, plane_stride;
@@ -264,7 +264,7 @@ struct Nodes {
     const __half2 pair = mixed(near, far, seen.part());
     return fmaf(node.part, __high2float(pair) - __low2float(pair), __low2float(pair));
   }
-  // Keeps `along` within the lattice.
+  // Keep `along` within the lattice.
   __device__ float within(float along) const { return fminf(along, last_along); }
   // The row of nodes before y, and as `part` the way from there to the next.
   __device__ int row(float y, __half2& part) const {
@@ -276,7 +276,7 @@ struct Nodes {
   static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
 };
 
-// Finds what sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of phases are left out:
+// Find what sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of phases are left out:
 // now and then that gives a sub-pixel at the border of two views the other one.
 template <class S>
 struct Views {
@@ -298,7 +298,7 @@ struct Views {
     const NodePosition plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));
     return {lattice, int(plane.bits - NodePosition::kMagicBits), plane.part};
   }
-  // Makes a table if the offsets are few. By all threads of the block; the caller has them wait for each other before
+  // Make a table if the offsets are few. By all threads of the block; the caller has them wait for each other before
   // the table is read.
   __device__ void tabulate(S (&seen)[kMostTableViews]) {
     if (whole > kMostTableViews) return;

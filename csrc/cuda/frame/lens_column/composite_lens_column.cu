@@ -1,5 +1,5 @@
-// Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80). Reads
-// the frame's splats and sorted lists, writes the image.
+// Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80). Read
+// the frame's splats and sorted lists, write the image.
 //
 // The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: an *lens column* t covers 1 / P_e of
 // it. A warp task is 4 lenses x 16 rows at one lens column, 64 samples. x, y and v (the view, scaled) count from the
@@ -25,7 +25,7 @@ namespace lfgs::cuda {
 namespace {
 
 #if __CUDA_ARCH__ >= 800
-// Brings `count` splats of a list into the block's shared memory, as Memory says, and finds which patches of the tile
+// Bring `count` splats of a list into the block's shared memory, as Memory says, and find which patches of the tile
 // they may touch at the lens columns first .. last of a group. Two threads have a splat, one for each row of patches.
 template <class Layout>
 __device__ void stage(const DirectFrame& frame, const uint32_t* ids, int count, int first_lens, int row0, int first,
@@ -55,7 +55,7 @@ __device__ void stage(const DirectFrame& frame, const uint32_t* ids, int count, 
   }
 }
 
-// Draws one tile, by all threads of the block. In the full layout bytes are collected in shared memory and then stored
+// Draw one tile, by all threads of the block. In the full layout bytes are collected in shared memory and then stored
 // row by row; otherwise what is finished goes straight to the image.
 template <bool Compensated, class Layout, class Out>
 __device__ void draw_tile(const DirectFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
@@ -133,12 +133,12 @@ __device__ void draw_tile(const DirectFrame& frame, const Lists& lists, unsigned
 }
 #endif
 
-// Draws the frame, if it has chosen this kernel. There are as many blocks as the device holds at a time; each draws one
+// Draw the frame, if it has chosen this kernel. There are as many blocks as the device holds at a time; each draws one
 // tile after another until none is left, and a thread has the parts described at Task.
 template <class Layout, bool Compensated, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
     composite_lens_column_kernel(const __grid_constant__ DirectFrame frame, int row_bytes, const float* background,
-                             Out* out) {
+                                 Out* out) {
 #if __CUDA_ARCH__ >= 800
   if (!frame.lens_column_chosen()) return;
   extern __shared__ __align__(16) char shared[];
@@ -165,7 +165,7 @@ size_t block_bytes(float line_number) {
   return sizeof(Memory<Layout>) + (Layout::kCompact ? 0 : kTileRows * lens_row_bytes(line_number));
 }
 
-// Lets blocks of a kernel take so much shared memory, and asks that two of them stand on a multiprocessor: what is not
+// Let blocks of a kernel take so much shared memory, and ask that two of them stand on a multiprocessor: what is not
 // shared memory there is cache.
 template <class Kernel>
 void allow_shared_memory(Kernel kernel, size_t bytes) {
@@ -180,7 +180,7 @@ void allow_shared_memory(Kernel kernel, size_t bytes) {
         "composite_lens_column: cache");
 }
 
-// Launches the kernels that make colours and shares by lens column, where the scene needs them, and the one that draws.
+// Launch the kernels that make colours and shares by lens column, where the scene needs them, and the one that draws.
 template <class Layout, bool Compensated, class Out>
 void launch(const DirectFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (Layout::kHarmonics && frame.splats.count) {
@@ -213,7 +213,7 @@ bool suits_lens_columns(const Lens& lens) {
 
 }  // namespace
 
-// Asks what the kernels were compiled for, since a device may run PTX made for an older one without tensor cores.
+// Ask what the kernels were compiled for, since a device may run PTX made for an older one without tensor cores.
 LensColumnLayout lens_column_layout(const Lens& lens, int64_t shared_memory) {
   int device = 0, limit = 0;
   cudaFuncAttributes built{};

@@ -10,7 +10,7 @@
 namespace lfgs::cuda {
 namespace {
 
-// Writes the colours of every splat at every lens column into DirectFrame::lens_column_colours and lens_column_slopes:
+// Write the colours of every splat at every lens column into DirectFrame::lens_column_colours and lens_column_slopes:
 // parabolas through three places of what the lens column sees, with nothing below zero there. They are made once for
 // the whole frame, since several lists have the same splat. A thread makes kPerThread lens columns of one splat.
 constexpr int kPerThread = 3, kColourThreads = 128;

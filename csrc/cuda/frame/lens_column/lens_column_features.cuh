@@ -88,7 +88,7 @@ struct Features : Patch<Layout> {
             make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632)),
             make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0)};
   }
-  // Puts an intersection's compensation, as lens_column_compensations_kernel stored it, into the coefficients of A.
+  // Put an intersection's compensation, as lens_column_compensations_kernel stored it, into the coefficients of A.
   __device__ void take_compensation(Operands& operands, const Splat<float>& s, float2 compensation) const {
     const float Y = middle_y - s.v0;
     operands.exponent.x = split(fmaf(-s.tau * Y, Y, s.log2_opacity) + compensation.x);
@@ -99,7 +99,7 @@ struct Features : Patch<Layout> {
   __device__ unsigned of_place(int place, int lens_column) const {
     return places >> 8 * (place == 3 ? 3 : (place + 3 - lens_column % 3) % 3);
   }
-  // Chooses for a sample that this lane accumulates: parts[p] is for samples whose lens starts at place p.
+  // Choose for a sample that this lane accumulates: parts[p] is for samples whose lens starts at place p.
   template <class T>
   __device__ T pick(const T (&parts)[3], int sample) const {
     return places >> sample & 1 ? parts[0] : places >> (8 + sample) & 1 ? parts[1] : parts[2];
@@ -119,7 +119,7 @@ struct Features : Patch<Layout> {
     return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
   }
 
-  // Completes exact intersections, sample by sample: d, of two intersections at two samples of a fragment, is
+  // Complete exact intersections, sample by sample: d, of two intersections at two samples of a fragment, is
   // multiplied by (1 + s1 v + s2 v^2)^(-1/2), and A receives the compensation. s has s1 and s2 of the intersections;
   // for an intersection whose d is complete they are zero, and its share is 1, so that nothing changes.
   __device__ void complete(float (&d)[4], [[maybe_unused]] float (&A)[4], const unsigned (&features)[kFragments][4],

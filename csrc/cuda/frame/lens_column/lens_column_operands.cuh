@@ -121,7 +121,7 @@ __device__ inline __half2 fine_steps(unsigned a, unsigned b) {
   return as_half2((((a >> 16) & 0xf) | (b & 0xf0000)) ^ 0x64086408u);
 }
 
-// Returns the number that it gets, but the compiler does not know that. So what follows from the number is worked out
+// Return the number that it gets, but the compiler does not know that. So what follows from the number is worked out
 // anew where it is needed, instead of being kept in registers or spilled.
 __device__ inline int forgotten(int number) {
   asm volatile("" : "+r"(number));
@@ -142,7 +142,7 @@ __device__ inline void multiply(float (&c)[4], const unsigned (&a)[2], unsigned 
       : "=f"(c[0]), "=f"(c[1]), "=f"(c[2]), "=f"(c[3])
       : "r"(a[0]), "r"(a[1]), "r"(b), "f"(0.f));
 }
-// Loads features from shared memory in the layout of the operand a. Every lane names the address of a row.
+// Load features from shared memory in the layout of the operand a. Every lane names the address of a row.
 __device__ inline void load_matrix(unsigned (&r)[4], unsigned address) {
   asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0,%1,%2,%3},[%4];"
                : "=r"(r[0]), "=r"(r[1]), "=r"(r[2]), "=r"(r[3])
@@ -156,7 +156,7 @@ __device__ inline void load_matrix(unsigned (&r)[2], unsigned address) {
                : "memory");
 }
 
-// Blends one intersection into one sample. `change` is the step from the colour of the intersection before: it is added
+// Blend one intersection into one sample. `change` is the step from the colour of the intersection before: it is added
 // with all the light that has come so far, also where this intersection draws nothing, for the intersections behind
 // build on it. Limit: whether alpha may be above its most.
 template <bool Limit>

@@ -95,7 +95,7 @@ struct Patch {
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
   }
 
-  // Which of the `count` staged splats may touch the patch at the t-th lens column of the group. Fills the queue, which
+  // Which of the `count` staged splats may touch the patch at the t-th lens column of the group. Fill the queue, which
   // keeps the splats in their order, and returns how many there are.
   __device__ int cull(int t, int count) {
     const int warp = threadIdx.x / 32;
@@ -128,7 +128,7 @@ struct Patch {
     return make_int2(fragment / 2, fragment % 2 * 16 + sample % 2 * 8 + lane / 4);
   }
 
-  // Begins a pass: nothing is drawn yet. Samples that are not on the panel, or not of the lens, count as opaque, so
+  // Begin a pass: nothing is drawn yet. Samples that are not on the panel, or not of the lens, count as opaque, so
   // that nobody works on them.
   __device__ void clear(int first) {
     const LensOptics& lens = frame.optics;
@@ -166,7 +166,7 @@ struct Patch {
     int row, m, place;
   };
 
-  // Hands every finished sample of lens columns first .. last that is on the panel to put(Finished, value).
+  // Hand every finished sample of lens columns first .. last that is on the panel to put(Finished, value).
   template <class Put>
   __device__ void finish(int first, int last, const float4& background, const Put& put) {
     const LensOptics& lens = frame.optics;

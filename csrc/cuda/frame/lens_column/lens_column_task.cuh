@@ -35,7 +35,7 @@ struct Task : Features<Layout, Compensated> {
     out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
     return out;
   }
-  // Keeps such a colour in the warp's memory, as the last of a quarter in a round, and reads it again, for the
+  // Keep such a colour in the warp's memory, as the last of a quarter in a round, and read it again, for the
   // intersection that follows takes the difference to it. Odd rounds have places of their own (turn 1).
   __device__ void keep(int turn, int quarter, const float4& c, const uint2& slopes) {
     own.last_colour[turn][Layout::kHoldsColours ? 0 : quarter] = c;
@@ -56,7 +56,7 @@ struct Task : Features<Layout, Compensated> {
     return out;
   }
 
-  // Adds the n intersections of the queue, those of lens column t of the pass, to the state of the samples. The
+  // Add the n intersections of the queue, those of lens column t of the pass, to the state of the samples. The
   // intersections are taken in four quarters at once, and of each quad a lane blends one quarter: over is associative,
   // and join() puts the quarters together. In each round 8 intersections of every quarter become operands, one a lane;
   // then come up to four batches of products, each of 8 intersections (two of every quarter) and all 64 samples.
@@ -233,17 +233,17 @@ struct Task : Features<Layout, Compensated> {
     return LensColumnCompensation(frame.splats.compensations[id], shape, centre, unit);
   }
 
-  // Stores this lane's coefficients of d.
+  // Store this lane's coefficients of d.
   __device__ void store_shape(const Operands& operands) {
     reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
   }
-  // Overwrites the coefficients of an exact intersection; with compensation also those of A, which then lack the share.
+  // Overwrite the coefficients of an exact intersection; with compensation also those of A, which then lack the share.
   __device__ void store_exactly(const Operands& operands) {
     store_shape(operands);
     if constexpr (Compensated) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
   }
-  // Stores all operands of this lane's intersection; the colour as the difference to the intersection before it in its
+  // Store all operands of this lane's intersection; the colour as the difference to the intersection before it in its
   // quarter.
   __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {
     store_shape(operands);
@@ -257,7 +257,7 @@ struct Task : Features<Layout, Compensated> {
     if (Harmonics) own.slope[Harmonics ? lane : 0] = make_uint4(slope(0), slope(1), slope(2), fine(2, 2));
   }
 
-  // Takes the last colour of this lane's quarter, `last`, off again, weighted by the light that the quarter lets
+  // Take the last colour of this lane's quarter, `last`, off again, weighted by the light that the quarter lets
   // through.
   __device__ void close(const Colour& last, int shift, const unsigned (&features)[kFragments][2],
                         float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
@@ -281,7 +281,7 @@ struct Task : Features<Layout, Compensated> {
     }
   }
 
-  // Joins the four quarters, nearest first, and puts them behind what the samples hold. The lanes of a quad exchange
+  // Join the four quarters, nearest first, and put them behind what the samples hold. The lanes of a quad exchange
   // what they have in two steps, pairs of quarters and then the two halves, and each ends with two of the 8 samples.
   __device__ void join(int t, const float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const bool odd = lane & 1, upper = lane & 2;

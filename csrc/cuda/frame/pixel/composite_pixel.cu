@@ -1,5 +1,5 @@
-// Composite of a light-field frame by tiles of pixels, for rigs of small disparity. Reads the frame's splats and sorted
-// lists, writes the image.
+// Composite of a light-field frame by tiles of pixels, for rigs of small disparity. Read the frame's splats and sorted
+// lists, write the image.
 //
 // A warp draws a patch of 16 x 8 pixels, in which a lane has two neighbours in each of two rows: 12 sub-pixels. For
 // small Gaussians a patch has 16 x 4 pixels and a lane one row, since many of them would touch only a part of a larger
@@ -34,7 +34,7 @@ constexpr int blocks_per_multiprocessor(int lane_rows, bool harmonics) {
   return lane_rows == 1 ? 7 : harmonics ? 4 : 5;
 }
 
-// Adds the intersections [h, end), of which none is careful, run by run of intersections that are all special or all
+// Add the intersections [h, end), of which none is careful, run by run of intersections that are all special or all
 // not: to choose at every intersection would move registers.
 template <class C>
 __device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut, Samples<C>& samples) {
@@ -51,7 +51,7 @@ __device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned spec
   }
 }
 
-// Adds the first `count` <= 32 waiting intersections to the samples of the patch: runs of polynomials, and between them
+// Add the first `count` <= 32 waiting intersections to the samples of the patch: runs of polynomials, and between them
 // the exact intersections one by one.
 template <class C>
 __device__ void add_intersections(const DirectFrame& frame, int count, float2 centre, float4 background,
@@ -70,7 +70,7 @@ __device__ void add_intersections(const DirectFrame& frame, int count, float2 ce
   samples.flush();
 }
 
-// Draws one patch, by all lanes of a warp: culls the list `range`, adds the intersections 32 at a time, and stores the
+// Draw one patch, by all lanes of a warp: cull the list `range`, add the intersections 32 at a time, and stores the
 // pixels.
 template <class C, class Out>
 __device__ void draw_patch(const DirectFrame& frame, const Lists& lists, uint2 range, int left, int top,
@@ -113,7 +113,7 @@ __device__ void draw_patch(const DirectFrame& frame, const Lists& lists, uint2 r
   samples.store(frame.optics, staged, background, out);
 }
 
-// Draws patches until none is left. Each warp takes a piece of a tile at a time, of kUnitHeight rows.
+// Draw patches until none is left. Each warp takes a piece of a tile at a time, of kUnitHeight rows.
 template <class C, class Out>
 __device__ void draw_patches(const DirectFrame& frame, const float* background, Out* out,
                              StagedOf<C> (&staged)[kWarps]) {
@@ -137,7 +137,7 @@ __device__ void draw_patches(const DirectFrame& frame, const float* background, 
   }
 }
 
-// Draws the frame if it has chosen straight lines or parabolas at this size of patches; otherwise does nothing. It is
+// Draw the frame if it has chosen straight lines or parabolas at this size of patches; otherwise do nothing. It is
 // one kernel for both, since a launch that finds nothing to do takes time, too. There are as many blocks as the device
 // holds at a time, and their warps work independently.
 template <Evaluation straight, int lane_rows, bool Harmonics, bool Cells, class Out>
@@ -170,7 +170,7 @@ void launch(const DirectFrame& frame, const float* background, Out* out, cudaStr
   check_launch("composite_pixel");
 }
 
-// Launches the kernels for both sizes of patches: which of them draws is decided on the device.
+// Launch the kernels for both sizes of patches: which of them draws is decided on the device.
 template <Evaluation straight, class Out>
 void launch_all(const DirectFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (frame.splats.orders) {

@@ -87,7 +87,7 @@ __device__ inline float3 compensation_fit(const Compensation<float>& c, const Sp
   return make_float3(error(-1.f) <= kMostError && error(1.f) <= kMostError ? middle : NAN, slope, bend);
 }
 
-// Writes the polynomial of d and the rest of what a sample needs into the vectors f0 to f3 of a fit:
+// Write the polynomial of d and the rest of what a sample needs into the vectors f0 to f3 of a fit:
 //   d = (f0.x + f1.y x + f0.y y) + s (f0.z + f1.z x + f0.w y) + s^2 (f1.x + [f3.y x + f3.z y]) + [s^3 f3.w],
 //   exponent = f1.w - (f2.x + f2.y y)^2 - d^2.
 // The terms in [] are there only when r is curved. The step of the colour will be in (f2.z, f2.w, f3.x); kernels
@@ -107,7 +107,7 @@ __device__ inline float half_unit(const LensOptics& lens) {
   return lens.s_step != 0 ? lens.s_step * exp2f(ceilf(log2f(0.5f * float(lens.views)))) : 1.f;
 }
 
-// Turns a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With
+// Turn a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With
 // v = s / unit,
 //   d = (f0.x + f0.y x + f0.z y) + v (h0 + h1 x + h2 y) + v^2 h3,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2.
 // f1.z holds h0 and h1, f1.w holds h2 and h3, and f2 the three steps of the colour and of its slope, as halves.
@@ -122,7 +122,7 @@ __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
 __device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))); }
 
 // Fits the colour polynomial of a splat by a line over s, or by a parabola where the kernel can and must; see
-// kLinePlace. Returns false where that is too rough.
+// kLinePlace. Return false where that is too rough.
 template <bool Bends>
 __device__ bool fit_colour(const DirectFrame& frame, uint32_t id, ColourFit& fit) {
   constexpr float kMostOrder = 4;
@@ -158,7 +158,7 @@ __device__ bool fit_colour(const DirectFrame& frame, uint32_t id, ColourFit& fit
   return good;
 }
 
-// Turns every lane's colour into the step from the colour of the lane before. The first lane's step is from `last`,
+// Turn every lane's colour into the step from the colour of the lane before. The first lane's step is from `last`,
 // which then becomes the colour of lane count - 1. By all lanes of a warp.
 __device__ inline float4 steps(float4 colour, int count, float4& last) {
   const int lane = threadIdx.x % 32;
@@ -182,7 +182,7 @@ __device__ bool too_coarse_in_half(const float4 fit[2], const ColourFit& colour)
   return !(sweep <= kMostHalfSweep) || !(largest(colour.value) + largest(colour.slope) <= kMostHalfColour);
 }
 
-// Makes the polynomials of the first `count` <= 32 waiting intersections, one a lane. Exact intersections have the
+// Make the polynomials of the first `count` <= 32 waiting intersections, one a lane. Exact intersections have the
 // colour zero, so that their step takes the colour of the intersection before off again.
 template <class C>
 __device__ Marks specialise(const DirectFrame& frame, int count, float2 centre, StagedOf<C>& staged) {

@@ -53,7 +53,7 @@ struct HalfSamples {
     });
   }
 
-  // Calls visit(r, k) for the pairs of samples.
+  // Call visit(r, k) for the pairs of samples.
   template <class Visit>
   __device__ static void for_each(const Visit& visit) {
 #pragma unroll
@@ -84,7 +84,7 @@ struct HalfSamples {
     }
   };
 
-  // Adds intersection i, see put_halves() for the polynomial. Cut: whether exponents below `cut` draw nothing.
+  // Add intersection i, see put_halves() for the polynomial. Cut: whether exponents below `cut` draw nothing.
   template <bool Cut>
   __device__ void add(const Staged<C::Harmonics>& staged, int i, float cut) {
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i];
@@ -113,7 +113,7 @@ struct HalfSamples {
     }
   }
 
-  // Adds the sums of colours to those in float. Called after every 32 intersections.
+  // Add the sums of colours to those in float. Called after every 32 intersections.
   __device__ void flush() {
     for_each([&](int r, int k) {
       colour[r][0][k] += __low2float(sum[r][k]), colour[r][1][k] += __high2float(sum[r][k]);
@@ -121,13 +121,13 @@ struct HalfSamples {
     });
   }
 
-  // Adds only the step of exact intersection i, which takes the colour of the intersection before off again.
+  // Add only the step of exact intersection i, which takes the colour of the intersection before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const Steps steps(staged.fit[2][i]);
     for_each([&](int r, int k) { sum[r][k] = __hfma2(transmittance[r][k], steps.at(k, v[r][k]), sum[r][k]); });
   }
 
-  // Adds an exact intersection, in float.
+  // Add an exact intersection, in float.
   __device__ void add_exactly(const ExactIntersection<C>& intersection) {
     float after[C::lane_rows][2][3];
     pixels.template for_each_offset<C::Cells>(intersection.frame.optics, [&](int r, int p, int k, float s) {
@@ -138,7 +138,7 @@ struct HalfSamples {
     for_each([&](int r, int k) { transmittance[r][k] = __floats2half2_rn(after[r][0][k], after[r][1][k]); });
   }
 
-  // Puts the samples over the background and into the image.
+  // Put the samples over the background and into the image.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) {
     const float unit = half_unit(lens);

@@ -29,7 +29,7 @@ struct LanePixels {
   __device__ bool seen(const LensOptics& lens, int r, int p) const {
     return row + 4 * r < lens.height_px && column + p < lens.width_px;
   }
-  // Calls visit(r, p, k) for the sub-pixels.
+  // Call visit(r, p, k) for the sub-pixels.
   template <class Visit>
   __device__ static void for_each(const Visit& visit) {
 #pragma unroll
@@ -39,7 +39,7 @@ struct LanePixels {
 #pragma unroll
         for (int k = 0; k < 3; ++k) visit(r, p, k);
   }
-  // Calls visit(r, p, k, s) for the sub-pixels, with the offset from which each is seen.
+  // Call visit(r, p, k, s) for the sub-pixels, with the offset from which each is seen.
   template <bool Cells, class Visit>
   __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
 #pragma unroll
@@ -55,7 +55,7 @@ struct LanePixels {
         }
       }
   }
-  // Puts the sub-pixels value(r, p, k) into the image.
+  // Put the sub-pixels value(r, p, k) into the image.
   template <bool Cells, class Out, class Value>
   __device__ void store(const LensOptics& lens, Out* out, const Value& value) const {
 #pragma unroll
@@ -85,7 +85,7 @@ __device__ inline __noinline__ float circle_part(const float4* terms, int channe
   return point.colour([&](int m) { return reinterpret_cast<const float*>(terms + m)[channel]; });
 }
 
-// Adds an exact intersection to one sample, by the formulas as they are written: with a division, the limit of alpha,
+// Add an exact intersection to one sample, by the formulas as they are written: with a division, the limit of alpha,
 // the whole colour polynomial, or the colour on its circle, and the end of samples that become opaque; with
 // compensation with the compensation.
 template <class C>
@@ -161,7 +161,7 @@ struct FloatSamples {
     }
   };
 
-  // Adds intersection i, see shape_polynomial() for the polynomial. Parabola: whether it is special, that is, has a
+  // Add intersection i, see shape_polynomial() for the polynomial. Parabola: whether it is special, that is, has a
   // parabola for r or for the step of its colour.
   template <bool Parabola>
   __device__ void add(const StagedOf<C>& staged, int i, float cut) {
@@ -203,7 +203,7 @@ struct FloatSamples {
   // Colours are summed in float all the way, see HalfSamples.
   __device__ void flush() {}
 
-  // Adds only the step of exact intersection i, which takes the colour of the intersection before off again.
+  // Add only the step of exact intersection i, which takes the colour of the intersection before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const Step step(staged, i);
     pixels.for_each([&](int r, int p, int k) {
@@ -217,7 +217,7 @@ struct FloatSamples {
     });
   }
 
-  // Puts the samples over the background and into the image.
+  // Put the samples over the background and into the image.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
     pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) {
