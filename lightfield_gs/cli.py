@@ -14,10 +14,9 @@ import time
 from collections.abc import Sequence
 from typing import NoReturn, cast
 
-from lightfield_gs.base.complaint import assumptions_said, complain
+from lightfield_gs.base.cli_messages import PatientStream, open_closed_streams, print_assumptions, report_error
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
-from lightfield_gs.base.streams import PatientStream, open_closed_streams
 from lightfield_gs.commands.options.parser import Parser, joined
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
@@ -48,8 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     began = time.perf_counter() - time.process_time()
     open_closed_streams()
     # Names of files, and what they hold, may have bytes that are no text
-    sys.stdout, output = PatientStream.of(cast(io.TextIOWrapper, sys.stdout), "backslashreplace")
-    sys.stderr, _ = PatientStream.of(cast(io.TextIOWrapper, sys.stderr), "backslashreplace")
+    sys.stdout, output = PatientStream.wrap(cast(io.TextIOWrapper, sys.stdout), "backslashreplace")
+    sys.stderr, _ = PatientStream.wrap(cast(io.TextIOWrapper, sys.stderr), "backslashreplace")
     try:
         code = _run(sys.argv[1:], began)
     except SystemExit as end:  # --help among others
@@ -58,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if output.failed is None or isinstance(output.failed, BrokenPipeError):  # by the latter nobody wants to read on
         return code
     lost = f"cannot write to standard output: {output.failed.strerror}; what was to be read there is lost"
-    return code or complain("lightfield-gs", InputError(lost), "")
+    return code or report_error("lightfield-gs", InputError(lost), "")
 
 
 def _run(arguments: list[str], began: float) -> int:
@@ -67,12 +66,12 @@ def _run(arguments: list[str], began: float) -> int:
         if arguments[:1] and arguments[0] in COMMANDS and not has_working_folder():
             raise InputError(FOLDER_GONE)
         args = build_parser(*arguments[:1]).parse_args(joined(arguments), argparse.Namespace(began=began))
-        with assumptions_said():
+        with print_assumptions():
             code = importlib.import_module(args.module).run(args) or 0
         return code
     except (Exception, KeyboardInterrupt) as error:
         remedy = _REMEDIES.get(next(iter(arguments), ""), "use a smaller scene or panel")
-        return complain("lightfield-gs", error, remedy)
+        return report_error("lightfield-gs", error, remedy)
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:

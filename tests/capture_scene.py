@@ -15,7 +15,7 @@ from transforms_scene import OPENGL
 
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.io.captures.colmap_records import pose_of
+from lightfield_gs.io.captures.pinhole import pose_matrix
 
 WIDTH, HEIGHT = 96, 72
 DOTS = ((0.0, 0.0), (0.31, 0.12), (-0.35, 0.2), (-0.22, -0.29), (0.28, -0.25))  # x / z and y / z of what is seen
@@ -194,7 +194,7 @@ def said(*arguments, **options) -> tuple:
 
 def to_world(count: int) -> np.ndarray:
     """Camera to world [C,4,4] of the ring, OpenGL axes."""
-    return np.stack([np.linalg.inv(pose_of(*pose)) @ OPENGL for pose in ring(count)])
+    return np.stack([np.linalg.inv(pose_matrix(*pose)) @ OPENGL for pose in ring(count)])
 
 
 def write_ring(folder, count: int = 6, name="transforms.json", first=0, change=None, **top) -> np.ndarray:

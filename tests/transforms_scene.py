@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from srn_scene import FOCAL, HEIGHT, WIDTH, write_object
 
-from lightfield_gs.io.captures.srn import read_srn
+from lightfield_gs.io.captures.objects import read_srn
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 CAMERA = {"w": WIDTH, "h": HEIGHT, "fl_x": FOCAL, "fl_y": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2}

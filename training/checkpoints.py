@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from lightfield_gs.base.complaint import is_out_of_memory
+from lightfield_gs.base.cli_messages import is_out_of_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from training.config import TrainingConfig

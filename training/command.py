@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
-from lightfield_gs.base.complaint import complain
+from lightfield_gs.base.cli_messages import report_error
 
 Main = Callable[[list[str] | None], int]
 
@@ -19,7 +19,7 @@ def with_line_errors(name: str) -> Callable[[Main], Main]:
             try:
                 return main(arguments)
             except (Exception, KeyboardInterrupt) as error:
-                return complain(name, error, "take fewer objects or targets a step, or smaller pictures")
+                return report_error(name, error, "take fewer objects or targets a step, or smaller pictures")
 
         return command
 

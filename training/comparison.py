@@ -17,11 +17,11 @@ from torch import Tensor
 from lightfield_gs import Gaussians
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import make_folder
-from lightfield_gs.io.captures.views import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectViews
 from lightfield_gs.io.images import write_image
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel
 from training.data.background import Choice
 from training.data.distance import OBJECT_DISTANCE, distance_doubt
 from training.data.images import find_cutout, read_view

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.base.checks import whole_number
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from training.command import with_line_errors
 from training.data.background import CHOICES

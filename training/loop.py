@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint

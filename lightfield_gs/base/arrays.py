@@ -1,9 +1,8 @@
-"""Arrays and tensors as they are given, and as they are stored."""
+"""Arrays and tensors: conversion of what users give, bytes of pictures, and the sRGB curve."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import torch
@@ -12,11 +11,19 @@ from torch import Tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 
-Colour = Sequence[float] | np.ndarray | Tensor  # red, green and blue, or anything that broadcasts so
+Colour = Sequence[float] | np.ndarray | Tensor  # red, green and blue, or anything that broadcasts to them
 
 
-def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
-    """`value` as a tensor, without a copy where that can be. Raises InputError on what holds no real numbers."""
+def to_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
+    """Return `value` as a dense tensor, without a copy if possible.
+
+    Args:
+        what: name of the value in messages.
+        value: real numbers.
+
+    Raises:
+        InputError: the value is no array or tensor of real numbers, or is sparse.
+    """
     expect(what, value, np.ndarray, Tensor)
     if isinstance(value, np.ndarray):
         try:
@@ -30,22 +37,16 @@ def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
     return value
 
 
-def bytes_of(colours: Tensor) -> Tensor:
-    """round(255 clamp(c, 0, 1)), ties to even, as uint8: byte_of of math/image_byte.h. Writes over `colours`."""
+def to_bytes(colours: Tensor) -> Tensor:
+    """Round colours in 0..1 to uint8, ties to even, as byte_of of math/image_byte.h does; overwrites `colours`."""
     return colours.clamp_(0, 1).mul_(255).round_().to(torch.uint8)
 
 
-def guard(device: torch.device) -> AbstractContextManager:
-    """Selects the device, so that work goes to its stream; nothing is done where it is selected already."""
-    if device.type != "cuda" or device.index == torch.cuda.current_device():
-        return nullcontext()
-    return torch.cuda.device(device)
+def encode_srgb(light: np.ndarray) -> np.ndarray:
+    """Return the sRGB code 0..1 of linear light 0..1 (IEC 61966-2-1)."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
 
 
-def on_host(image: Tensor) -> np.ndarray:
-    """A picture that nothing draws over any more. From CUDA into page-locked memory, which takes a third of the
-    time."""
-    if not image.is_cuda:
-        return image.numpy()
-    host = torch.empty(image.shape, dtype=image.dtype, pin_memory=True)
-    return host.copy_(image).numpy()
+def decode_srgb(code: np.ndarray) -> np.ndarray:
+    """Return the linear light 0..1 of an sRGB code 0..1 (IEC 61966-2-1)."""
+    return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)

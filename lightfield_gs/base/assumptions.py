@@ -1,4 +1,4 @@
-"""What the library assumes where nothing says it: a warning to programs, a line of what the command line prints."""
+"""Assumptions of the library: warnings in a program, lines on stdout in a command."""
 
 from __future__ import annotations
 
@@ -9,36 +9,38 @@ from contextvars import ContextVar
 
 
 class Assumption(UserWarning):
-    """Something that decides what comes out and that had to be assumed, since nothing that was given says it."""
+    """Warns of an assumption: the input does not say something on which the result depends."""
 
-    label = "assumed"  # what the command line puts before it
+    label = "assumed"  # begins the line that the command line prints
 
 
 class Loss(Assumption):
-    """Something that was given and that the format of an output cannot hold."""
+    """Warns of a part of the input that the output's format cannot hold."""
 
     label = "lost"
 
 
-_heard: ContextVar[list[str] | None] = ContextVar("heard", default=None)
+_collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
 
 
 @contextmanager
-def heard() -> Iterator[list[str]]:
-    """The lines of what is assumed meanwhile in this thread, in place of warnings: those are of a whole process, in
-    which other threads may assume other things at the same time."""
+def collect_assumptions() -> Iterator[list[str]]:
+    """Collect the assumptions of this thread as lines, in place of warnings.
+
+    Warnings are of a whole process, in which other threads may assume other things at the same time.
+    """
     lines: list[str] = []
-    token = _heard.set(lines)
+    token = _collected.set(lines)
     try:
         yield lines
     finally:
-        _heard.reset(token)
+        _collected.reset(token)
 
 
-def assume(words: str, category: type[Assumption] = Assumption) -> None:
-    """Warns with one line: what is assumed, why, and what follows if that is wrong; or what is lost."""
-    words, lines = " ".join(words.split()), _heard.get()
+def assume(message: str, category: type[Assumption] = Assumption) -> None:
+    """Warn with one line: the assumption, its reason, and what to do if it is wrong; or what is lost."""
+    message, lines = " ".join(message.split()), _collected.get()
     if lines is None:
-        warnings.warn(words, category, stacklevel=3)
-    elif (line := f"{category.label}: {words}") not in lines:
+        warnings.warn(message, category, stacklevel=3)
+    elif (line := f"{category.label}: {message}") not in lines:
         lines.append(line)

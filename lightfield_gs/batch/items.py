@@ -13,8 +13,8 @@ from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.batch.item import COMMANDS, Command, Item
-from lightfield_gs.io.captures.colmap_capture import model_folder
-from lightfield_gs.io.captures.transforms_frames import transforms_file
+from lightfield_gs.io.captures.colmap import model_folder
+from lightfield_gs.io.captures.transforms import transforms_file
 from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from threading import Semaphore
 from typing import Any, Protocol
 
-from lightfield_gs.base.complaint import is_out_of_memory
+from lightfield_gs.base.cli_messages import capture, is_out_of_memory
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.batch.said import kept
 
 PARTS = ("read", "draw", "write")
 DRAWN_AHEAD = 2  # images that wait to be written, beside those that are: no more, for they are large
@@ -41,7 +40,7 @@ class Task(Protocol):
 class _Running:
     number: int
     task: Task | None = None
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     reason: str | None = None
     trace: str | None = None
@@ -111,7 +110,7 @@ class Pipeline:
         """Times a part, keeps what is said in it, and notes why it failed."""
         began = time.perf_counter()
         try:
-            with kept(running.said):
+            with capture(running.messages):
                 yield
         except (Exception, SystemExit) as error:  # whatever it is, the items beside it are not to suffer
             running.reason = _words(error)
@@ -133,7 +132,7 @@ class Pipeline:
             record["reason"] = running.reason
         if running.trace is not None:
             record["trace"] = running.trace
-        record["said"] = running.said + record.get("said", [])
+        record["said"] = running.messages + record.get("said", [])
         self._done(running.number, record | {"seconds": running.seconds})
 
 

@@ -9,11 +9,11 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any
 
+from lightfield_gs.base.cli_messages import make_streams_capturable
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.dispatch import Event
 from lightfield_gs.batch.pipeline import Pipeline
 from lightfield_gs.batch.places import CORES_A_PROCESS, on_a_gpu, on_cpu, threads_beside
-from lightfield_gs.batch.said import route
 from lightfield_gs.batch.worker import Job, Place, where
 
 
@@ -22,7 +22,7 @@ class Worker:
 
     def __init__(self, job: Job, place: Place) -> None:
         began = time.perf_counter()
-        route()
+        make_streams_capturable()
         self._place, self._ended = place, dict[int, Future[dict[str, Any]]]()
         self._pipeline = Pipeline(
             job.start(place),

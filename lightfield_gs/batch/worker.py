@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any
 
+from lightfield_gs.base.cli_messages import make_streams_capturable
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.pipeline import Pipeline, Task
-from lightfield_gs.batch.said import route
 
 _SWITCH_S = 2e-4  # after which a thread lets others run: the one that draws must not wait for those that read and write
 _BROKEN = 70  # the exit code of a process whose device cannot be used any more
@@ -63,7 +63,7 @@ def serve(connection: Connection, job: Job, place: Place) -> None:
     began = time.perf_counter()
     if place.cores and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, place.cores)
-    route()
+    make_streams_capturable()
     sys.setswitchinterval(_SWITCH_S)
     lock = threading.Lock()
 

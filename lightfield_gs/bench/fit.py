@@ -172,6 +172,6 @@ def protocol(photographs: Photographs, settings: FitSettings, arms: Sequence[str
         "masked": train.weights is not None or test.weights is not None,
         "points": len(photographs.points),
         "steps": settings.steps,
-        "gaussians": settings.gaussians,
+        "gaussians": settings.cap_max,
         "gsplat": peers.gsplat().__version__ if set(arms) & set(RECIPES) else None,
     }

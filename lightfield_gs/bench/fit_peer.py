@@ -25,10 +25,10 @@ from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
-SH_DEGREE, SH_EVERY, SSIM_SHARE = 3, 1000, 0.2
-MEANS_RATE, MEANS_DECAY = 1.6e-4, 0.01  # of the extent, which is 1; the latter over the whole fit
-RATES = {"means": MEANS_RATE, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
-OPACITY_SHARE, SCALE_SHARE = 0.01, 0.01  # in the loss, of mcmc
+SH_DEGREE, SH_DEGREE_INTERVAL, SSIM_LAMBDA = 3, 1000, 0.2
+MEANS_LR, MEANS_LR_DECAY = 1.6e-4, 0.01  # of the extent, which is 1; the latter over the whole fit
+RATES = {"means": MEANS_LR, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
+OPACITY_REG, SCALE_REG = 0.01, 0.01  # in the loss, of mcmc
 ABSGRAD_GROW = 6e-4  # as in gsplat's documentation
 OPTIONS = {"packed": False, "near_plane": 0.01, "rasterize_mode": "classic"}
 
@@ -47,8 +47,8 @@ class Recipe:
     def initial(self, settings: FitSettings, points: int) -> FitSettings:
         """The settings of initial_gaussians for what the recipe begins with, of so many points."""
         if self.strategy == "mcmc":
-            return replace(settings, initial_opacity=0.5, initial_scale=0.1)
-        return replace(settings, initial_opacity=0.1, initial_scale=1.0, gaussians=max(settings.gaussians, points))
+            return replace(settings, init_opa=0.5, init_scale=0.1)
+        return replace(settings, init_opa=0.1, init_scale=1.0, cap_max=max(settings.cap_max, points))
 
 
 def _parameters(start: Gaussians) -> torch.nn.ParameterDict:
@@ -80,7 +80,7 @@ class PeerFit:
         self._done = 0
         self.params = _parameters(start)
         self._optimizers = {name: self._optimizer(name) for name in RATES}
-        decay = MEANS_DECAY ** (1 / settings.steps)
+        decay = MEANS_LR_DECAY ** (1 / settings.steps)
         self._rate_of_means = torch.optim.lr_scheduler.ExponentialLR(self._optimizers["means"], decay)
         self._strategy = self._made_strategy()
         self._strategy.check_sanity(self.params, self._optimizers)
@@ -95,7 +95,7 @@ class PeerFit:
         module = peers.gsplat()
         if self._recipe.strategy == "mcmc":
             times = {"refine_start_iter": 500, "refine_stop_iter": 25_000, "refine_every": 100}
-            return module.MCMCStrategy(cap_max=self._settings.gaussians, **self._scaled(times))
+            return module.MCMCStrategy(cap_max=self._settings.cap_max, **self._scaled(times))
         times = {"refine_start_iter": 500, "refine_stop_iter": 15_000, "reset_every": 3000, "refine_every": 100}
         absolute = {"absgrad": True, "grow_grad2d": ABSGRAD_GROW} if self._recipe.strategy == "absgrad" else {}
         return module.DefaultStrategy(**self._scaled(times), **absolute)
@@ -127,7 +127,7 @@ class PeerFit:
             self._strategy.step_post_backward(*state, packed=False)
 
     def _degree(self, step: int) -> int:
-        (every,) = self._scaled({"sh_every": SH_EVERY}).values()
+        (every,) = self._scaled({"sh_degree_interval": SH_DEGREE_INTERVAL}).values()
         return min(step // every, SH_DEGREE)
 
     def _drawn(self, cameras: Cameras, matrices: Tensor, degree: int) -> tuple[Tensor, dict[str, Any]]:
@@ -171,16 +171,16 @@ class PeerFit:
         if self._views.weights is not None:
             weights = self._views.weights[one] / 255
         if self._recipe.our_loss:
-            loss = photo_loss(image, photo, weights, SSIM_SHARE)
+            loss = photo_loss(image, photo, weights, SSIM_LAMBDA)
         else:
             photo = photo / 255
             if weights is not None:
                 image = weights[..., None] * image + (1 - weights[..., None]) * photo
             structure = ssim(image.movedim(-1, 1), photo.movedim(-1, 1)).mean()
-            loss = (1 - SSIM_SHARE) * (image - photo).abs().mean() + SSIM_SHARE * (1 - structure)
+            loss = (1 - SSIM_LAMBDA) * (image - photo).abs().mean() + SSIM_LAMBDA * (1 - structure)
         if self._recipe.strategy == "mcmc":
-            loss = loss + OPACITY_SHARE * self.params["opacities"].sigmoid().mean()
-            loss = loss + SCALE_SHARE * self.params["scales"].exp().mean()
+            loss = loss + OPACITY_REG * self.params["opacities"].sigmoid().mean()
+            loss = loss + SCALE_REG * self.params["scales"].exp().mean()
         return loss
 
     @torch.no_grad()

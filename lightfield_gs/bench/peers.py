@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.panels.panel import Panel
@@ -68,7 +68,7 @@ class GsplatClassic:
         out = torch.empty(height * width * 3, dtype=torch.uint8, device=self._gaussians.device)
         for first, sources, places in zip(range(0, self._panel.views, self._views_a_call), self._sources, self._places):
             views = self._dense(slice(first, first + self._views_a_call))
-            out[places] = bytes_of(views.view(-1)[sources])
+            out[places] = to_bytes(views.view(-1)[sources])
         return out.view(height, width, 3)
 
     def _dense(self, views: slice) -> Tensor:

@@ -15,10 +15,9 @@ from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.bench.tables import aligned
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.video.camera_path import turntable
 from lightfield_gs.video.frame_folder import FrameFolder
-from lightfield_gs.video.make import NoFiles, Sink, make_video
-from lightfield_gs.video.pictures import Drawing, NativeFrames
-from lightfield_gs.video.turntable import turntable
+from lightfield_gs.video.rendering import Drawing, NativeFrames, NoFiles, Sink, make_video
 from lightfield_gs.video.video_file import VideoFile
 
 SINKS = ("none", "png", "h264-rgb", "ffv1")

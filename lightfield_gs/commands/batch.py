@@ -9,12 +9,12 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.provenance import package_versions
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import named
-from lightfield_gs.commands.options.encode import add_encoding
-from lightfield_gs.commands.options.panel import load_panel
-from lightfield_gs.commands.options.provenance import package_versions
-from lightfield_gs.commands.options.values import whole
+from lightfield_gs.commands.options.encoding import add_encoding
+from lightfield_gs.commands.options.parser import whole
 from lightfield_gs.io.atomic import check_folder, remove_left_over
 
 if TYPE_CHECKING:

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.app.panel import load_panel, why_no_eye
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_nudge import said_of_change
-from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel, why_no_eye
-from lightfield_gs.commands.options.values import numbers
+from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
+from lightfield_gs.commands.options.parser import numbers
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.calibration_fit import CalibrationFit, PlaceFit, fit_lens, most_spread_views
 from lightfield_gs.panels.calibration_photos import Place

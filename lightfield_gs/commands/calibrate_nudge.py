@@ -9,7 +9,7 @@ from pathlib import Path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_pattern import KINDS, draw_pattern, write_pattern
 from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.values import numbers
+from lightfield_gs.commands.options.parser import numbers
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.lens_change import LensChange, changed, turns_in_middle
 from lightfield_gs.panels.panel import Panel

@@ -12,7 +12,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.values import whole, within
+from lightfield_gs.commands.options.parser import whole, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels import pattern_fans, patterns

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.app.encoding import Encoding, use_threads
+from lightfield_gs.app.panel import why_no_eye
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.encode import add_device, add_encoding
-from lightfield_gs.commands.options.encoding import Encoding, use_threads
-from lightfield_gs.commands.options.panel import why_no_eye
+from lightfield_gs.commands.options.encoding import add_device, add_encoding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +65,7 @@ def _say(encoding: Encoding) -> None:
     print(encoding.watch.line())
     if args.stats:
         print("\n".join(_stats_lines(encoding.stats, count)))
-    print("".join(f"{line}\n" for line in encoding.said), end="")
+    print("".join(f"{line}\n" for line in encoding.messages), end="")
 
 
 def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:

@@ -4,21 +4,34 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
+import sys
+import threading
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import FrameType
+from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.app.scene import check_scene_path
 from lightfield_gs.base.checks import counted
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.commands.options.cone import add_cone, check_cone, cone_given
-from lightfield_gs.commands.options.fit import add_capture, add_optimisation, add_run, names_in, settings_given
-from lightfield_gs.commands.options.interrupts import Interrupts
-from lightfield_gs.commands.options.scene import check_scene_path
+from lightfield_gs.commands.options.fit import (
+    add_capture,
+    add_cone,
+    add_optimisation,
+    add_run,
+    check_cone,
+    cone_given,
+    names_in,
+    settings_given,
+)
 from lightfield_gs.io.atomic import check_folder, make_folder
 
 if TYPE_CHECKING:
     from lightfield_gs.fitting.fit import FitResult
     from lightfield_gs.io.captures.capture import Capture
+
+_NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -143,3 +156,27 @@ def _panel(args: argparse.Namespace) -> str:
     from lightfield_gs.panels.panel import DEFAULT_PANEL
 
     return DEFAULT_PANEL if is_angle(args.cone) else args.cone
+
+
+class Interrupts:
+    """While it is entered, `number` is that of the first signal that came, or None. A second one is a
+    KeyboardInterrupt. Outside the main thread signals go their usual way."""
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+        self._usual: dict[int, Any] = {}
+
+    def __enter__(self) -> Interrupts:
+        if threading.current_thread() is threading.main_thread():
+            self._usual = {number: signal.signal(number, self._came) for number in _NUMBERS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._usual.items():
+            signal.signal(number, handler)
+
+    def _came(self, number: int, frame: FrameType | None) -> None:
+        if self.number is not None:
+            raise KeyboardInterrupt
+        self.number = number
+        print("\nstops after this step and writes the scene; once more to abort", file=sys.stderr, flush=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.options.camera import add_up
+from lightfield_gs.commands.options.cameras import add_up
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.scene import add_reading
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
@@ -76,9 +76,9 @@ def describe(
 def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -> list[tuple[str, object]]:
     import torch
 
-    from lightfield_gs.commands.options.camera import axes_of, brought_along
-    from lightfield_gs.commands.options.provenance import scene_hash
-    from lightfield_gs.commands.options.scene import read_noted
+    from lightfield_gs.app.cameras import axes_of, brought_along
+    from lightfield_gs.app.provenance import scene_hash
+    from lightfield_gs.app.scene import read_noted
 
     file = read_noted(path, skip_invalid, time)
     scene = file.gaussians

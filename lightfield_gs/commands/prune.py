@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from lightfield_gs.app.cameras import choose_rig, comments_of, read_given
+from lightfield_gs.app.look import apply_look
+from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.scene import check_scene_path, files_read, read_noted, say_origin, settle_drawing
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_view_filter, settle_drawing
-from lightfield_gs.commands.options.framed import files_read
-from lightfield_gs.commands.options.look import add_look, apply_look
-from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.scene import add_reading, check_scene_path, read_noted, say_origin
-from lightfield_gs.commands.options.values import within
+from lightfield_gs.commands.options.cameras import add_camera, add_look
+from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.parser import within
+from lightfield_gs.commands.options.scene import add_antialiased, add_reading, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 
 
@@ -72,9 +73,9 @@ def run(args: argparse.Namespace) -> None:
     drawn_so = settle_drawing(args, file)
     watch.lap("load")
     on_device = scene.to(device)
-    chosen, said = choose_rig(given, args, panel, on_device, file)
+    chosen, messages = choose_rig(given, args, panel, on_device, file)
     rig, looks = apply_look(args, chosen, panel, on_device)
-    said += looks
+    messages += looks
     rig_of_file = rig.relative_to([-part for part in scene.origin])
     kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased, args.view_filter)
     watch.lap("prune")
@@ -93,5 +94,7 @@ def run(args: argparse.Namespace) -> None:
     )
     print(watch.line())
     if args.output.suffix.lower() == ".ply":
-        said.append(f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it")
-    print("\n".join(drawn_so + said))
+        messages.append(
+            f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it"
+        )
+    print("\n".join(drawn_so + messages))

@@ -8,19 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lightfield_gs.app.cameras import read_given
+from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.provenance import package_versions, scene_facts, software
+from lightfield_gs.app.scene import check_scene_options, files_read, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import add_camera, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
-from lightfield_gs.commands.options.framed import files_read, load_framed
-from lightfield_gs.commands.options.look import add_depth_report, add_look
-from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel
-from lightfield_gs.commands.options.provenance import package_versions, scene_facts, software
-from lightfield_gs.commands.options.scene import add_scene, check_scene_options
-from lightfield_gs.commands.options.values import whole_numbers, within
+from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
+from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
+from lightfield_gs.commands.options.parser import whole_numbers, within
+from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
@@ -140,12 +140,12 @@ def run(args: argparse.Namespace) -> None:
             of_file.to_yaml(args.save_rig)
         watch.lap("write")
         if args.save_rgbd is not None:
-            framed.said.append(_write_rgbd(args, gaussians, frame, framed.rig))
+            framed.messages.append(_write_rgbd(args, gaussians, frame, framed.rig))
             watch.lap("RGB-D")
     width, height = layout.tile_px()
     print(f"{args.output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
     print(watch.line())
-    print("".join(f"{line}\n" for line in framed.said), end="")
+    print("".join(f"{line}\n" for line in framed.messages), end="")
 
 
 def chosen_layout(args: argparse.Namespace, panel: Panel | None) -> QuiltLayout:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from lightfield_gs.app.panel import stored_panel
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.serving import add_serving, serve
-from lightfield_gs.commands.options.stored_panel import stored_panel
 from lightfield_gs.io.images import as_floats, read_image
 from lightfield_gs.panels.panel import Panel
 

@@ -8,18 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.app.panel import at_distance, load_panel, profile, stored_panel, why_no_eye
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.panel import (
-    add_device_serial,
-    add_viewing_distance,
-    at_distance,
-    load_panel,
-    why_no_eye,
-)
-from lightfield_gs.commands.options.stored_panel import profile, stored_panel
-from lightfield_gs.commands.options.values import numbers, within
+from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
+from lightfield_gs.commands.options.parser import numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel

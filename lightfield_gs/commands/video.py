@@ -8,19 +8,19 @@ from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
 
+from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.provenance import software
+from lightfield_gs.app.scene import files_read
+from lightfield_gs.app.video import Result, checked_result
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import add_camera
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
-from lightfield_gs.commands.options.framed import files_read
-from lightfield_gs.commands.options.look import add_depth_report, add_look
-from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.provenance import software
-from lightfield_gs.commands.options.scene import add_scene
-from lightfield_gs.commands.options.values import threads
-from lightfield_gs.commands.options.video import Result, add_motion, add_result, checked_result
+from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
+from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.parser import threads
+from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
+from lightfield_gs.commands.options.video import add_motion, add_result
 from lightfield_gs.commands.quilt import framed_for
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.panel import Panel
@@ -80,8 +80,8 @@ def run(args: argparse.Namespace) -> None:
         check_bridge(args.bridge)
     import torch
 
-    from lightfield_gs.commands.options.shots import sequence_shots, still_shots
-    from lightfield_gs.video.make import make_video
+    from lightfield_gs.app.shots import sequence_shots, still_shots
+    from lightfield_gs.video.rendering import make_video
     from lightfield_gs.video.sequence import is_sequence
 
     if args.threads is not None:
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> None:
     print(f"{result.path}: {shots.count} frames of {width} x {height}, {_words(result)}{kept}, {rate}")
     print(made.words())
     print(watch.line())
-    print("".join(f"{line}\n" for line in shots.said), end="")
+    print("".join(f"{line}\n" for line in shots.messages), end="")
     if args.bridge is not None and result.layout is not None:
         cast(result.path, result.layout.columns, result.layout.rows, result.layout.aspect, url=args.bridge)
         print(f"{result.path}: shown by Looking Glass Bridge")
@@ -115,7 +115,7 @@ def _words(result: Result) -> str:
 
 def _draw(args: argparse.Namespace, panel: Panel, result: Result, fps: Fraction, is_one_scene: bool):
     """What draws a frame; args: with background and anti-aliasing settled."""
-    from lightfield_gs.video.pictures import Drawing, EyeFrames, NativeFrames, QuiltFrames
+    from lightfield_gs.video.rendering import Drawing, EyeFrames, NativeFrames, QuiltFrames
 
     drawing = Drawing(args.views, args.background, args.quality, args.antialiased, args.view_filter)
     if result.kind != "native" and (args.views, args.quality) != ("integer", "exact"):

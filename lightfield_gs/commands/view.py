@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from lightfield_gs.app.cameras import read_given
+from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import add_camera, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
-from lightfield_gs.commands.options.framed import load_framed
-from lightfield_gs.commands.options.look import add_look
-from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.scene import add_scene, check_scene_options
+from lightfield_gs.commands.options.cameras import add_camera, add_look
+from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.commands.options.serving import add_serving, serve
 
 
@@ -56,5 +56,5 @@ def run(args: argparse.Namespace) -> None:
     drawn_as = args.background, args.antialiased, args.input.name, args.view_filter
     stage = Stage(framed.gaussians, panel, framed.rig, *drawn_as)
     print(f"{args.input}: {framed.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
-    print("\n".join([watch.line(), *framed.said]))
+    print("\n".join([watch.line(), *framed.messages]))
     serve(args, steering_routes(stage, exports(stage)), "/")

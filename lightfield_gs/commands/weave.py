@@ -6,11 +6,12 @@ import argparse
 import re
 from pathlib import Path
 
+from lightfield_gs.app.panel import load_panel
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.values import background, numbers, whole, whole_numbers, within
+from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.parser import background, numbers, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 
@@ -103,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _span(text: str):
     """ "FIRST:LAST:STEP", of which any may be left out -> which frames. Raises ArgumentTypeError."""
-    from lightfield_gs.view_sets.frames import Span
+    from lightfield_gs.view_sets.movies import Span
 
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
     first, last, step = (int(part) if part else None for part in (match.groups() if match else ("", "", "0")))
@@ -140,11 +141,11 @@ def _add_framing(add) -> None:
 def run(args: argparse.Namespace) -> None:
     """Weaves args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
-    from lightfield_gs.commands.options.weaving import metadata_of, say_colours, weave_movie, weaving_of, words_of
+    from lightfield_gs.app.weaving import metadata_of, say_colours, weave_movie, weaving_of, words_of
     from lightfield_gs.encoding.view_files import read_view_map
     from lightfield_gs.encoding.weave import weave
-    from lightfield_gs.view_sets.frames import is_movie
-    from lightfield_gs.view_sets.opened import QuiltMovie, open_views
+    from lightfield_gs.view_sets.movies import is_movie
+    from lightfield_gs.view_sets.view_set import QuiltMovie, open_views
 
     if not is_movie(args.input):  # of which it hangs on the tiles what it becomes
         check_image_path(args.output)
@@ -178,7 +179,8 @@ def run(args: argparse.Namespace) -> None:
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
     print(
-        f"{args.input}: {found.said}, {views.width_px} x {views.height_px} pixels each; {words_of(args, views, panel)}"
+        f"{args.input}: {found.description}, {views.width_px} x {views.height_px} pixels each; "
+        f"{words_of(args, views, panel)}"
     )
     say_colours(found.colours)
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.encoding.sorted_plan import views_shown
 from lightfield_gs.encoding.views import draw_cameras
 from lightfield_gs.panels.panel import Panel
@@ -48,7 +48,7 @@ def encode_classic(
         stats.add_render(one)
         with stats.stage("interlace"):
             if dtype == torch.uint8:
-                images = bytes_of(images)
+                images = to_bytes(images)
             _take_over(out, images.view(cameras.count, -1), places, first)
     return out.view(panel.height_px, panel.width_px, 3)
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, dense_tensor
+from lightfield_gs.base.arrays import Colour, to_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Method, Output, QualityName, Views
@@ -150,7 +150,7 @@ def interlace(views: Tensor, panel: Panel) -> Tensor:
     N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
     tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
     """
-    views = dense_tensor("views", views)
+    views = to_tensor("views", views)
     expect("panel", panel, Panel)
     expected = (panel.views, panel.height_px, panel.width_px, 3)
     if tuple(views.shape) != expected:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, bytes_of
+from lightfield_gs.base.arrays import Colour, to_bytes
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.views import render_views
@@ -59,7 +59,7 @@ def quilt(
             antialiased=antialiased,
             view_filter=view_filter,
         )
-        for view, picture in enumerate(bytes_of(pictures), first):
+        for view, picture in enumerate(to_bytes(pictures), first):
             out[layout.tile(view)] = picture
     return out
 
@@ -93,4 +93,4 @@ def rgbd(
     far = max(far, near * (1 + 1e-6))
     grey = torch.where(covered, (1 / depth[0] - 1 / far) / (1 / near - 1 / far), torch.zeros_like(depth[0]))
     halves = torch.cat([image[0], grey[..., None].expand(-1, -1, 3)], 1)
-    return bytes_of(halves), (near, far)
+    return to_bytes(halves), (near, far)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_cuda import CudaStages
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
@@ -170,7 +170,7 @@ def encode_sorted(
     background = check("background", background, (3,), scene)
     out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
     if plan.hidden:
-        out[:] = bytes_of(background.clone()) if as_bytes else background
+        out[:] = to_bytes(background.clone()) if as_bytes else background
     with scene.guard:
         threads = threads or torch.get_num_threads()
         _Encoding(scene, cameras, plan, budget, background, threads, stats, antialiased, aperture).run(out)

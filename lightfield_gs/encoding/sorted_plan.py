@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.lens import lens_of
@@ -135,7 +135,7 @@ def panel_plan(panel: Panel, device_type: str) -> SortedPlan:
 def checked_view_map(view_map: np.ndarray | Tensor, panel: Panel, views: int) -> np.ndarray:
     """The map as a C-contiguous array, after checking its shape, type and values. Raises InputError."""
     isarray = isinstance(view_map, np.ndarray)  # which may be a file, mapped and read-only
-    table = view_map if isarray else dense_tensor("view_map", view_map).detach().cpu().numpy()
+    table = view_map if isarray else to_tensor("view_map", view_map).detach().cpu().numpy()
     shape = (panel.height_px, panel.width_px, 3)
     if table.shape != shape or table.dtype != np.int32:
         raise InputError(f"view_map must be int32 {list(shape)} for this panel, got {table.dtype} {list(table.shape)}")

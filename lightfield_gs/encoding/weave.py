@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
@@ -48,7 +48,7 @@ class _Stack:
     """Views that are all there, [M, H, W, 3]."""
 
     def __init__(self, views: np.ndarray | Tensor):
-        self.views = dense_tensor("views", views)
+        self.views = to_tensor("views", views)
         if self.views.dim() != 4 or self.views.shape[3] != 3 or 0 in self.views.shape:
             raise InputError(f"views: expected [M, H, W, 3], got {list(self.views.shape)}")
         self.count, self.height_px, self.width_px = self.views.shape[:3]
@@ -148,7 +148,7 @@ def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most
 
 def _picture(source: ViewSource, number: int, window: Window, device: str) -> Tensor:
     """A view at the resolution that it is sampled at. Raises InputError."""
-    picture = dense_tensor("views", source.view(number)).to(device)
+    picture = to_tensor("views", source.view(number)).to(device)
     if picture.dtype not in _TYPES:
         raise InputError(f"views: expected uint8, uint16 or float32, got {picture.dtype}")
     return reduced_picture(picture, window)

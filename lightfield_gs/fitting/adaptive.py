@@ -23,17 +23,17 @@ def change(fields: Fields, tally: Tally, settings: FitSettings, step: int) -> Fi
     """The fields after a round, once `step` steps are done; the same ones where nothing changed.
 
     What is kept stays in its order; behind it stand clones, then the first and the second parts of what was split, with
-    moments of zero. No more than settings.gaussians in all: where the gradients of more would let them grow, those of
+    moments of zero. No more than settings.cap_max in all: where the gradients of more would let them grow, those of
     the largest do. A scene of which nothing would be left stays as it is.
     """
     largest, gradients = fields.scales.amax(1), tally.gradients / tally.drawn.clamp_min(1)
-    small = largest <= settings.clone_scale
+    small = largest <= settings.grow_scale3d
     # Before the first reset what is huge may only have found no smaller ones yet
-    most = settings.prune_scale if step > settings.scaled(settings.reset_every) else math.inf
+    most = settings.prune_scale3d if step > settings.scaled(settings.reset_every) else math.inf
     alive = fields.opacities >= settings.min_opacity
     fits_whole, fits_split = alive & (largest <= most), alive & ~small & (largest / _SHRINK <= most)
     wanting = (gradients >= _threshold(settings)) & torch.where(small, fits_whole, fits_split)
-    room = settings.gaussians - int((fits_whole | wanting).sum())
+    room = settings.cap_max - int((fits_whole | wanting).sum())
     grown = wanting & _strongest(torch.where(wanting, gradients, -1), room)
     kept = fits_whole & ~(grown & ~small)
     clones, split = (grown & small).nonzero()[:, 0], (grown & ~small).nonzero()[:, 0]
@@ -57,9 +57,9 @@ def reset(fields: Fields, settings: FitSettings) -> None:
 
 def _threshold(settings: FitSettings) -> float:
     """The mean gradient from which on Gaussians grow, in halves of the image."""
-    if settings.grow_gradient is not None:
-        return settings.grow_gradient
-    return _GROW_ABSOLUTE if settings.absolute_gradients else _GROW
+    if settings.grow_grad2d is not None:
+        return settings.grow_grad2d
+    return _GROW_ABSOLUTE if settings.absgrad else _GROW
 
 
 def _strongest(numbers: Tensor, count: int) -> Tensor:

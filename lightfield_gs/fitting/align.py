@@ -49,7 +49,7 @@ def _aligned_pose(
         everywhere = poses.world_to_camera.expand(views.count, 4, 4)
         job = view_job(gaussians, views, chosen, everywhere, background, settings.antialiased)
         images = job.draw()
-        loss, g_image = photo_loss_and_gradient(images.image[0], photos, weights, settings.ssim_share)
+        loss, g_image = photo_loss_and_gradient(images.image[0], photos, weights, settings.ssim_lambda)
         better = loss < least
         best, least = torch.where(better, poses.world_to_camera, best), torch.where(better, loss, least)
         gradients = job.backward(images, DenseImages(g_image[None], None, None), Wanted(cameras=True))

@@ -22,7 +22,7 @@ from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.dropout import former_default
 from lightfield_gs.fitting.fields import Fields
-from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.settings import FORMER_NAMES, FitSettings
 from lightfield_gs.fitting.tally import Tally
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import atomic_path, remove_file
@@ -71,7 +71,8 @@ class Identity:
 
     def check(self, path: Path, stored: Mapping[str, Any]) -> None:
         """Raises InputError that names what differs from a stored one."""
-        settings, capture = stored["settings"], stored["capture"]
+        settings = {FORMER_NAMES.get(name, name): value for name, value in stored["settings"].items()}
+        capture = stored["capture"]
         if settings.get("dropout", 0.0) is None:
             settings = {**settings, "dropout": former_default(self.photographs)}
         changed = [

@@ -34,7 +34,7 @@ _FEWEST = 3  # cameras, and of points ten times as many, to learn a depth from
 class Cone:
     """name and centre: of the centre photograph, and its index. pivot: [3] float64, coordinates of the capture, on the
     axis of the centre camera, `zero_depth` before it, scene units. cone_deg: full angle. angles_deg: [C] float64,
-    0..180, of every photograph from the centre one, seen from the pivot. said: what was chosen, one line each.
+    0..180, of every photograph from the centre one, seen from the pivot. messages: what was chosen, one line each.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Cone:
     zero_depth: float
     cone_deg: float
     angles_deg: np.ndarray
-    said: tuple[str, ...]
+    messages: tuple[str, ...]
 
     @property
     def inside(self) -> np.ndarray:
@@ -96,13 +96,13 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
     pivot = capture.centres[index] + depth * axis
     angles = _angles(_directions(capture.centres, pivot), index)
     count, full, inside = len(angles), int((angles <= half).sum()), int((angles <= cone_deg / 2).sum())
-    said = (
+    messages = (
         f"cone: {cone_deg:g} degrees round {capture.names[index]} ({chosen_by})",
         f"cone: {counted(inside, 'photograph', count, 'are inside')}; {full} within {half:g} degrees of the centre "
         f"count fully, the others less, down to {FLOOR:g}",
         f"cone: zero plane {depth:.4g} scene units before the centre camera, {how}",
     )
-    return Cone(capture.names[index], index, pivot, depth, cone_deg, angles, said)
+    return Cone(capture.names[index], index, pivot, depth, cone_deg, angles, messages)
 
 
 def meeting_point(centres: np.ndarray, axes: np.ndarray) -> np.ndarray | None:

@@ -29,14 +29,14 @@ _SURE = 0.5  # the least length of a direction across the centre camera's axis t
 class Display:
     """The panel that a scene is fitted for, and where it stands in the capture.
 
-    rig: in the capture's coordinates, at the panel's resolution, with the cone's angle. said: what was chosen, one line
-    each.
+    rig: in the capture's coordinates, at the panel's resolution, with the cone's angle. messages: what was
+    chosen, one line each.
     """
 
     panel: Panel
     cone: Cone
     rig: Rig
-    said: tuple[str, ...]
+    messages: tuple[str, ...]
 
     @classmethod
     def of(cls, capture: Capture, cone: Panel | str | Path | float, centre: str | None = None) -> Display:
@@ -46,7 +46,7 @@ class Display:
         placed = place_cone(capture, panel.cone_deg, centre)
         quarters, turned = quarter_turns(capture, placed.centre)
         rig = rig_of(capture, placed, panel, quarters)
-        return cls(panel, placed, rig, (*placed.said, *turned, words))
+        return cls(panel, placed, rig, (*placed.messages, *turned, words))
 
     def shares(self, indices: Sequence[int]) -> list[float]:
         """For photographs at these indices of the capture: in how many of the epochs each is, the largest 1."""
@@ -77,8 +77,8 @@ def placed(
     if score_cone is not None:
         judged = place_cone(capture, score_cone, centre if display is None else display.cone.name)
     if display is not None:
-        return display, judged, display.said
-    return None, judged, () if judged is None else judged.said
+        return display, judged, display.messages
+    return None, judged, () if judged is None else judged.messages
 
 
 def panel_of(cone: Panel | str | Path | float) -> tuple[Panel, str]:

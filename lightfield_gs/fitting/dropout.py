@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.native import check_tensor, core_of, stream_of
 from lightfield_gs.fitting.settings import FitSettings
@@ -67,7 +67,7 @@ def dropout(shares: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
         count=count,
         factors=factors.data_ptr(),
     )
-    with guard(device):
+    with device_guard(device):
         if shares.is_cuda:
             _core.cuda.dropout(job, stream_of(device))
         else:

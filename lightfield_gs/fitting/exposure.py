@@ -25,7 +25,7 @@ class Exposure:
     def __init__(self, photographs: int, settings: FitSettings, device: torch.device):
         self.values = torch.eye(3, 4, device=device).repeat(photographs, 1, 1)
         shape = (photographs, 12)
-        self._adam = PhotographAdam(shape, settings.steps, settings.rate_exposure, _DECAY, self.values.dtype, device)
+        self._adam = PhotographAdam(shape, settings.steps, settings.exposure_lr, _DECAY, self.values.dtype, device)
 
     def exposed(self, colours: Tensor, chosen: Tensor) -> Tensor:
         """Colours [V,...,3] as the photographs `chosen` [V] show them."""

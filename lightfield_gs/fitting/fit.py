@@ -84,7 +84,7 @@ def fit(
     capture: str | Path | Capture,
     *,
     steps: int = 30_000,
-    gaussians: int = 300_000,
+    cap_max: int = 300_000,
     density: Density = "mcmc",
     test_every: TestEvery = "own",
     test_names: Sequence[str] | None = None,
@@ -107,14 +107,14 @@ def fit(
     """Fits Gaussians to posed photographs of a scene that stands still (Kerbl et al. 2023).
 
     capture: a folder (COLMAP's sparse/0 or a transforms.json, and the photographs), or what read_capture returned.
-    steps, gaussians (a budget), density ("mcmc" or "adaptive") and settings: see FitSettings, whose fields they are.
+    steps, cap_max (the most Gaussians), density ("mcmc" or "adaptive") and settings: see FitSettings.
     test_every: k holds out the middle one of every k photographs and scores the scene by them; None: none; "own": those
     that the capture itself keeps for tests, or of every 8. test_names: those held out instead. device: "auto", "cpu" or
     "cuda". folder: where checkpoints, scores.json and pictures go; a fit that was stopped goes on from there, to the
     same bits, unless `fresh`. The other arguments: see Habits.
 
     Where torchrun starts several processes that all call it alike, they share out the photographs of a step
-    (settings.views), one GPU each; the first one writes and talks, and all return the result.
+    (settings.batch_size), one GPU each; the first one writes and talks, and all return the result.
 
     cone: a panel, its name or file, or degrees, 1..179, in place of the default panel's: the fit is for what that
     shows, see Display, and leaves out what it does not, within contribution_cut (0..1), see shown_by. centre: the name
@@ -124,7 +124,7 @@ def fit(
     The same capture, settings and device give the same bits. Raises InputError: what is no capture, settings that
     cannot be, a folder of another fit.
     """
-    chosen = settings_of(steps=steps, gaussians=gaussians, density=density, **settings)
+    chosen = settings_of(steps=steps, cap_max=cap_max, density=density, **settings)
     where = None if folder is None else checked_path(folder)
     habits = Habits(
         where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
@@ -184,7 +184,7 @@ def _prepared(
     trainer = _begun(capture, views, world, settings, group, shares)
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {device}: "
-        f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
+        f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.cap_max} at most"
     )
     if (words := words_on_dropout(settings, len(train))) is not None:
         progress.say(words)

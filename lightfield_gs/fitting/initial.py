@@ -19,10 +19,10 @@ _OPACITY, _SCALE = {"mcmc": 0.5, "adaptive": 0.1}, {"mcmc": 0.1, "adaptive": 1.0
 
 
 def initial_gaussians(points: np.ndarray, colours: np.ndarray, centres: np.ndarray, settings: FitSettings) -> Gaussians:
-    """Gaussians of SH degree 0, float32, no more than settings.gaussians.
+    """Gaussians of SH degree 0, float32, no more than settings.cap_max.
 
     points [P,3], colours [P,3] uint8, and the centres [C,3] of the cameras, in scene units with an extent of 1.
-    Scales are the root mean square distance to three neighbours (Kerbl et al. 2023), times settings.initial_scale.
+    Scales are the root mean square distance to three neighbours (Kerbl et al. 2023), times settings.init_scale.
     Fewer than 100 points are replaced by random ones within three times the extent of the cameras, of random colours.
     """
     if len(points) < _FEWEST_POINTS:
@@ -31,12 +31,12 @@ def initial_gaussians(points: np.ndarray, colours: np.ndarray, centres: np.ndarr
             "with random Gaussians around the cameras, and takes longer"
         )
         points, colours = _random_points(centres, settings)
-    if len(points) > settings.gaussians:
-        kept = _some(len(points), settings.gaussians, settings.seed)
+    if len(points) > settings.cap_max:
+        kept = _some(len(points), settings.cap_max, settings.seed)
         assume(f"{len(kept)} of {len(points)} points are used: no more Gaussians were asked for")
         points, colours = points[kept], colours[kept]
-    opacity = _OPACITY[settings.density] if settings.initial_opacity is None else settings.initial_opacity
-    factor = _SCALE[settings.density] if settings.initial_scale is None else settings.initial_scale
+    opacity = _OPACITY[settings.density] if settings.init_opa is None else settings.init_opa
+    factor = _SCALE[settings.density] if settings.init_scale is None else settings.init_scale
     means = torch.from_numpy(np.ascontiguousarray(points, dtype=np.float32))
     scales = (neighbour_distances(points) * factor).float()[:, None].repeat(1, 3)
     quaternions = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(means), 1)
@@ -57,7 +57,7 @@ def neighbour_distances(points: np.ndarray) -> Tensor:
 
 def _random_points(centres: np.ndarray, settings: FitSettings) -> tuple[np.ndarray, np.ndarray]:
     """Points in a cube of three times the extent round the cameras, and their colours."""
-    count = min(settings.gaussians, 100_000)
+    count = min(settings.cap_max, 100_000)
     numbers = uniforms(settings.seed, 0, Purpose.INITIAL, 6 * count).numpy().reshape(count, 6)
     middle = np.median(centres, 0)
     return middle + 6 * (numbers[:, :3] - 0.5), (255 * numbers[:, 3:]).astype(np.uint8)

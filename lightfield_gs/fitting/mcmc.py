@@ -40,9 +40,9 @@ def change(fields: Fields, settings: FitSettings, step: int) -> Fields:
 
 def _wanted(count: int, settings: FitSettings, step: int) -> int:
     """How many there are after the round at `step`: more by settings.growth, or by as much as it takes to reach
-    settings.gaussians in the rounds that are left, where these are few."""
-    needed = count * (settings.gaussians / count) ** (1 / max(1, settings.rounds_from(step)))
-    return max(count, min(settings.gaussians, max(int(count * settings.growth), math.ceil(needed))))
+    settings.cap_max in the rounds that are left, where these are few."""
+    needed = count * (settings.cap_max / count) ** (1 / max(1, settings.rounds_from(step)))
+    return max(count, min(settings.cap_max, max(int(count * settings.growth), math.ceil(needed))))
 
 
 def sampled(weights: Tensor, count: int, seed: int, draw: int) -> Tensor:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import torch
 
+from lightfield_gs.base.cuda import free_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.fitting.settings import FitSettings
@@ -47,8 +48,8 @@ def needed(settings: FitSettings, photographs: int, width_px: int, height_px: in
     """What a fit with as many Gaussians as its settings allow needs; photographs: fitted and held out."""
     pixels = width_px * height_px
     numbers = _SHAPE_NUMBERS + 3 * SH_COEFFICIENTS[settings.sh_degree]
-    field = _NUMBER_BYTES * settings.gaussians * numbers
-    work = settings.views * (_WORK_PER_GAUSSIAN * settings.gaussians + _WORK_PER_PIXEL * pixels)
+    field = _NUMBER_BYTES * settings.cap_max * numbers
+    work = settings.batch_size * (_WORK_PER_GAUSSIAN * settings.cap_max + _WORK_PER_PIXEL * pixels)
     return Need(photographs * pixels * (5 if settings.masks == "alpha" else 4), _COPIES * field, field, work)
 
 
@@ -77,8 +78,7 @@ def check(need: Need, device: str, is_certain: bool) -> str:
 def free_bytes(device: str) -> int | None:
     """What a device, or the host for "cpu", can still give; None where the system does not tell."""
     if device != "cpu":
-        kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
-        return torch.cuda.mem_get_info(device)[0] + kept
+        return free_memory(torch.device(device))
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
             lines = dict(line.split(":", 1) for line in file)

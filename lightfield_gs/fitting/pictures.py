@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.fitting.evaluate import compared
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
@@ -22,7 +22,7 @@ def write_pictures(folder: Path, trainer: Trainer, views: Views) -> None:
     settings = trainer.settings
     gaussians, background = trainer.fields.gaussians(), settings.steady_background
     image, photo, weights = compared(gaussians, views, views.count // 2, background, settings.antialiased)
-    pixels = bytes_of(beside(image, photo, weights)).cpu().numpy()
+    pixels = to_bytes(beside(image, photo, weights)).cpu().numpy()
     for path in (make_folder(folder / "pictures") / f"{trainer.done:07d}.png", folder / "last.png"):
         write_image(path, pixels)
 

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.checks import whole_number
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.fitting.native import core_of, stream_of
 
 
@@ -35,7 +35,7 @@ def uniforms(seed: int, step: int, purpose: int, count: int, device: torch.devic
     seed: 0..2^64-1. step, purpose: 0..2^32-1; see Purpose. Raises InputError for numbers outside these.
     """
     stream, out = _stream(seed, step, purpose), _empty(count, torch.float64, device)
-    with guard(out.device):
+    with device_guard(out.device):
         if out.is_cuda:
             _core.cuda.uniforms(*stream, count, out.data_ptr(), stream_of(out.device))
         else:
@@ -54,7 +54,7 @@ def normals(
     """[count] numbers of mean 0 and variance 1; float32, on the CPU also float64. See uniforms."""
     stream, out = _stream(seed, step, purpose), _empty(count, dtype, device)
     core = core_of("normals", out)
-    with guard(out.device):
+    with device_guard(out.device):
         if out.is_cuda:
             _core.cuda.normals(*stream, count, out.data_ptr(), stream_of(out.device))
         else:

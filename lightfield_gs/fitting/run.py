@@ -84,7 +84,7 @@ class Run:
         """Does all steps that are left, or as many as it may."""
         self._resume()
         trainer, steps, chunk = self.trainer, self.trainer.settings.steps, 1
-        self._progress.begin(trainer.done, steps, trainer.settings.views)
+        self._progress.begin(trainer.done, steps, trainer.settings.batch_size)
         try:
             while trainer.done < steps and not self.stopped and not self._is_no_better():
                 began = time.monotonic()

@@ -36,19 +36,19 @@ class Schedule:
         largest 1; None: in all."""
         steps, mcmc = settings.steps, settings.density == "mcmc"
         # More views say more surely where to go: rates grow as the root of their number (as for other batches)
-        batch = settings.views**0.5
-        unsettled = (mcmc * (torch.arange(steps) < settings.scaled(settings.settle_from))).double()
+        batch = settings.batch_size**0.5
+        unsettled = (mcmc * (torch.arange(steps) < settings.scaled(settings.noise_stop_iter))).double()
         numbers = update_table(
             steps,
-            means=[batch * settings.rate_means_at(step) for step in range(steps)],
-            log_scales=batch * settings.rate_log_scales,
-            quaternions=batch * settings.rate_quaternions,
-            logits=batch * settings.rate_logits,
-            sh_dc=batch * settings.rate_sh_dc,
-            sh_rest=batch * settings.rate_sh_rest,
-            noise_rate=unsettled * settings.noise_rate,
-            opacity_share=unsettled * settings.opacity_share,
-            scale_share=unsettled * settings.scale_share,
+            means_lr=[batch * settings.means_lr_at(step) for step in range(steps)],
+            scales_lr=batch * settings.scales_lr,
+            quats_lr=batch * settings.quats_lr,
+            opacities_lr=batch * settings.opacities_lr,
+            sh0_lr=batch * settings.sh0_lr,
+            shN_lr=batch * settings.shN_lr,
+            noise_lr=unsettled * settings.noise_lr,
+            opacity_reg=unsettled * settings.opacity_reg,
+            scale_reg=unsettled * settings.scale_reg,
             device=device,
         )
         if settings.background is None:
@@ -64,13 +64,13 @@ class Schedule:
 def _order(settings: FitSettings, photographs: int, shares: Sequence[float] | None) -> Tensor:
     """[steps,V]: every photograph once in each epoch that it is in, in another order each time."""
     whole = _whole_numbers(shares, photographs)
-    wanted = settings.steps * settings.views
+    wanted = settings.steps * settings.batch_size
     epochs: list[Tensor] = []
     found = 0
     while found < wanted:
         epochs.append(_epoch(settings.seed, len(epochs), whole))
         found += len(epochs[-1])
-    return torch.cat(epochs)[:wanted].view(settings.steps, settings.views)
+    return torch.cat(epochs)[:wanted].view(settings.steps, settings.batch_size)
 
 
 def _epoch(seed: int, epoch: int, shares: Tensor) -> Tensor:

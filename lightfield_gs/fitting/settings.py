@@ -1,9 +1,9 @@
-"""Every number of a fit, and how the numbers change from step to step."""
+"""The settings of a fit under gsplat's names, and how its schedules change from step to step."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import Field, dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
@@ -13,100 +13,141 @@ Density = Literal["mcmc", "adaptive"]
 Masks = Literal["ignore", "alpha"]
 DENSITIES: tuple[Density, ...] = get_args(Density)
 MASKS: tuple[Masks, ...] = get_args(Masks)
-RECIPE_STEPS = 30_000  # of the recipes that the schedules are from; those of other lengths are scaled
+RECIPE_STEPS = 30_000  # of the published recipes; shorter and longer fits scale their schedules
+_MOST_STEPS = 10_000_000
 _RECOVERY = 1000  # recipe steps that opacities need after a reset
-_STEPS = (0, 10_000_000)  # least and most of what is a number of steps
-_RANGES: dict[str, tuple[Any, Any]] = {  # of the others; of numbers that are not here 0 and 1e9
-    "steps": (1, 10_000_000),
-    "gaussians": (1, 2**31 - 1),
-    "sh_degree": (0, 3),
-    "views": (1, 1024),
-    "seed": (0, 2**63 - 1),
-    "ssim_share": (0.0, 1.0),
-    "means_decay": (1e-9, 1.0),
-    "initial_opacity": (1e-6, 1.0),
-    "initial_scale": (1e-6, 1e6),
-    "min_opacity": (1e-6, 0.4),
-    "growth": (1.0, 1e3),
-    "dropout": (0.0, 0.9),
+FORMER_NAMES = {  # of settings in checkpoints of earlier versions
+    "gaussians": "cap_max",
+    "views": "batch_size",
+    "ssim_share": "ssim_lambda",
+    "rate_means": "means_lr",
+    "means_decay": "means_lr_decay",
+    "rate_log_scales": "scales_lr",
+    "rate_quaternions": "quats_lr",
+    "rate_logits": "opacities_lr",
+    "rate_sh_dc": "sh0_lr",
+    "rate_sh_rest": "shN_lr",
+    "rate_exposure": "exposure_lr",
+    "rate_poses": "poses_lr",
+    "initial_opacity": "init_opa",
+    "initial_scale": "init_scale",
+    "sh_every": "sh_degree_interval",
+    "refine_from": "refine_start_iter",
+    "refine_until": "refine_stop_iter",
+    "noise_rate": "noise_lr",
+    "opacity_share": "opacity_reg",
+    "scale_share": "scale_reg",
+    "settle_from": "noise_stop_iter",
+    "absolute_gradients": "absgrad",
+    "grow_gradient": "grow_grad2d",
+    "clone_scale": "grow_scale3d",
+    "prune_scale": "prune_scale3d",
 }
+
+
+def _whole(default: int | None, low: int = 0, high: int = _MOST_STEPS) -> Any:
+    """Return a field of whole numbers low..high; also None where the default is None."""
+    return field(default=default, metadata={"type": int, "range": (low, high)})
+
+
+def _real(default: float | None, low: float = 0.0, high: float = 1e9) -> Any:
+    """Return a field of real numbers low..high; also None where the default is None."""
+    return field(default=default, metadata={"type": float, "range": (low, high)})
+
+
+def _choice(default: str, choices: tuple[str, ...]) -> Any:
+    """Return a field that takes one of `choices`."""
+    return field(default=default, metadata={"type": str, "choices": choices})
+
+
+def _flag(default: bool) -> Any:
+    """Return a field that takes True or False."""
+    return field(default=default, metadata={"type": bool})
+
+
+def _checked(setting: Field, value: Any) -> Any:
+    """Return a value in its setting's type; raise InputError where the setting's metadata forbid it."""
+    name, kind = setting.name, setting.metadata["type"]
+    if value is None and setting.default is None:
+        return None
+    if kind is int:
+        return whole_number(name, value, *setting.metadata["range"])
+    if kind is float:
+        return real_number(name, value, *setting.metadata["range"])
+    if kind is bool:
+        expect(name, value, bool)
+    elif value not in (choices := setting.metadata["choices"]):
+        raise InputError(f"{name}: expected {' or '.join(choices)}, got {shown(value)}")
+    return value
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a scene is fitted. Step numbers are those of a fit of 30,000 steps, and are scaled to `steps`.
+    """The settings of a fit. Step numbers are those of a fit of 30,000 steps and scale with `steps`.
 
     Sources: Kerbl et al. 2023 and their program; Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
-    Carlo", 2024, for `mcmc`; Ye et al., "AbsGS", 2024, for absolute gradients. Raises InputError for what cannot be.
+    Carlo", 2024, for `mcmc`; Ye et al., "AbsGS", 2024, for `absgrad`.
+
+    Raises:
+        InputError: a value is outside its range.
     """
 
-    steps: int = 30_000
-    gaussians: int = 300_000  # mcmc: their number at the end; adaptive: at most so many
-    density: Density = "mcmc"
-    sh_degree: int = 3
-    views: int = 1  # photographs of a step
-    seed: int = 0
-    antialiased: bool = False
-    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)  # None: another random one at each step
-    masks: Masks = "ignore"  # what they leave out says nothing, or is transparent
-    exposure: bool = False  # an affine change of colours for each photograph
-    poses: bool = False  # the cameras' poses are refined
+    steps: int = _whole(30_000, 1)
+    cap_max: int = _whole(300_000, 1, 2**31 - 1)  # the final number of Gaussians for mcmc, the most for adaptive
+    density: Density = _choice("mcmc", DENSITIES)
+    sh_degree: int = _whole(3, 0, 3)
+    batch_size: int = _whole(1, 1, 1024)  # photographs in each step
+    seed: int = _whole(0, 0, 2**63 - 1)
+    antialiased: bool = _flag(False)
+    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)  # None: a random one in each step
+    masks: Masks = _choice("ignore", MASKS)  # pixels outside a mask are ignored, or are to be transparent
+    exposure: bool = _flag(False)  # fit an affine change of colours for each photograph
+    poses: bool = _flag(False)  # refine the cameras' poses
 
-    # The loss: (1 - ssim_share) L1 + ssim_share (1 - SSIM)
-    ssim_share: float = 0.2
-    # The share of the Gaussians that a step leaves out: grows from 0 to this at the end, see dropout.py
-    dropout: float = 0.0
-    # Rates of Adam. That of positions is in units of the scene's extent, and falls by means_decay over the fit
-    rate_means: float = 1.6e-4
-    means_decay: float = 0.01
-    rate_log_scales: float = 5e-3
-    rate_quaternions: float = 1e-3
-    rate_logits: float = 5e-2
-    rate_sh_dc: float = 2.5e-3
-    rate_sh_rest: float = 2.5e-3 / 20
-    rate_exposure: float = 1e-2  # falls to a tenth
-    rate_poses: float = 1e-5  # extents and radians; falls to a hundredth
+    # The loss: (1 - ssim_lambda) L1 + ssim_lambda (1 - SSIM)
+    ssim_lambda: float = _real(0.2, 0.0, 1.0)
+    # The fraction of Gaussians that a step leaves out; it grows from 0 to this value at the end, see dropout.py
+    dropout: float = _real(0.0, 0.0, 0.9)
+    # Learning rates of Adam. means_lr is in units of the scene's extent and falls by means_lr_decay over the fit
+    means_lr: float = _real(1.6e-4)
+    means_lr_decay: float = _real(0.01, 1e-9, 1.0)
+    scales_lr: float = _real(5e-3)
+    quats_lr: float = _real(1e-3)
+    opacities_lr: float = _real(5e-2)
+    sh0_lr: float = _real(2.5e-3)
+    shN_lr: float = _real(2.5e-3 / 20)
+    exposure_lr: float = _real(1e-2)  # falls to a tenth
+    poses_lr: float = _real(1e-5)  # extents and radians; falls to a hundredth
 
-    # How it begins: opacity, and scales by the distance to neighbours; None: that of the strategy for density
-    initial_opacity: float | None = None
-    initial_scale: float | None = None
+    # The first Gaussians; scales are factors of the distance to neighbours. None: the default of `density`
+    init_opa: float | None = _real(None, 1e-6, 1.0)
+    init_scale: float | None = _real(None, 1e-6, 1e6)
 
-    # Density, which is looked at every refine_every steps between refine_from and refine_until
-    sh_every: int = 1000
-    refine_from: int = 500
-    refine_until: int | None = None  # None: 25,000 for mcmc, 15,000 for adaptive
-    refine_every: int = 100
-    min_opacity: float = 0.005  # fainter ones are dead
+    sh_degree_interval: int = _whole(1000)
+    # Density control, every refine_every steps between refine_start_iter and refine_stop_iter
+    refine_start_iter: int = _whole(500)
+    refine_stop_iter: int | None = _whole(None)  # None: 25,000 for mcmc, 15,000 for adaptive
+    refine_every: int = _whole(100)
+    min_opacity: float = _real(0.005, 1e-6, 0.4)  # fainter Gaussians are dead
     # mcmc
-    growth: float = 1.05  # of the number of Gaussians, each time
-    noise_rate: float = 5e5
-    opacity_share: float = 0.01
-    scale_share: float = 0.01
-    settle_from: int = 25_000  # from here on there is no noise, and the shares are zero
+    growth: float = _real(1.05, 1.0, 1e3)  # factor of the number of Gaussians, each time
+    noise_lr: float = _real(5e5)
+    opacity_reg: float = _real(0.01)
+    scale_reg: float = _real(0.01)
+    noise_stop_iter: int = _whole(25_000)  # noise and regularisers are zero from here on
     # adaptive
-    absolute_gradients: bool = False
-    grow_gradient: float | None = None  # None: 2e-4, or 6e-4 for absolute gradients; in halves of the image
-    clone_scale: float = 0.01  # smaller Gaussians are cloned and larger ones split, in units of the extent
-    prune_scale: float = 0.1
-    reset_every: int = 3000
-    # Gaussians are sorted along a Morton curve every so many steps, as long as density changes
-    morton_every: int = 5000
+    absgrad: bool = _flag(False)
+    grow_grad2d: float | None = _real(None)  # in halves of the image; None: 2e-4, or 6e-4 with absgrad
+    grow_scale3d: float = _real(0.01)  # in extents; smaller Gaussians are cloned, larger ones are split
+    prune_scale3d: float = _real(0.1)  # in extents
+    reset_every: int = _whole(3000)
+    # Gaussians are sorted along a Morton curve every so many steps while the density changes
+    morton_every: int = _whole(5000)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value, kind = getattr(self, field.name), str(field.type)
-            if value is None and kind.endswith(" | None"):
-                continue
-            if kind.startswith("int"):
-                whole_number(field.name, value, *_RANGES.get(field.name, _STEPS))
-            elif kind.startswith("float"):
-                number = real_number(field.name, value, *_RANGES.get(field.name, (0.0, 1e9)))
-                object.__setattr__(self, field.name, number)
-            elif kind == "bool":
-                expect(field.name, value, bool)
-        for name, choices in (("density", DENSITIES), ("masks", MASKS)):
-            if getattr(self, name) not in choices:
-                raise InputError(f"{name}: expected {' or '.join(choices)}, got {shown(getattr(self, name))}")
+        for setting in fields(self):
+            if setting.metadata:
+                object.__setattr__(self, setting.name, _checked(setting, getattr(self, setting.name)))
         if self.background is not None:
             if not is_row(self.background, 3):
                 raise InputError(f"background: expected red, green and blue, or none, got {shown(self.background)}")
@@ -115,40 +156,44 @@ class FitSettings:
 
     @property
     def steady_background(self) -> tuple[float, float, float]:
-        """What is behind a scene that is scored or shown: black where steps have random ones."""
+        """The background of scores and pictures: black where steps have random ones."""
         return self.background or (0.0, 0.0, 0.0)
 
     def scaled(self, recipe_step: int) -> int:
-        """The step of this fit at which what a recipe of 30,000 steps does at `recipe_step` is due; 1 at least."""
+        """Return the step of this fit for a step of a recipe of 30,000 steps; at least 1."""
         return max(1, round(recipe_step * self.steps / RECIPE_STEPS))
 
     def degree_at(self, step: int) -> int:
-        """The degree of the harmonics at a step, counted from 0: one more every sh_every steps."""
-        return min(self.sh_degree, step // self.scaled(self.sh_every))
+        """Return the degree of the harmonics at a step, counted from 0."""
+        return min(self.sh_degree, step // self.scaled(self.sh_degree_interval))
 
     def refines_after(self, step: int) -> bool:
-        """Whether the density changes once `step` steps are done."""
-        return step % self.scaled(self.refine_every) == 0 and self.scaled(self.refine_from) < step < self.refine_end
+        """Tell whether the density changes once `step` steps are done."""
+        is_due = step % self.scaled(self.refine_every) == 0
+        return is_due and self.scaled(self.refine_start_iter) < step < self.refine_end
 
     @property
     def refine_end(self) -> int:
         """The step from which on the density stays as it is."""
-        return self.scaled(self.refine_until or (25_000 if self.density == "mcmc" else 15_000))
+        return self.scaled(self.refine_stop_iter or (25_000 if self.density == "mcmc" else 15_000))
 
     def rounds_from(self, step: int) -> int:
-        """How often the density changes from a step on, that step counted."""
-        every, first = self.scaled(self.refine_every), max(step, self.scaled(self.refine_from) + 1)
+        """Count the changes of density from a step on, including that step."""
+        every, first = self.scaled(self.refine_every), max(step, self.scaled(self.refine_start_iter) + 1)
         return max(0, min(self.steps, self.refine_end - 1) // every - (first - 1) // every)
 
     def resets_after(self, step: int) -> bool:
-        """Whether opacities are reset once `step` steps are done; never so late that they stay faint to the end."""
-        due = step % self.scaled(self.reset_every) == 0 and step <= self.refine_end - self.scaled(_RECOVERY)
-        return self.density == "adaptive" and due
+        """Tell whether opacities are reset once `step` steps are done.
+
+        The last reset leaves enough steps for opacities to recover.
+        """
+        is_due = step % self.scaled(self.reset_every) == 0 and step <= self.refine_end - self.scaled(_RECOVERY)
+        return self.density == "adaptive" and is_due
 
     def sorts_after(self, step: int) -> bool:
-        """Whether Gaussians are sorted once `step` steps are done: now and then, and when their number is final."""
+        """Tell whether Gaussians are sorted once `step` steps are done: every morton_every, and at refine_end."""
         return step == self.refine_end or (step < self.refine_end and step % self.scaled(self.morton_every) == 0)
 
-    def rate_means_at(self, step: int) -> float:
-        """The rate of positions at a step, in units of the extent: from rate_means down, exponentially."""
-        return self.rate_means * math.exp(math.log(self.means_decay) * step / self.steps)
+    def means_lr_at(self, step: int) -> float:
+        """Return the learning rate of means at a step, in extents: an exponential fall from means_lr."""
+        return self.means_lr * math.exp(math.log(self.means_lr_decay) * step / self.steps)

@@ -48,7 +48,7 @@ class Group:
         if views % self.size:
             raise InputError(
                 f"{self.size} processes cannot share the {views} photographs of a step equally: expected a multiple of "
-                f"{self.size} for views"
+                f"{self.size} for batch_size"
             )
         return order[:, self.rank :: self.size].contiguous()
 

@@ -140,11 +140,11 @@ class Step:
         A photograph over the background is over that as exposed: exposure is that of the camera, and what is
         transparent is to say nothing of it.
         """
-        exposure, views = self.exposure, self.settings.views
+        exposure, views = self.exposure, self.settings.batch_size
         behind = background if exposure is None else exposure.exposed(background, chosen)
         exposed = image if exposure is None else exposure.exposed(image, chosen)
         photos, weights = self.views.targets(chosen, behind)
-        loss, gradient = photo_loss_and_gradient(exposed, photos, weights, self.settings.ssim_share)
+        loss, gradient = photo_loss_and_gradient(exposed, photos, weights, self.settings.ssim_lambda)
         loss, gradient = loss / views, gradient / views
         if exposure is None:
             return loss, gradient, loss.new_zeros(0)

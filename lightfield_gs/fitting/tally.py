@@ -21,8 +21,8 @@ class Tally:
 
     def __init__(self, count: int, settings: FitSettings, device: torch.device | str):
         adaptive = settings.density == "adaptive"
-        self.screen_numbers = (4 if settings.absolute_gradients else 2) if adaptive else 0
-        self._views = settings.views
+        self.screen_numbers = (4 if settings.absgrad else 2) if adaptive else 0
+        self._views = settings.batch_size
         self.seen, self._seen_now = (torch.ones(count, dtype=torch.uint8, device=device) for _ in range(2))
         size = count if adaptive else 0
         self.gradients, self.drawn = (torch.zeros(size, device=device) for _ in range(2))

@@ -38,8 +38,8 @@ class Trainer:
         group: Group = ALONE,
         shares: Sequence[float] | None = None,
     ):
-        """group: the processes that fit together; settings.views are those of a step in all of them. shares: in how
-        many of the epochs each of the views is, see Schedule.of; None: in all.
+        """group: the processes that fit together; settings.batch_size is that of all of them. shares: in how many of
+        the epochs each of the views is, see Schedule.of; None: in all.
 
         Raises InputError where they cannot be shared out, or the processes were not given the same.
         """
@@ -49,7 +49,7 @@ class Trainer:
         self.counters = Counters.start(settings.steps, self.device)
         self.tally = Tally(self.fields.count, settings, self.device)
         self.exposure = Exposure(views.count, settings, self.device) if settings.exposure else None
-        self.poses = Poses(views.world_to_camera, settings.steps, settings.rate_poses) if settings.poses else None
+        self.poses = Poses(views.world_to_camera, settings.steps, settings.poses_lr) if settings.poses else None
         # What else is optimised, by name: a checkpoint keeps it too, and writes to these tensors to restore it
         self.extra: dict[str, torch.Tensor] = {
             f"{name}.{part}": tensor

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.checks import expect, real_number, whole_number
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.native import check_tensor, core_of, optional_address, stream_of
 
@@ -57,15 +57,15 @@ def activated(fields: RawFields) -> tuple[Tensor, Tensor]:
 def update_table(
     steps: int,
     *,
-    means: float | Sequence[float] | Tensor,
-    log_scales: float | Sequence[float] | Tensor,
-    quaternions: float | Sequence[float] | Tensor,
-    logits: float | Sequence[float] | Tensor,
-    sh_dc: float | Sequence[float] | Tensor,
-    sh_rest: float | Sequence[float] | Tensor,
-    noise_rate: float | Sequence[float] | Tensor = 0.0,
-    opacity_share: float | Sequence[float] | Tensor = 0.0,
-    scale_share: float | Sequence[float] | Tensor = 0.0,
+    means_lr: float | Sequence[float] | Tensor,
+    scales_lr: float | Sequence[float] | Tensor,
+    quats_lr: float | Sequence[float] | Tensor,
+    opacities_lr: float | Sequence[float] | Tensor,
+    sh0_lr: float | Sequence[float] | Tensor,
+    shN_lr: float | Sequence[float] | Tensor,
+    noise_lr: float | Sequence[float] | Tensor = 0.0,
+    opacity_reg: float | Sequence[float] | Tensor = 0.0,
+    scale_reg: float | Sequence[float] | Tensor = 0.0,
     betas: tuple[float, float] = BETAS,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str = "cpu",
@@ -83,14 +83,14 @@ def update_table(
     t = torch.arange(1, steps + 1, dtype=torch.float64)
     corrections = [-torch.expm1(t * torch.tensor(beta, dtype=torch.float64).log()) for beta in _checked_betas(betas)]
     rates = {
-        "means": means,
-        "log_scales": log_scales,
-        "quaternions": quaternions,
-        "logits": logits,
-        "sh_dc": sh_dc,
-        "sh_rest": sh_rest,
+        "means_lr": means_lr,
+        "scales_lr": scales_lr,
+        "quats_lr": quats_lr,
+        "opacities_lr": opacities_lr,
+        "sh0_lr": sh0_lr,
+        "shN_lr": shN_lr,
     }
-    others = {"noise_rate": noise_rate, "opacity_share": opacity_share, "scale_share": scale_share}
+    others = {"noise_lr": noise_lr, "opacity_reg": opacity_reg, "scale_reg": scale_reg}
     columns = [_column(name, value, steps) for name, value in rates.items()]
     columns += [*corrections, *(_column(name, value, steps) for name, value in others.items())]
     return torch.stack(columns, 1).to(device=device, dtype=dtype).contiguous()
@@ -149,7 +149,7 @@ def update(
         epsilon=real_number("epsilon", epsilon, 1e-30, 1),
         seed=whole_number("seed", seed, 0, 2**64 - 1),
     )
-    with guard(device):
+    with device_guard(device):
         if like.is_cuda:
             _core.cuda.update(native, stream_of(device))
         else:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard, on_host
+from lightfield_gs.base.cuda import device_guard, to_numpy
 from lightfield_gs.base.options import Compression
 from lightfield_gs.io.png_file import CompressedImage
 
@@ -28,9 +28,9 @@ def deflates(image: Tensor, path: Path, compression: Compression) -> bool:
 def fetched(image: Tensor, path: Path, compression: Compression) -> np.ndarray | CompressedImage:
     """An image [H, W, C] on the host, as write_image takes it for this file. Waits for it."""
     if not deflates(image, path, compression):
-        return on_host(image)
+        return to_numpy(image)
     out, facts = deflated(image)
-    return compressed_image(tuple(image.shape), out, on_host(facts))
+    return compressed_image(tuple(image.shape), out, to_numpy(facts))
 
 
 def deflated(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -43,7 +43,7 @@ def deflated(image: Tensor) -> tuple[Tensor, Tensor]:
     native = _core.cuda.PngImage(height=height, width=width, channels=channels, pixels=image.data_ptr())
     work, out = (image.new_empty(size) for size in (native.work_bytes(), native.stream_bytes()))
     native.place(work.data_ptr(), out.data_ptr())
-    with guard(image.device):
+    with device_guard(image.device):
         _core.cuda.deflate(native, torch.cuda.current_stream(image.device).cuda_stream)
     return out, work[: _core.cuda.DEFLATE_FACTS_BYTES]
 
@@ -52,5 +52,5 @@ def compressed_image(shape: tuple[int, ...], out: Tensor, facts: np.ndarray) -> 
     """What `deflated` found of an image of this shape, as write_image takes it; `facts` are on the host already. Waits
     for the copy of the stream alone, on the current CUDA stream."""
     bits, adler, is_varied = struct.unpack("QII", facts.tobytes())
-    stream = on_host(out[: (bits + 7) // 8])
+    stream = to_numpy(out[: (bits + 7) // 8])
     return CompressedImage(shape, (_ZLIB_HEADER, stream.data, struct.pack(">I", adler)), not is_varied)

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
-from lightfield_gs.models.detail import SheetSurface, sheet_look, surface_look
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel, SheetSurface, sheet_look, surface_look
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.scene.gaussians import Gaussians, mapped
 

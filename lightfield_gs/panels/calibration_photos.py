@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightfield_gs.base.arrays import decode_srgb
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.srgb import light_of_srgb
 from lightfield_gs.io.images import as_floats
 
 MOST_CELLS = 256  # along the longer side of the panel: bars are far wider
@@ -61,7 +61,7 @@ class Place:
         """Light of the three shifts, float32 [H, W, 3], and where none of them is clipped, bool [H, W]."""
         codes = [as_floats(photo[..., :3]) for photo in self.photos]
         free = np.all([code.max(2) < _CLIPPED for code in codes], 0)
-        light = [light_of_srgb(code) for code in codes]
+        light = [decode_srgb(code) for code in codes]
         return (light[0] if len(light) == 1 else np.stack([one.mean(2) for one in light], 2)), free
 
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.checks import expect, whole_number
-from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.panels.cells import PERIOD, subpixel_phases
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.pattern_text import HEIGHT_DOTS, text_dots, width_dots
@@ -150,6 +150,6 @@ def bars(panel: Panel, shift: int | None = None) -> np.ndarray:
     turn = 2 * math.pi
 
     def shade(x: np.ndarray, _: slice) -> np.ndarray:
-        return srgb_of_light(BAR_MEAN + BAR_AMPLITUDE * np.cos(turn * (x / panel.views - shifts / 3)))
+        return encode_srgb(BAR_MEAN + BAR_AMPLITUDE * np.cos(turn * (x / panel.views - shifts / 3)))
 
     return draw(panel, shade)

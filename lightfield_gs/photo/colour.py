@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.photo.strips import strips
 
@@ -32,12 +32,12 @@ _CLIPPED_SHARE = 0.001  # of the pixels: if more are brighter than 1, it is said
 class Colours:
     """Colours in sRGB, and how they came to be.
 
-    pixels: [H, W, 3], uint8 or float32 in 0..1. said: what was done to them; empty where nothing was. notes: what may
-    be wrong with them.
+    pixels: [H, W, 3], uint8 or float32 in 0..1. description: what was done to them; empty where nothing was. notes:
+    what may be wrong with them.
     """
 
     pixels: np.ndarray
-    said: str = ""
+    description: str = ""
     notes: list[str] = field(default_factory=list)
 
 
@@ -60,7 +60,7 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
             colours.notes.append("has other primary colours than sRGB, which are taken for those; export it as sRGB")
     if colours.pixels.dtype != np.uint8 and colours.pixels[..., 0].size > _MOST_PIXELS:
         colours.pixels = _bytes(colours.pixels)
-        colours.said += f"{colours.said and ', '}taken in 8 bits for its size"
+        colours.description += f"{colours.description and ', '}taken in 8 bits for its size"
     elif colours.pixels.dtype != np.uint8:
         colours.pixels = np.clip(as_floats(colours.pixels), 0, 1)
     if colours.pixels.shape[2] == 1:
@@ -104,10 +104,10 @@ def _by_gamma(rgb: np.ndarray, gamma: float) -> Colours:
     values = as_floats(rgb)
     bright = float((values > 1).any(2).mean())
     linear = np.clip(values, 0, 1) ** np.float32(gamma)
-    encoded = srgb_of_light(linear)
+    encoded = encode_srgb(linear)
     notes = [f"is brighter than white on {bright:.1%} of its pixels, which are clipped; expose it less"]
-    said = "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, converted to sRGB"
-    return Colours(encoded.astype(np.float32), said, notes if bright > _CLIPPED_SHARE else [])
+    description = "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, converted to sRGB"
+    return Colours(encoded.astype(np.float32), description, notes if bright > _CLIPPED_SHARE else [])
 
 
 def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:

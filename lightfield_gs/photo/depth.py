@@ -27,11 +27,11 @@ _FAR_BEYOND = 2
 @dataclass
 class DepthMap:
     """z: view-space z, float32 [H, W], NaN where nothing was measured. focal_px: the focal length in pixels that its
-    file says, or None. said: what was decided, in words; notes: what may not be as it was meant."""
+    file says, or None. description: what was decided, in words; notes: what may not be as it was meant."""
 
     z: np.ndarray
     focal_px: float | None
-    said: str
+    description: str
     notes: list[str]
 
 
@@ -106,23 +106,23 @@ def depth_map(
     if not measured.any():
         raise InputError(f"{path}: expected distances or disparities > 0, there is none")
     means = {"distance": "distance as z", "ray": "distance along the ray as z", "disparity": "disparity turned into z"}
-    said = f"{means[kind]} {z[measured].min():.4g}..{z[measured].max():.4g}"
+    description = f"{means[kind]} {z[measured].min():.4g}..{z[measured].max():.4g}"
     if limits is not None and _is_reversed(limits):
-        said += f", {nearness(kind, limits)}"
+        description += f", {nearness(kind, limits)}"
     elif given is None:
-        said += f", {nearness(kind, limits)} (assumed; --depth-kind)"
-    said += ", turned with the photo" if turned else ""
+        description += f", {nearness(kind, limits)} (assumed; --depth-kind)"
+    description += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
         beyond = min(_FAR_BEYOND * z[measured].max(), FARTHEST) if limits is None else max(limits)
         z[far] = beyond if invalid == "far" else np.nan
         words = [stored, f"put at {beyond:.4g}" if invalid == "far" else "left out"]
-        said += f", {far.mean():.1%} {'sky' if stored else 'infinitely far'} ({', '.join(filter(None, words))})"
+        description += f", {far.mean():.1%} {'sky' if stored else 'infinitely far'} ({', '.join(filter(None, words))})"
     if (holes := ~(measured | far)).any():
-        said += f", {holes.mean():.1%} not measured"
+        description += f", {holes.mean():.1%} not measured"
     with np.errstate(over="ignore"):
         z = z.astype(np.float32)
-    said = f"{numbers.said}: {said}" if numbers.said else said
-    return DepthMap(z, numbers.focal_px, said, [f"{path} {words}" for words in numbers.notes])
+    description = f"{numbers.description}: {description}" if numbers.description else description
+    return DepthMap(z, numbers.focal_px, description, [f"{path} {words}" for words in numbers.notes])
 
 
 def nearness(kind: str, limits: tuple[float, float] | None = None) -> str:

@@ -31,8 +31,8 @@ class DepthNumbers:
 
     values: [H, W], integers or floats. orientation: the Exif orientation that was undone. kind: "distance" or
     "disparity", and focal_px: the focal length in pixels; None where the file does not say it. is_along_ray: whether
-    they are, or are made of, distances along the pixels' rays. said: which part of the file they are, in words, where
-    it has several; notes: what may not be as it was meant.
+    they are, or are made of, distances along the pixels' rays. description: which part of the file they are, in words,
+    where it has several; notes: what may not be as it was meant.
     """
 
     values: np.ndarray
@@ -40,7 +40,7 @@ class DepthNumbers:
     kind: str | None = None
     focal_px: float | None = None
     is_along_ray: bool = False
-    said: str = ""
+    description: str = ""
     notes: list[str] = field(default_factory=list)
 
 
@@ -52,7 +52,7 @@ def read_numbers(path: str | Path) -> DepthNumbers:
     if suffix == ".npy":
         return DepthNumbers(_checked(path, open_array(path)))
     if (layer := read_layer(path, depth_channel)) is not None:
-        return DepthNumbers(layer.pixels, kind="distance", said=f"channel {layer.name}")
+        return DepthNumbers(layer.pixels, kind="distance", description=f"channel {layer.name}")
     info = read_info(path)
     if info.sample_type not in _IMAGE_TYPES:
         raise InputError(
@@ -154,7 +154,7 @@ def _from_npz(path: str | Path) -> DepthNumbers:
         _checked(path, arrays[name].read()),
         kind="disparity" if name.lower() in _DISPARITY_KEYS else "distance" if named else None,
         focal_px=focal[0] if focal else None,
-        said=f"array {ascii(name)[1:-1][:80]}" if len(arrays) > len(focal) + 1 else "",
+        description=f"array {ascii(name)[1:-1][:80]}" if len(arrays) > len(focal) + 1 else "",
     )
 
 

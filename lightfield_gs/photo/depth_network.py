@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
@@ -93,7 +93,9 @@ def estimated_depth(
     photo = torch.from_numpy(pixels).to(values.device).float() / 255
     z = found.z(upsampled(found.disparities, photo, found.spread)).cpu().numpy()
     name = Path(model).name if Path(model).is_dir() else model
-    return DepthMap(z, None, f"depth estimated by {name}: {found.said}", [f"{model}: {words}" for words in found.notes])
+    return DepthMap(
+        z, None, f"depth estimated by {name}: {found.description}", [f"{model}: {words}" for words in found.notes]
+    )
 
 
 def is_installed() -> bool:
@@ -108,7 +110,7 @@ def is_installed() -> bool:
 
 def _checked_pixels(image: np.ndarray | Tensor) -> np.ndarray:
     """The colours of a photo as uint8 [H, W, 3], or InputError."""
-    pixels = dense_tensor("photo", image).detach().cpu()
+    pixels = to_tensor("photo", image).detach().cpu()
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or 0 in pixels.shape:
         raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(pixels.shape)}")
     pixels = pixels[..., :3]
@@ -192,9 +194,9 @@ def _not_installed(error: ImportError) -> InputError:
 
 def _kind(model: str, config: Any) -> str:
     """What the numbers of a model are."""
-    said = getattr(config, "depth_estimation_type", None)
-    if said in ("metric", "relative"):
-        return "distance" if said == "metric" else "disparity"
+    declared = getattr(config, "depth_estimation_type", None)
+    if declared in ("metric", "relative"):
+        return "distance" if declared == "metric" else "disparity"
     if config.model_type not in _KINDS:
         raise InputError(f"{model} ({config.model_type}) does not say what its numbers are: give --depth-kind")
     return _KINDS[config.model_type]

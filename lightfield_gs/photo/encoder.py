@@ -11,20 +11,21 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cuda_graph import captured
+from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.models import crop
-from lightfield_gs.models.crop_cuda import crop_on_device
-from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
+from lightfield_gs.models.crop import crop_on_device
+from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
 from lightfield_gs.panels import framing
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
 from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.frame_cuda import Frames
 from lightfield_gs.rasterizer.lens_job import LensJob
@@ -38,7 +39,7 @@ class PhotoEncoder:
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
     ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
-    framing of each photo; it may be set between photos. detail, budget: those of SplatterNet.predict. On CUDA the U-Net
+    framing of each photo; it may be set between photos. detail, budget: those of detail_level. On CUDA the U-Net
     runs in bfloat16, crop, network and framing are CUDA graphs, captured for the first photo of each size, and the host
     waits for the device once a photo, to learn where the object is. Raises InputError.
     """
@@ -119,14 +120,14 @@ class PhotoEncoder:
         with torch.cuda.device(self.net.device):
             if self._captured is None or not self._captured.takes(photo):
                 self._captured = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
-            captured = self._captured
+            capture_graph = self._captured
             with stats.stage("crop"):
-                captured.crop(photo)
+                capture_graph.crop(photo)
             with stats.stage("network"):
-                captured.network()
+                capture_graph.network()
             with stats.stage("framing"):
-                self.gaussians = captured.gaussians
-                self.rig = self._looked(captured.rig(self.panel), self.gaussians)
+                self.gaussians = capture_graph.gaussians
+                self.rig = self._looked(capture_graph.rig(self.panel), self.gaussians)
             with stats.stage("encode"):
                 return self._draw_frame(self.gaussians, self.rig)
 
@@ -151,11 +152,13 @@ class _Capture:
         self.host = torch.empty(photo.shape, dtype=photo.dtype, pin_memory=True)
         self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
         self.photo.copy_(photo)
-        self._crop, (self.cropped, self.fine, self.checks) = captured(self._cropped)
-        self._network, self.gaussians = captured(
+        self._crop, (self.cropped, self.fine, self.checks) = capture_graph(self._cropped)
+        self._network, self.gaussians = capture_graph(
             lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level)
         )
-        self._framing, self.numbers = captured(lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]))
+        self._framing, self.numbers = capture_graph(
+            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)])
+        )
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype

@@ -27,7 +27,7 @@ class Estimate:
     disparities: Tensor
     spread: float
     z: Callable[[Tensor], Tensor]
-    said: str
+    description: str
     notes: list[str] = field(default_factory=list)
 
 
@@ -41,13 +41,13 @@ def z_of_disparities(values: Tensor, limits: tuple[float, float] | None = None) 
         spread = 1.0
         notes.append("there is no depth in what it sees, and the scene is flat")
         values = torch.full_like(values, low)
-    said = f"disparities, of which the 1st and the 99th percentile are put at z {far:g} and {near:g}"
+    description = f"disparities, of which the 1st and the 99th percentile are put at z {far:g} and {near:g}"
 
     def z(disparities: Tensor) -> Tensor:
         share = ((disparities.float() - low) / spread).clamp(0, 1 + _NEARER)
         return 1 / (1 / far + (1 / near - 1 / far) * share)
 
-    return Estimate(values, spread, z, said + (" (assumed; --depth-range)" if limits is None else ""), notes)
+    return Estimate(values, spread, z, description + (" (assumed; --depth-range)" if limits is None else ""), notes)
 
 
 def z_of_distances(values: Tensor) -> Estimate:
@@ -58,10 +58,10 @@ def z_of_distances(values: Tensor) -> Estimate:
     low, high = _percentiles(disparities)
     notes = [] if bool(measured.all()) else [f"{1 - float(measured.double().mean()):.1%} have no distance"]
     z = lambda values: torch.where(values > 1 / FARTHEST, 1 / values.float(), torch.nan)
-    said = "distances"
+    description = "distances"
     if bool(measured.any()):
-        said += f" {float(values[measured].min()):.4g}..{float(values[measured].max()):.4g}"
-    return Estimate(disparities, max(high - low, _FLAT * high, 1 / FARTHEST), z, said, notes)
+        description += f" {float(values[measured].min()):.4g}..{float(values[measured].max()):.4g}"
+    return Estimate(disparities, max(high - low, _FLAT * high, 1 / FARTHEST), z, description, notes)
 
 
 def _percentiles(values: Tensor) -> tuple[float, float]:

@@ -39,12 +39,12 @@ class Photo:
     """A photo that was read and cut out.
 
     pixels: RGBA [H, W, 4] in sRGB, upright, uint8 or float32 in 0..1, alpha straight. orientation: the Exif orientation
-    that was undone. said: what was decided, in words; notes: what may not be as it was meant.
+    that was undone. messages: what was decided, in words; notes: what may not be as it was meant.
     """
 
     pixels: np.ndarray
     orientation: int = 1
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def floats(self) -> np.ndarray:
@@ -99,30 +99,30 @@ def photo_of(
     colours = in_srgb(rgb, picture)
     photo = Photo(colours.pixels, picture.orientation, notes=[f"{path} {words}" for words in colours.notes])
     if picture.orientation in range(2, 9):
-        photo.said.append(f"turned by its Exif orientation {picture.orientation}")
+        photo.messages.append(f"turned by its Exif orientation {picture.orientation}")
     if mask is not None:
         alpha = _read_mask(mask, photo, map_orientation)
         photo.notes += _inverted(str(mask), alpha)
         empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
-        said = f"cut out by {Path(mask).name}"
+        description = f"cut out by {Path(mask).name}"
     elif remove_background:
         alpha = background_removed(as_floats(photo.pixels))
         empty = f"{path}: rembg found no object; give a cut-out with --mask FILE"
-        said = "cut out by rembg"
+        description = "cut out by rembg"
     elif alpha is not None and (whole or (alpha > alpha.dtype.type(0.5 * _most(alpha))).mean() < _COVERS_ALL):
         alpha = _shares(alpha)
         empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or --mask FILE"
-        said = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
+        description = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
         photo.notes += [] if whole else _inverted(f"{path}: its alpha", alpha)
     elif whole:
-        alpha, empty, said = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
+        alpha, empty, description = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
     else:
-        alpha, said = _from_background(path, photo, alpha)
+        alpha, description = _from_background(path, photo, alpha)
         empty = f"{path}: its background looks plain and nothing stands out from it; {_OTHER_CUT_OUTS}"
     if np.count_nonzero(alpha > 0.5) < _MIN_OBJECT_SHARE * alpha.size:
         raise InputError(empty)
-    photo.said.append(said if whole else said + _without_specks(alpha))
-    photo.said += [colours.said] if colours.said else []
+    photo.messages.append(description if whole else description + _without_specks(alpha))
+    photo.messages += [colours.description] if colours.description else []
     photo.pixels = _joined(photo.pixels, alpha)
     return photo
 
@@ -173,8 +173,8 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
             f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
             f"taken for holes; where it is not, {_OTHER_CUT_OUTS}"
         )
-    said = "cut out by its plain background"
-    return cut.alpha, said if covered is None else f"{said} (its alpha covers {covered.mean():.1%})"
+    description = "cut out by its plain background"
+    return cut.alpha, description if covered is None else f"{description} (its alpha covers {covered.mean():.1%})"
 
 
 def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
@@ -233,7 +233,7 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
     pixels, turned = turned_with_photo(
         str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation
     )
-    photo.said += [f"{Path(path).name} turned with it"] if turned else []
+    photo.messages += [f"{Path(path).name} turned with it"] if turned else []
     if pixels.shape[:2] != size:
         raise InputError(
             f"{path}: expected a mask of the photo's size {size[1]} x {size[0]}, "
@@ -252,5 +252,5 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
             )
         if levels == 1:
             mask = mask * np.float32(_most(pixels))
-            photo.said.append("a mask of 0 and 1")
+            photo.messages.append("a mask of 0 and 1")
     return np.array(np.clip(mask, 0, 1))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -210,7 +210,7 @@ def _plane_axes(normal: Tensor) -> tuple[Tensor, Tensor]:
 
 def _checked_image(image: np.ndarray | Tensor) -> Tensor:
     """The photo as float32 [H, W, 3 or 4], or InputError."""
-    image = dense_tensor("photo", image)
+    image = to_tensor("photo", image)
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(image.shape)}")
     if not image.is_floating_point():
@@ -241,7 +241,7 @@ def check_depth_size(name: str, depth: np.ndarray | Tensor, photo: np.ndarray | 
 
 
 def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:
-    depth = dense_tensor("depth", depth)
+    depth = to_tensor("depth", depth)
     if depth.ndim != 2 or not depth.is_floating_point():
         raise InputError(f"depth: expected floating point [H, W], got {depth.dtype} {list(depth.shape)}")
     return depth.to(torch.float32)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, dense_tensor
+from lightfield_gs.base.arrays import Colour, to_tensor
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 
@@ -46,7 +46,7 @@ def _checked_background(background: Colour, dtype: torch.dtype, device: torch.de
     """
     plain = True
     if isinstance(background, (Tensor, np.ndarray)):
-        plain, background = False, dense_tensor("background", background)
+        plain, background = False, to_tensor("background", background)
     there = isinstance(background, Tensor) and background.is_cuda
     try:
         colour = torch.as_tensor(background, dtype=dtype, device=device)

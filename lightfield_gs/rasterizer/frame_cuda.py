@@ -17,6 +17,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.cuda import free_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
@@ -135,12 +136,6 @@ def _state_of(host: Tensor) -> dict[str, Any]:
     return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
 
 
-def _free_bytes(device: torch.device) -> int:
-    """How much can still be allocated: what is free on the device, and what torch keeps there for later."""
-    kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
-    return torch.cuda.mem_get_info(device)[0] + kept
-
-
 class Frames:
     """Frames of scenes of one kind and quality, by whatever rigs: draws them, and remembers what they needed.
 
@@ -241,7 +236,7 @@ class Frames:
         """Raises capacity and order of colours to what a frame of this state lacked; returns whether either changed."""
         before = self.capacity, self.colour_order
         if self.capacity is None or state["pairs"] > self.capacity:
-            affordable = _free_bytes(self.device) // (2 * _PAIR_BYTES)
+            affordable = free_memory(self.device) // (2 * _PAIR_BYTES)
             enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
         self._needs_order(state)

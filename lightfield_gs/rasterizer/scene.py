@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import guard
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 
 
@@ -88,7 +88,7 @@ class Scene:
     @property
     def guard(self) -> AbstractContextManager:
         """Selects the device of the Gaussians; another one each time, for torch's is not made to be entered twice."""
-        return guard(self.device)
+        return device_guard(self.device)
 
     def native(self) -> _core._Stages.Gaussians:
         """Their addresses for the core, which hold as long as this scene does."""

@@ -13,10 +13,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from torch import Tensor
 
-from lightfield_gs.base.arrays import on_host
+from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.video.av_library import av_library
+from lightfield_gs.video.decoding import av_library
 
 Kind = Literal["native", "quilt", "2d"]
 CodecName = Literal["ffv1", "h264-rgb", "h264", "hevc"]
@@ -98,7 +98,7 @@ class VideoFile:
 
     def fetch(self, image: Tensor) -> np.ndarray:
         """A frame, uint8 [H, W, 3], on the host."""
-        return on_host(image)
+        return to_numpy(image)
 
     def put(self, number: int, image: np.ndarray) -> None:
         """Hands over the next frame, uint8 [H, W, 3], which must not change any more; waits while four are waiting."""

@@ -21,9 +21,8 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_file import read_text
-from lightfield_gs.view_sets.colours import ViewColours
 from lightfield_gs.view_sets.file_names import Grid, arranged, without_maps
-from lightfield_gs.view_sets.joins import looks_like_rows
+from lightfield_gs.view_sets.pixels import ViewColours, looks_like_rows
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".bmp", ".heic", ".avif")
 _HCI = re.compile(r"input_cam(\d{1,5})", re.IGNORECASE)
@@ -78,8 +77,8 @@ def folder_views(
         inner = [entry.name for entry in entries if entry.is_dir() and not entry.name.startswith(".")][:_MOST_NAMED]
         way = f"; give the folder in it that has them ({', '.join(inner)})" if inner else f" ({', '.join(_PICTURES)})"
         raise InputError(f"{folder}: expected a picture for each view, found none{way}")
-    paths, said = _found(folder, names, pictures, colours, tiles, row)
-    return paths[:: -1 if right_to_left else 1], said
+    paths, description = _found(folder, names, pictures, colours, tiles, row)
+    return paths[:: -1 if right_to_left else 1], description
 
 
 def _found(

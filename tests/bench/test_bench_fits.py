@@ -151,7 +151,7 @@ def test_marks_are_those_within_the_fit_and_its_end():
 
 
 def test_scores_are_those_of_a_fit(photographs):
-    ours = fit.ARMS["ours"](photographs, FitSettings(steps=10, gaussians=200))
+    ours = fit.ARMS["ours"](photographs, FitSettings(steps=10, cap_max=200))
     ours.advance(10)
     expected = evaluated(ours.gaussians(), photographs.test, (0.0, 0.0, 0.0))
     found = fit.scores(ours, photographs.test)
@@ -162,7 +162,7 @@ def test_scores_are_those_of_a_fit(photographs):
 @pytest.mark.not_sanitized  # most of it is torch
 @pytest.mark.parametrize("arm", list(fit.RECIPES))
 def test_a_fit_in_the_peers_loop_learns(arm, photographs, gsplat):
-    settings = FitSettings(steps=60, gaussians=200)
+    settings = FitSettings(steps=60, cap_max=200)
     rows = list(fit._rows_of(photographs, arm, settings))
     peer = fit.ARMS[arm](photographs, settings)
     assert rows[-1]["psnr_db"] > fit.scores(peer, photographs.test)["psnr_db"] + 1
@@ -177,7 +177,7 @@ def test_a_fit_in_the_peers_loop_learns(arm, photographs, gsplat):
 
 
 def test_the_peers_loss_is_ours(photographs, gsplat):
-    settings = FitSettings(steps=8, gaussians=200)
+    settings = FitSettings(steps=8, cap_max=200)
     for masked in (False, True):
         if masked:
             photographs.train.weights = torch.zeros(photographs.train.photos.shape[:3], dtype=torch.uint8)
@@ -191,7 +191,7 @@ def test_the_peers_loss_is_ours(photographs, gsplat):
 
 
 def test_peers_take_the_photographs_in_the_order_of_ours(photographs, gsplat):
-    settings = FitSettings(steps=20, gaussians=200, seed=3)
+    settings = FitSettings(steps=20, cap_max=200, seed=3)
     peer = fit.ARMS["gsplat-mcmc"](photographs, settings)
     assert peer._order == Schedule.of(settings, photographs.train.count, "cpu").order[:, 0].tolist()
 

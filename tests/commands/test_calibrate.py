@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from command_line import complaint, run
 
-from lightfield_gs.base.srgb import light_of_srgb, srgb_of_light
+from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
@@ -104,10 +104,10 @@ def camera(start: Panel, true: Panel, eye, folder, name: str) -> list[str]:
     """Files of photographs of the three shifts: the panel seen straight on in a dark room, a few pixels a lens."""
     paths = []
     for shift in range(3):
-        seen = simulate(light_of_srgb(bars(start, shift) / 255), true, eye)
+        seen = simulate(decode_srgb(bars(start, shift) / 255), true, eye)
         photo = np.pad(seen.repeat(3, 0).repeat(3, 1), ((40, 50), (60, 30), (0, 0)))
         paths.append(str(folder / f"{name}-{shift}.png"))
-        write_image(paths[-1], np.rint(255 * srgb_of_light(photo)).astype(np.uint8))
+        write_image(paths[-1], np.rint(255 * encode_srgb(photo)).astype(np.uint8))
     return paths
 
 

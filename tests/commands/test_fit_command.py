@@ -14,7 +14,7 @@ from fit_capture import write_capture
 from PIL import Image
 
 from lightfield_gs import Gaussians, cli
-from lightfield_gs.commands.options.interrupts import Interrupts
+from lightfield_gs.commands.fit import Interrupts
 from lightfield_gs.fitting.trainer import Trainer
 
 QUICK = "--steps 40 --gaussians 180 --device cpu"

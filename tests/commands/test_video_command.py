@@ -19,8 +19,8 @@ from rgbd_scene import view
 from lightfield_gs import Gaussians, Rig, cli, encode, render
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.show.preview import to_integers
+from lightfield_gs.video.camera_path import turned, turntable
 from lightfield_gs.video.frame_folder import frame_name
-from lightfield_gs.video.turntable import turned, turntable
 from lightfield_gs.video.video_file import VideoFile
 
 SIZE = 40, 30

@@ -10,6 +10,7 @@ import torch
 from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene_of
 
 from lightfield_gs import Encoder, Gaussians, Panel, encode
+from lightfield_gs.base.cuda import free_memory
 from lightfield_gs.rasterizer import frame_cuda
 
 
@@ -143,10 +144,10 @@ def test_a_background_on_the_host_may_change_in_place(scene):
 
 def test_memory_that_torch_keeps_counts_as_room():
     device = torch.device("cuda", 0)
-    before = frame_cuda._free_bytes(device)
+    before = free_memory(device)
     kept = torch.empty(1 << 30, dtype=torch.uint8, device=device)
     del kept
-    assert frame_cuda._free_bytes(device) > before - (1 << 28)
+    assert free_memory(device) > before - (1 << 28)
 
 
 TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")

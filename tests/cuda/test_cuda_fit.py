@@ -47,7 +47,7 @@ class Run:
         self.first, self.second = self.fields.zeros_like(), self.fields.zeros_like()
         self.drawn = activated(self.fields)
         self.gradients = Gradients(*(torch.randn(shapes[k], **options) for k in (0, 2, 1, 3, 4)))
-        self.table = update_table(3, **fit_cases.RATES, noise_rate=300.0, device=CUDA)
+        self.table = update_table(3, **fit_cases.RATES, noise_lr=300.0, device=CUDA)
         self.step, self.skipped = (torch.zeros((), dtype=torch.int64, device=CUDA) for _ in range(2))
         self.image, self.photo = torch.rand(2, 1, 60, 80, 3, **options)
         self.losses = torch.zeros(4, device=CUDA)
@@ -94,7 +94,7 @@ def test_what_cannot_be_used_is_said():
 
 def fitted_fields(views: Views) -> list[torch.Tensor]:
     """What 60 steps make of a few Gaussians, with changes of density between them."""
-    settings = FitSettings(steps=60, gaussians=400, sh_degree=1)
+    settings = FitSettings(steps=60, cap_max=400, sh_degree=1)
     fit = Trainer(fit_scene.first_fields(fit_scene.known_scene(), settings, device=CUDA), views, settings)
     fit.advance(60)
     assert fit.done == 60 and fit.fields.count == 400 and not int(fit.counters.skipped)

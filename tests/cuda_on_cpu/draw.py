@@ -28,7 +28,7 @@ import surface_cases
 import torch
 
 import lightfield_gs
-from lightfield_gs.models import group_norm
+from lightfield_gs.models import unet
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rasterizer import frame_cuda
@@ -251,8 +251,8 @@ def main(what: str) -> object:
     if what == "sorted":
         return in_chunks()
     if what == "norms":
-        group_norm._is_ours = lambda *arguments: True
-        return [group_norm.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
+        unet._is_ours = lambda *arguments: True
+        return [unet.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
     if what == "sheet":
         return [sheet_cases.laid(case) for case in sheet_cases.CASES]
     if what == "surface":

@@ -23,14 +23,14 @@ LOSSES = [
 ]
 # Harmonics, Gaussians, what is special
 UPDATES = [(1, 64, ""), (4, 3, "seen"), (9, 131, ""), (9, 70, "unaligned"), (16, 130, "no numbers")]
-RATES = dict(means=2e-3, log_scales=5e-3, quaternions=1e-3, logits=0.05, sh_dc=2.5e-3, sh_rest=1.25e-4)
+RATES = dict(means_lr=2e-3, scales_lr=5e-3, quats_lr=1e-3, opacities_lr=0.05, sh0_lr=2.5e-3, shN_lr=1.25e-4)
 
 
 def loss_case(
     views: int,
     height: int,
     width: int,
-    ssim_share: float,
+    ssim_lambda: float,
     photo_bytes: bool,
     weighted: bool,
     dtype: torch.dtype,
@@ -43,7 +43,7 @@ def loss_case(
     weights[:, : height // 3] = 0
     given = photo if photo_bytes else photo.to(dtype) / 255
     shown = weights.to(device) if weighted else None
-    loss, gradient = photo_loss_and_gradient(image.to(device, dtype), given.to(device), shown, ssim_share)
+    loss, gradient = photo_loss_and_gradient(image.to(device, dtype), given.to(device), shown, ssim_lambda)
     return {"loss": loss.cpu(), "gradient": gradient.cpu()}
 
 
@@ -63,7 +63,7 @@ def update_case(harmonics: int, count: int, special: str, dtype: torch.dtype, de
     fields = RawFields(draw(count, 3), draw(count, 3) - 2, draw(count, 4), draw(count) - 4, draw(count, harmonics, 3))
     first, second = fields.zeros_like(), fields.zeros_like()
     scales, opacities = activated(fields)
-    shares = dict(noise_rate=300.0, opacity_share=0.5, scale_share=0.5)
+    shares = dict(noise_lr=300.0, opacity_reg=0.5, scale_reg=0.5)
     table = update_table(3, **RATES, **shares, dtype=dtype, device=device)
     step, skipped = (torch.zeros((), dtype=torch.int64, device=device) for _ in range(2))
     seen = (torch.arange(count) % 2).to(device, torch.uint8) if special == "seen" else None

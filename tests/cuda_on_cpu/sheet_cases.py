@@ -10,11 +10,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.harmonics import rotations
-from lightfield_gs.models.detail import SheetSurface, _flat, _sheet
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel, SheetSurface, _flat, _sheet, along_surface
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.sheet import lay_texels
-from lightfield_gs.models.upsample import along_surface
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 OTHERS = 5  # Gaussians behind the texels, which are nobody's business here

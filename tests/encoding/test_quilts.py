@@ -13,8 +13,7 @@ from lightfield_gs.encoding.weave_passes import TorchPasses
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.quilt import QUILT_PRESETS, layout_of_panel, stated_layout, with_suffix
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.view_sets.opened import open_views
-from lightfield_gs.view_sets.quilts import QuiltViews
+from lightfield_gs.view_sets.view_set import QuiltViews, open_views
 
 SIZE = PANEL.height_px, PANEL.width_px
 

@@ -79,8 +79,8 @@ def test_parts_are_drawn_from_the_gaussian_that_they_replace():
 def test_the_threshold_is_of_means_over_views_and_higher_for_absolute_gradients():
     before = fields_of([SMALL, SMALL])
     assert changed(before, [2.1e-4, 1.9e-4]).count == 3
-    assert changed(before, [2.1e-4, 1.9e-4], absolute_gradients=True) is before
-    assert changed(before, [2.1e-4, 1.9e-4], grow_gradient=1e-4).count == 4
+    assert changed(before, [2.1e-4, 1.9e-4], absgrad=True) is before
+    assert changed(before, [2.1e-4, 1.9e-4], grow_grad2d=1e-4).count == 4
 
 
 def test_faint_ones_are_pruned_and_huge_ones_once_opacities_were_reset():
@@ -95,12 +95,12 @@ def test_faint_ones_are_pruned_and_huge_ones_once_opacities_were_reset():
 
 def test_never_more_than_the_budget_and_the_strongest_first():
     before = fields_of([SMALL, SMALL, LARGE, SMALL, LARGE], [0.5, 0.5, 0.5, 0.5, 0.004])
-    after = changed(before, [3e-4, 5e-4, 4e-4, 4e-4, 9e-4], gaussians=6)
+    after = changed(before, [3e-4, 5e-4, 4e-4, 4e-4, 9e-4], cap_max=6)
     # Room for two beside the four that live: 1, and of 2 and 3, which are equal, the first
     assert after.count == 6
     assert torch.equal(after.values.means[:4], before.values.means[[0, 1, 3, 1]])
     full = fields_of([SMALL] * 3)
-    assert changed(full, [1.0] * 3, gaussians=3) is full
+    assert changed(full, [1.0] * 3, cap_max=3) is full
 
 
 def test_reset_makes_opacities_small_and_forgets_their_moments():
@@ -116,7 +116,7 @@ def test_reset_makes_opacities_small_and_forgets_their_moments():
     [
         ({}, [3000, 6000, 9000, 12000], [5000, 10000, 15000]),
         ({"steps": 15_000}, [1500, 3000, 4500, 6000], [2500, 5000, 7500]),
-        ({"refine_until": 12_500}, [3000, 6000, 9000], [5000, 10000, 12500]),
+        ({"refine_stop_iter": 12_500}, [3000, 6000, 9000], [5000, 10000, 12500]),
     ],
 )
 def test_when_opacities_are_reset_and_gaussians_sorted(options, resets, sorts):
@@ -132,10 +132,12 @@ def test_the_tally_adds_the_gradients_of_each_view_in_halves_of_the_image():
     views = views_of(scene)
     totals = []
     for count in (1, 2):  # the same six photographs, one or two at once
-        names = ("means", "log_scales", "quaternions", "logits", "sh_dc")
-        still = dict.fromkeys([f"rate_{name}" for name in names], 0.0)
+        names = ("means", "scales", "quats", "opacities", "sh0")
+        still = dict.fromkeys([f"{name}_lr" for name in names], 0.0)
         still["dropout"] = 0.0  # each step would leave out others, and steps are as many as the photographs or half
-        settings = settings_of(steps=6, views=count, sh_degree=0, refine_from=29_999, reset_every=30_000, **still)
+        settings = settings_of(
+            steps=6, batch_size=count, sh_degree=0, refine_start_iter=29_999, reset_every=30_000, **still
+        )
         trainer = Trainer(first_fields(scene, settings), views, settings)
         trainer.advance(6 // count)
         totals.append((trainer.tally.gradients, trainer.tally.drawn))
@@ -148,9 +150,7 @@ def test_a_fit_comes_nearer_and_repeats_bit_by_bit():
     scene = known_scene()
     views = views_of(scene)
     # Few rounds, as in a long fit, and one reset
-    settings = settings_of(
-        steps=200, gaussians=250, sh_degree=0, refine_every=2000, reset_every=7500, grow_gradient=1e-5
-    )
+    settings = settings_of(steps=200, cap_max=250, sh_degree=0, refine_every=2000, reset_every=7500, grow_grad2d=1e-5)
 
     def fitted(stops):
         trainer = Trainer(first_fields(scene, settings), views, settings)

@@ -139,7 +139,7 @@ def test_a_rig_stands_upright_though_photographs_are_stored_on_their_side(tags, 
     np.testing.assert_allclose(display.rig.world_to_camera, upright.world_to_camera, atol=1e-12)
     np.testing.assert_allclose(display.rig.focal_px, upright.focal_px)
     np.testing.assert_allclose(display.rig.principal_point_px, upright.principal_point_px)
-    assert [line for line in display.said if words in line]
+    assert [line for line in display.messages if words in line]
 
 
 def test_most_photographs_say_where_up_is():
@@ -150,8 +150,8 @@ def test_most_photographs_say_where_up_is():
     stored.photographs[2] = replace(stored.photographs[2], orientation=1)
     display = Display.of(stored, shown, "02.png")
     np.testing.assert_allclose(display.rig.world_to_camera, upright.rig.world_to_camera, atol=1e-12)
-    assert [line for line in display.said if "so that 4 of 5 photographs stand upright" in line]
-    assert not [line for line in upright.said if "Exif" in line]
+    assert [line for line in display.messages if "so that 4 of 5 photographs stand upright" in line]
+    assert not [line for line in upright.messages if "Exif" in line]
 
 
 def test_a_cone_is_a_panel_or_an_angle():
@@ -179,7 +179,7 @@ def test_photographs_come_as_often_as_their_weights_say():
 
 
 def test_equal_weights_change_nothing():
-    settings = FitSettings(steps=100, views=2)
+    settings = FitSettings(steps=100, batch_size=2)
     plain, equal = (Schedule.of(settings, 7, "cpu", shares).order for shares in (None, [1.0] * 7))
     assert torch.equal(plain, equal)
     epochs = plain.flatten()[:196].view(28, 7)
@@ -337,7 +337,7 @@ def known_capture(count: int = 7) -> Capture:
 def test_a_fit_for_a_panel_leaves_a_scene_that_encode_shows(tmp_path, capsys):
     file, scene = tmp_path / "panel.yaml", tmp_path / "scene.ply"
     panel(width_px=96, height_px=64, cone_deg=30.0).to_yaml(file)
-    options = dict(steps=60, gaussians=400, test_every=3, cone=file, progress=False, folder=tmp_path / "run")
+    options = dict(steps=60, cap_max=400, test_every=3, cone=file, progress=False, folder=tmp_path / "run")
     result = lf.fit(known_capture(), **options)
     result.save(scene)
     assert (
@@ -360,7 +360,7 @@ def test_a_fit_for_a_panel_leaves_a_scene_that_encode_shows(tmp_path, capsys):
 
 
 def test_a_fit_for_all_is_judged_in_the_same_cone():
-    options, shown = dict(steps=3, gaussians=200, test_every=3, progress=False), panel(cone_deg=20.0)
+    options, shown = dict(steps=3, cap_max=200, test_every=3, progress=False), panel(cone_deg=20.0)
     cone, whole = (lf.fit(known_capture(), **options, **how) for how in ({"cone": shown}, {"score_cone": 20.0}))
     assert cone.angles == whole.angles and whole.display is None and whole.shown is None
     assert whole.angles is not None and len(whole.angles.angles_deg) == 2

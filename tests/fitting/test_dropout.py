@@ -46,7 +46,7 @@ def test_as_many_as_asked_are_left_out_and_the_mean_stays():
 
 
 def test_gradients_of_a_step_are_those_of_what_it_draws():
-    settings = FitSettings(steps=4, gaussians=150, dropout=0.8, initial_opacity=0.1)
+    settings = FitSettings(steps=4, cap_max=150, dropout=0.8, init_opa=0.1)
     views = views_of(known_scene())
     trainer = Trainer(first_fields(known_scene(), settings), views, settings)
     trainer.counters.step.fill_(3)
@@ -59,7 +59,7 @@ def test_gradients_of_a_step_are_those_of_what_it_draws():
     image = render(
         replace(scene, opacities=opacities * factors), views.cameras().select(slice(1, 2)), background=(0, 0, 0)
     )
-    gradient = photo_loss_and_gradient(image.detach(), views.photos[1:2], None, settings.ssim_share)[1]
+    gradient = photo_loss_and_gradient(image.detach(), views.photos[1:2], None, settings.ssim_lambda)[1]
     (expected,) = torch.autograd.grad(image, opacities, gradient)
     assert expected.abs().max() > 0
     torch.testing.assert_close(found.fields.opacities, expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
@@ -76,7 +76,7 @@ def test_a_fit_to_few_photographs_says_what_it_leaves_out(tmp_path, capsys):
     capture = write_capture(tmp_path / "capture", count=13)
     lines = []
     for given in (dict(test_every=8), dict(test_every=8, dropout=0.2), dict(test_every=None)):
-        result = lf.fit(capture, steps=2, gaussians=200, device="cpu", **given)
+        result = lf.fit(capture, steps=2, cap_max=200, device="cpu", **given)
         said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("steps leave out")]
         lines.append((result.settings.dropout, said))
     few = (

@@ -59,7 +59,7 @@ def test_a_fit_finds_the_scene_behind_exposures():
     views.photos = (right.photos * gains).clamp(0, 255).to(torch.uint8)
     scores = []
     for exposure in (False, True):
-        settings = FitSettings(steps=300, gaussians=300, sh_degree=1, exposure=exposure)
+        settings = FitSettings(steps=300, cap_max=300, sh_degree=1, exposure=exposure)
         trainer = Trainer(first_fields(scene, settings, 300), views, settings)
         trainer.advance(settings.steps)
         scores.append(psnr_db(trainer.fields, right))

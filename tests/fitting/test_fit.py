@@ -19,17 +19,17 @@ import lightfield_gs as lf
 from lightfield_gs import InputError
 from lightfield_gs.fitting import checkpoint, memory
 from lightfield_gs.fitting.checkpoint import Identity
-from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.settings import FORMER_NAMES, FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.captures.capture import read_capture
 
-QUICK = dict(steps=60, gaussians=200, device="cpu", progress=False, test_every=8)
+QUICK = dict(steps=60, cap_max=200, device="cpu", progress=False, test_every=8)
 # Density changes every 2 steps from step 10 on, harmonics every 20: something is due at many of the first 60
-SETTINGS = FitSettings(steps=600, gaussians=220)
+SETTINGS = FitSettings(steps=600, cap_max=220)
 KINDS = {
     "mcmc": SETTINGS,
-    "adaptive": replace(SETTINGS, density="adaptive", grow_gradient=1e-5),
-    "all": replace(SETTINGS, exposure=True, poses=True, views=2, background=None, antialiased=True),
+    "adaptive": replace(SETTINGS, density="adaptive", grow_grad2d=1e-5),
+    "all": replace(SETTINGS, exposure=True, poses=True, batch_size=2, background=None, antialiased=True),
 }
 
 
@@ -139,6 +139,16 @@ def test_a_checkpoint_of_the_former_default_of_dropout_is_of_the_share_that_it_s
         replace(identity, settings={**asdict(SETTINGS), "dropout": 0.3}).check(tmp_path, stored)
 
 
+def test_a_checkpoint_with_the_former_names_of_settings_goes_on(tmp_path):
+    now = {new: old for old, new in FORMER_NAMES.items()}
+    former = {now.get(name, name): value for name, value in asdict(SETTINGS).items()}
+    assert former["rate_sh_dc"] == SETTINGS.sh0_lr and "sh0_lr" not in former
+    identity = Identity(asdict(SETTINGS), {}, 6)
+    identity.check(tmp_path, {"settings": former, "capture": {}})
+    with pytest.raises(InputError, match="sh0_lr was 0.5 and is 0.0025"):
+        identity.check(tmp_path, {"settings": former | {"rate_sh_dc": 0.5}, "capture": {}})
+
+
 def test_a_file_that_is_no_checkpoint_is_refused(capture, tmp_path):
     path = tmp_path / checkpoint.FILE
     other = torch.zeros(1)
@@ -154,15 +164,15 @@ def test_a_file_that_is_no_checkpoint_is_refused(capture, tmp_path):
 
 
 def test_a_fit_that_gains_nothing_ends_early_where_asked(capture):
-    still = {f"rate_{name}": 0.0 for name in ("means", "log_scales", "quaternions", "logits", "sh_dc", "sh_rest")}
-    given = {**QUICK, **still, "gaussians": 150, "noise_rate": 0.0, "evaluate_every": 5}
+    still = {f"{name}_lr": 0.0 for name in ("means", "scales", "quats", "opacities", "sh0", "shN")}
+    given = {**QUICK, **still, "cap_max": 150, "noise_lr": 0.0, "evaluate_every": 5}
     result = lf.fit(capture, stop_early=True, **given)
     assert result.steps == 20 and not result.stopped  # the best was the first: three after it were no better
     assert lf.fit(capture, **given).steps == 60
 
 
 def test_the_scene_is_in_the_coordinates_of_the_capture(capture, tmp_path):
-    result = lf.fit(capture, **{**QUICK, "steps": 2, "gaussians": 150})
+    result = lf.fit(capture, **{**QUICK, "steps": 2, "cap_max": 150})
     points = read_capture(capture).points
     assert np.abs(np.median(result.gaussians.means.numpy(), 0) - np.median(points, 0)).max() < 0.01
     result.save(tmp_path / "s.ply")
@@ -182,11 +192,11 @@ def test_scalars_for_tensorboard_are_written_where_asked(capture, tmp_path, monk
 def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
     monkeypatch.setattr(memory, "free_bytes", lambda device: 1_000_000_000)
     with pytest.raises(InputError, match="--gaussians.*--scale.*--sh-degree"):
-        lf.fit(capture, **{**QUICK, "gaussians": 1_000_000})
+        lf.fit(capture, **{**QUICK, "cap_max": 1_000_000})
 
 
 def test_memory_is_that_of_the_formula():
-    need = memory.needed(FitSettings(gaussians=1000, sh_degree=1, views=2), 10, 40, 30)
+    need = memory.needed(FitSettings(cap_max=1000, sh_degree=1, batch_size=2), 10, 40, 30)
     assert need == (10 * 40 * 30 * 4, 6 * 4 * 1000 * 23, 4 * 1000 * 23, 2 * (450 * 1000 + 90 * 1200))
 
 
@@ -195,10 +205,10 @@ def test_memory_is_that_of_the_formula():
     [
         ({"step": 3}, "did you mean steps"),
         ({"antialiased": 1}, "antialiased: expected bool"),
-        ({"rate_means": "fast"}, "rate_means"),
+        ({"means_lr": "fast"}, "means_lr"),
         ({"refine_every": "often"}, "refine_every"),
-        ({"means_decay": 0}, "means_decay"),
-        ({"initial_scale": 0}, "initial_scale"),
+        ({"means_lr_decay": 0}, "means_lr_decay"),
+        ({"init_scale": 0}, "init_scale"),
         ({"background": 1}, "background"),
         ({"device": "tpu"}, "device"),
         ({"test_names": "a.png"}, "test_names"),

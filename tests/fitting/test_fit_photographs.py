@@ -20,7 +20,7 @@ def test_a_fit_of_real_photographs_shows_others_better_and_better():
         capture = read_capture(BANANA, longest_px=94)
     assert len(capture.names) == 14 and len(capture.points) > 4000
     result = lf.fit(
-        capture, steps=400, gaussians=1500, sh_degree=1, test_every=9, evaluate_every=40, device="cpu", progress=False
+        capture, steps=400, cap_max=1500, sh_degree=1, test_every=9, evaluate_every=40, device="cpu", progress=False
     )
     first, last = result.history[0]["psnr_db"], result.history[-1]["psnr_db"]
     assert result.scores is not None and result.scores.names == ["DSC_0427.jpg", "DSC_0438.jpg"]

@@ -52,7 +52,7 @@ def test_a_random_background_empties_what_masks_leave_out():
     views.photos[:, :, :24] = 0
     views.opacity = torch.full_like(views.photos[..., 0], 255)
     views.opacity[:, :, :24] = 0
-    settings = FitSettings(steps=250, gaussians=300, sh_degree=0, masks="alpha", background=None)
+    settings = FitSettings(steps=250, cap_max=300, sh_degree=0, masks="alpha", background=None)
     trainer = Trainer(first_fields(scene, settings, 300), views, settings)
     alpha = [cut_out(views_of(scene), gaussians)[1] for gaussians in (scene, trainer.fields.gaussians())]
     trainer.advance(settings.steps)
@@ -97,18 +97,18 @@ def test_masks_that_leave_nothing_are_refused(tmp_path):
     folder = blackened(tmp_path / "all", everything)
     for masks in ("ignore", "alpha"):
         with pytest.raises(InputError, match="masks leave nothing of 8 of 8 photographs, and nothing to fit to"):
-            lf.fit(folder, steps=2, gaussians=200, masks=masks, progress=False)
+            lf.fit(folder, steps=2, cap_max=200, masks=masks, progress=False)
     folder = blackened(tmp_path / "fitted", everything[:4] + everything[5:])
     with pytest.raises(InputError, match="masks leave nothing of 7 of 8 photographs, and nothing"):
-        lf.fit(folder, steps=2, gaussians=200, progress=False)
+        lf.fit(folder, steps=2, cap_max=200, progress=False)
 
 
 def test_no_photograph_is_scored_by_no_pixels(tmp_path):
     folder = blackened(tmp_path / "held", ["04.png"])
     with pytest.warns(Assumption, match="nothing of 1 of 8 photographs, which count nowhere and are not scored: 04"):
-        assert lf.fit(folder, steps=2, gaussians=200, score_cone=30, progress=False).scores is None
+        assert lf.fit(folder, steps=2, cap_max=200, score_cone=30, progress=False).scores is None
     folder = blackened(tmp_path / "some", ["02.png", "05.png"])
     with pytest.warns(Assumption, match="nothing of 2 of 8 photographs, which count nowhere"):
-        result = lf.fit(folder, steps=2, gaussians=200, test_every=4, score_cone=30, progress=False)
+        result = lf.fit(folder, steps=2, cap_max=200, test_every=4, score_cone=30, progress=False)
     assert result.scores.names == ["06.png"]
     assert result.scores.mean_psnr_db < 50 and torch.isfinite(result.gaussians.means).all()

@@ -61,7 +61,7 @@ def mcmc_settings(**options) -> FitSettings:
 
 
 def test_relocation_moves_the_dead_to_the_living():
-    settings = mcmc_settings(gaussians=150)
+    settings = mcmc_settings(cap_max=150)
     fields = first_fields(known_scene(), settings)
     dead = torch.arange(0, 150, 3)
     fields.values.logits[dead] = -7
@@ -87,7 +87,7 @@ def test_relocation_moves_the_dead_to_the_living():
 
 @pytest.mark.parametrize("steps, start, budget", [(30_000, 150, 40_000), (60, 150, 5_000), (3_000, 7, 31)])
 def test_the_number_is_that_of_the_budget_in_the_end(steps, start, budget):
-    settings = mcmc_settings(steps=steps, gaussians=budget)
+    settings = mcmc_settings(steps=steps, cap_max=budget)
     rounds = [step for step in range(1, steps + 1) if settings.refines_after(step)]
     assert [settings.rounds_from(step) for step in rounds] == list(range(len(rounds), 0, -1))
     count = start
@@ -101,7 +101,7 @@ def test_the_number_is_that_of_the_budget_in_the_end(steps, start, budget):
 def test_a_fit_comes_nearer_and_repeats_bit_by_bit():
     scene = known_scene()
     views = views_of(scene)
-    settings = mcmc_settings(steps=150, gaussians=250)
+    settings = mcmc_settings(steps=150, cap_max=250)
 
     def fitted(stops):
         trainer = Trainer(first_fields(scene, settings), views, settings)

@@ -19,23 +19,23 @@ def views(count: int, height: int, width: int, seed: int = 0) -> tuple[Tensor, T
     return photo + 0.3 * noise, photo
 
 
-def plain_loss(image: Tensor, photo: Tensor, ssim_share: float) -> Tensor:
+def plain_loss(image: Tensor, photo: Tensor, ssim_lambda: float) -> Tensor:
     """By torch and the oracle of SSIM, summed over views."""
     similarity = ssim(image.movedim(-1, 1), photo.movedim(-1, 1))
-    return ((1 - ssim_share) * (image - photo).abs().mean((1, 2, 3)) + ssim_share * (1 - similarity)).sum()
+    return ((1 - ssim_lambda) * (image - photo).abs().mean((1, 2, 3)) + ssim_lambda * (1 - similarity)).sum()
 
 
 @pytest.mark.parametrize("size", [(1, 1, 1), (2, 4, 7), (3, 37, 50)])
-@pytest.mark.parametrize("ssim_share", [0.0, 0.2, 1.0])
-def test_loss_and_gradient_are_those_of_plain_torch(size, ssim_share):
+@pytest.mark.parametrize("ssim_lambda", [0.0, 0.2, 1.0])
+def test_loss_and_gradient_are_those_of_plain_torch(size, ssim_lambda):
     image, photo = views(*size)
     image.requires_grad_()
-    expected = plain_loss(image, photo, ssim_share)
+    expected = plain_loss(image, photo, ssim_lambda)
     (gradient,) = torch.autograd.grad(expected, image)
-    loss, found = photo_loss_and_gradient(image, photo, ssim_share=ssim_share)
+    loss, found = photo_loss_and_gradient(image, photo, ssim_lambda=ssim_lambda)
     torch.testing.assert_close(loss, expected.detach(), rtol=1e-12, atol=1e-15)
     torch.testing.assert_close(found, gradient, rtol=1e-9, atol=1e-14)
-    loss32, found32 = photo_loss_and_gradient(image.detach().float(), photo.float(), ssim_share=ssim_share)
+    loss32, found32 = photo_loss_and_gradient(image.detach().float(), photo.float(), ssim_lambda=ssim_lambda)
     torch.testing.assert_close(loss32.double(), expected.detach(), rtol=1e-5, atol=1e-7)
     assert (found32.double() - gradient).norm() <= 1e-4 * gradient.norm()
 
@@ -99,7 +99,7 @@ def test_any_number_of_threads_gives_the_same_bits():
         (dict(photo=None), "photo: expected torch.Tensor, got NoneType"),
         (dict(weights=torch.ones(1, 4, 4, 3)), r"weights must be \[1, 4, 4\]"),
         (dict(weights=torch.ones(1, 4, 4, dtype=torch.uint8)), "weights must be torch.float32"),
-        (dict(ssim_share=1.5), "ssim_share must be 0..1, got 1.5"),
+        (dict(ssim_lambda=1.5), "ssim_lambda must be 0..1, got 1.5"),
     ],
 )
 def test_what_cannot_be_used_is_said(change, message):

@@ -98,11 +98,9 @@ def test_cameras_that_are_off_come_back():
     views = views_of(scene)
     right = views.world_to_camera
     views.world_to_camera = shaken(right, 0.004)
-    settings = FitSettings(steps=150, gaussians=scene.count, sh_degree=0, refine_from=30_000, poses=True)
-    still = dict(rate_means=0.0, rate_log_scales=0.0, rate_quaternions=0.0, rate_logits=0.0, noise_rate=0.0)
-    settings = FitSettings(
-        **vars(settings) | still | dict(rate_poses=1e-3, opacity_share=0.0, scale_share=0.0, dropout=0.0)
-    )
+    settings = FitSettings(steps=150, cap_max=scene.count, sh_degree=0, refine_start_iter=30_000, poses=True)
+    still = dict(means_lr=0.0, scales_lr=0.0, quats_lr=0.0, opacities_lr=0.0, noise_lr=0.0)
+    settings = FitSettings(**vars(settings) | still | dict(poses_lr=1e-3, opacity_reg=0.0, scale_reg=0.0, dropout=0.0))
     trainer = Trainer(Fields.of(scene), views, settings)
     trainer.advance(settings.steps)
     assert trainer.poses is not None and not trainer.poses.world_to_camera.equal(views.world_to_camera)

@@ -55,7 +55,7 @@ with several.joined("cpu") as (group, device):
 def fitted(density: str, group: Group, device: str) -> dict[str, object]:
     """A fit that is the same in all processes of the group: the first step's fields, and what came of it."""
     settings = FitSettings(
-        steps=120, gaussians=200, views=2, sh_degree=1, density=density, exposure=True, poses=True, dropout=0.05
+        steps=120, cap_max=200, batch_size=2, sh_degree=1, density=density, exposure=True, poses=True, dropout=0.05
     )
     scene = known_scene()
     views = views_of(scene, device=device)

@@ -21,7 +21,7 @@ from lightfield_gs.fitting.update import (
     update_table,
 )
 
-RATES = dict(means=2e-3, log_scales=5e-3, quaternions=1e-3, logits=0.05, sh_dc=2.5e-3, sh_rest=1.25e-4)
+RATES = dict(means_lr=2e-3, scales_lr=5e-3, quats_lr=1e-3, opacities_lr=0.05, sh0_lr=2.5e-3, shN_lr=1.25e-4)
 DOUBLE = torch.float64
 
 
@@ -62,9 +62,11 @@ def some_gradients(fields: RawFields, step: int) -> Gradients:
 @pytest.mark.parametrize("harmonics", [1, 4, 9, 16])
 @pytest.mark.parametrize("seen", [False, True])
 def test_fifty_steps_are_those_of_torch(harmonics, seen):
-    steps, shares = 50, dict(opacity_share=0.01, scale_share=0.02)
+    steps, shares = 50, dict(opacity_reg=0.01, scale_reg=0.02)
     means = torch.linspace(2e-3, 2e-5, steps, dtype=DOUBLE)
-    run = Run(raw_fields(harmonics=harmonics), update_table(steps, **RATES | dict(means=means), **shares, dtype=DOUBLE))
+    run = Run(
+        raw_fields(harmonics=harmonics), update_table(steps, **RATES | dict(means_lr=means), **shares, dtype=DOUBLE)
+    )
     mask = (torch.arange(40) % 3 > 0).to(torch.uint8) if seen else None
     leaves = RawFields(*(field.clone().requires_grad_() for field in run.fields))
     dc, rest = leaves.sh[:, :1].detach().requires_grad_(), leaves.sh[:, 1:].detach().requires_grad_()
@@ -98,7 +100,7 @@ def test_fifty_steps_are_those_of_torch(harmonics, seen):
 def test_float32_follows_float64():
     found = []
     for dtype in (torch.float32, DOUBLE):
-        run = Run(raw_fields(1500, 16, dtype), update_table(20, **RATES, noise_rate=30.0, dtype=dtype))
+        run = Run(raw_fields(1500, 16, dtype), update_table(20, **RATES, noise_lr=30.0, dtype=dtype))
         for step in range(20):
             run.update(some_gradients(run.fields, step))
         found.append(run.fields)
@@ -121,7 +123,8 @@ def test_noise_is_that_of_mcmc():
     fields = raw_fields(50)
     fields.logits[:] = torch.linspace(-9, 2, 50, dtype=DOUBLE)
     run = Run(
-        fields, update_table(4, **dict.fromkeys(RATES, 0.0) | dict(means=1e-3), noise_rate=[0, 0, 5e5, 0], dtype=DOUBLE)
+        fields,
+        update_table(4, **dict.fromkeys(RATES, 0.0) | dict(means_lr=1e-3), noise_lr=[0, 0, 5e5, 0], dtype=DOUBLE),
     )
     nothing = Gradients(*(torch.zeros_like(g) for g in some_gradients(fields, 0)))
     before = fields.means.clone()
@@ -139,7 +142,7 @@ def test_noise_is_that_of_mcmc():
 @pytest.mark.parametrize("field", range(5))
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e30])
 def test_gaussians_with_gradients_that_are_no_numbers_are_left_alone(field, value):
-    run = Run(raw_fields(), update_table(3, **RATES, noise_rate=5e5, opacity_share=0.01, dtype=DOUBLE))
+    run = Run(raw_fields(), update_table(3, **RATES, noise_lr=5e5, opacity_reg=0.01, dtype=DOUBLE))
     gradients = some_gradients(run.fields, 0)
     gradients[field][7].view(-1)[-1] = value
     tensors = [*run.fields, *run.first, *run.second, run.scales, run.opacities]
@@ -151,7 +154,7 @@ def test_gaussians_with_gradients_that_are_no_numbers_are_left_alone(field, valu
 
 
 def test_fields_stay_within_their_limits():
-    run = Run(raw_fields(), update_table(200, **RATES | dict(log_scales=1.0, logits=1.0)))
+    run = Run(raw_fields(), update_table(200, **RATES | dict(scales_lr=1.0, opacities_lr=1.0)))
     run = Run(RawFields(*(field.float() for field in run.fields)), run.table)
     signs = (-1.0) ** torch.arange(40)
     gradients = Gradients(*(torch.zeros_like(g) for g in some_gradients(run.fields, 0)))
@@ -170,7 +173,7 @@ def test_any_number_of_threads_gives_the_same_bits():
     try:
         for count in (1, 2, 5):
             torch.set_num_threads(count)
-            run = Run(raw_fields(5000, 9, torch.float32), update_table(2, **RATES, noise_rate=5e5))
+            run = Run(raw_fields(5000, 9, torch.float32), update_table(2, **RATES, noise_lr=5e5))
             gradients = some_gradients(run.fields, 0)
             gradients.means[::700] = math.nan
             run.update(gradients)
@@ -183,13 +186,13 @@ def test_any_number_of_threads_gives_the_same_bits():
 
 
 def test_a_table_holds_each_number_of_each_step():
-    table = update_table(3, **RATES | dict(means=[3.0, 2.0, 1.0]), noise_rate=4.0, betas=(0.5, 0.9), dtype=DOUBLE)
+    table = update_table(3, **RATES | dict(means_lr=[3.0, 2.0, 1.0]), noise_lr=4.0, betas=(0.5, 0.9), dtype=DOUBLE)
     assert table[:, 0].tolist() == [3, 2, 1] and table[:, 8].tolist() == [4, 4, 4]
     torch.testing.assert_close(table[:, 6:8], torch.tensor([[0.5, 0.1], [0.75, 0.19], [0.875, 0.271]], dtype=DOUBLE))
-    with pytest.raises(InputError, match="logits must be one number or one for each of 3 steps"):
-        update_table(3, **RATES | dict(logits=[1.0, 2.0]))
-    with pytest.raises(InputError, match="means must be finite and not negative"):
-        update_table(3, **RATES | dict(means=math.nan))
+    with pytest.raises(InputError, match="opacities_lr must be one number or one for each of 3 steps"):
+        update_table(3, **RATES | dict(opacities_lr=[1.0, 2.0]))
+    with pytest.raises(InputError, match="means_lr must be finite and not negative"):
+        update_table(3, **RATES | dict(means_lr=math.nan))
 
 
 @pytest.mark.parametrize(

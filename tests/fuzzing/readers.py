@@ -27,9 +27,8 @@ from lightfield_gs.encoding.view_files import read_cameras, read_view_map
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.io.captures.colmap import read_model_file
-from lightfield_gs.io.captures.srn import read_intrinsics, read_pose
-from lightfield_gs.io.captures.transforms import read_transforms
+from lightfield_gs.io.captures.colmap_files import read_model_file
+from lightfield_gs.io.captures.objects import read_intrinsics, read_pose, read_transforms
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
 from lightfield_gs.models.config import ModelConfig

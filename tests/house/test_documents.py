@@ -42,7 +42,6 @@ pytestmark = pytest.mark.not_sanitized
 
 SMALL = replace(PANEL, views=96)  # documents name views of the default panel
 UNET = {"base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [8], "heads": 2}
-MOST_README_LINES = 110
 by_name = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 
 
@@ -310,7 +309,3 @@ def test_no_sentence_is_written_twice():
         for sentence in sentences(document):
             assert sentence not in owner, (document.name, owner[sentence], sentence)
             owner[sentence] = document.name
-
-
-def test_the_readme_stays_short():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= MOST_README_LINES

@@ -25,10 +25,9 @@ from PIL import Image
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import COLMAP_MODELS, lens_of
-from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.io.captures.capture import read_capture, scene_extent
 from lightfield_gs.io.captures.colmap import read_model
-from lightfield_gs.io.captures.resampling import reduced
-from lightfield_gs.io.captures.spread import extent_of
+from lightfield_gs.io.captures.undistortion import reduced
 
 
 def said(*arguments, **options) -> tuple:
@@ -346,11 +345,11 @@ def test_extent_is_that_of_kerbl_but_for_outliers(tmp_path):
     capture, _ = said(tmp_path)
     assert capture.extent == pytest.approx(1.1 * 2)
     centres = np.concatenate([capture.centres, [(300.0, 0, 0)]])
-    assert extent_of(centres, capture.points) == pytest.approx(1.1 * 2)
+    assert scene_extent(centres, capture.points) == pytest.approx(1.1 * 2)
     uneven = np.random.default_rng(0).normal(size=(40, 3)) * (1, 0.2, 1)
-    assert extent_of(uneven, capture.points) == 1.1 * np.linalg.norm(uneven - uneven.mean(0), axis=1).max()
-    assert extent_of(np.zeros((3, 3)), np.array([(0, 0, 5.0)])) == 5
-    assert extent_of(np.zeros((1, 3)), np.zeros((0, 3))) == 1
+    assert scene_extent(uneven, capture.points) == 1.1 * np.linalg.norm(uneven - uneven.mean(0), axis=1).max()
+    assert scene_extent(np.zeros((3, 3)), np.array([(0, 0, 5.0)])) == 5
+    assert scene_extent(np.zeros((1, 3)), np.zeros((0, 3))) == 1
 
 
 def test_split_holds_out_the_middle_of_every_few(tmp_path):

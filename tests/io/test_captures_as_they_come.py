@@ -10,12 +10,12 @@ from capture_scene import CENTRE, FOCAL, HEIGHT, WIDTH, dots, ring, said, write_
 from PIL import Image
 from transforms_scene import OPENGL
 
+from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.srgb import srgb_of_light
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.captures.colmap import read_model
-from lightfield_gs.io.captures.colmap_records import pose_of
+from lightfield_gs.io.captures.pinhole import pose_matrix
 from lightfield_gs.io.images import write_image
 
 
@@ -94,8 +94,8 @@ def test_poses_are_those_of_frames_and_rigs(tmp_path, form):
     with pytest.warns(Assumption, match=f"the poses of 2 of 4 photographs are those of frames.{form} and rigs.{form}"):
         found = [image.world_to_camera for image in read_model(tmp_path).images]
     np.testing.assert_array_equal([found[0], found[2]], [before[0], before[2]])
-    np.testing.assert_allclose(found[1], pose_of(*RIG) @ pose_of(*poses[0]), atol=1e-14)
-    np.testing.assert_allclose(found[3], pose_of(*poses[2]), atol=1e-14)
+    np.testing.assert_allclose(found[1], pose_matrix(*RIG) @ pose_matrix(*poses[0]), atol=1e-14)
+    np.testing.assert_allclose(found[3], pose_matrix(*poses[2]), atol=1e-14)
 
 
 def test_the_largest_of_several_models_is_read(tmp_path):
@@ -224,7 +224,7 @@ def test_linear_photographs_are_encoded(tmp_path):
         write_image(tmp_path / "images" / name, light)
     capture, assumed = said(tmp_path)
     assert "3 of 3 photographs hold linear light, as 0.exr: it is encoded as sRGB" in assumed
-    np.testing.assert_array_equal(capture.image(0), np.rint(255 * srgb_of_light(light.clip(0, 1))))
+    np.testing.assert_array_equal(capture.image(0), np.rint(255 * encode_srgb(light.clip(0, 1))))
 
 
 def test_names_are_matched_after_normalising(tmp_path):

@@ -13,7 +13,7 @@ from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.io.captures.colmap_records import pose_of
+from lightfield_gs.io.captures.pinhole import pose_matrix
 
 
 def test_scaled_rotations_are_divided_by_their_scale(tmp_path):
@@ -140,7 +140,7 @@ def test_raw_data_of_polycam(tmp_path):
         (tmp_path / "keyframes" / kind).rename(tmp_path / f"keyframes/corrected_{kind}")
     for found in (capture, said(tmp_path)[0]):
         assert found.names == [f"{1000 + index}.jpg" for index in range(4)]
-        np.testing.assert_allclose(found.world_to_camera, [pose_of(*pose) for pose in ring(4)], atol=1e-12)
+        np.testing.assert_allclose(found.world_to_camera, [pose_matrix(*pose) for pose in ring(4)], atol=1e-12)
         np.testing.assert_array_equal(found.intrinsics[0], [70, 78, *CENTRE])
     (tmp_path / "keyframes/corrected_cameras/1001.json").write_text("{}")
     with pytest.raises(InputError, match="1001.json: fx: missing: expected a number"):
@@ -151,7 +151,7 @@ def test_record3d(tmp_path):
     poses = []
     for turn, shift in ring(4):  # world to camera: about y, and away
         w, _, y, _ = turn
-        place = -pose_of(turn, shift)[:3, :3].T @ shift
+        place = -pose_matrix(turn, shift)[:3, :3].T @ shift
         poses.append([w, 0, 0, 0, *place])  # x, y, z, w: turned half about x, to OpenGL's axes, and back about y
         poses[-1][:4] = [w, 0, y, 0]
     data = {"w": WIDTH, "h": HEIGHT, "K": [70, 0, 0, 0, 78, 0, *CENTRE, 1], "poses": [*poses, [0] * 7], "fps": 60}
@@ -160,7 +160,7 @@ def test_record3d(tmp_path):
     for index in range(5):
         Image.fromarray(dots([(20, 20)])).save(tmp_path / f"rgb/{index}.jpg")
     capture, assumed = said(tmp_path)
-    np.testing.assert_allclose(capture.world_to_camera, [pose_of(*pose) for pose in ring(4)], atol=1e-12)
+    np.testing.assert_allclose(capture.world_to_camera, [pose_matrix(*pose) for pose in ring(4)], atol=1e-12)
     assert capture.names == ["0.jpg", "1.jpg", "2.jpg", "3.jpg"] and "1 of 5 frames has no pose there" in assumed
     np.testing.assert_array_equal(capture.intrinsics[0], [70, 78, *CENTRE])
     data["perFrameIntrinsicCoeffs"] = [[60 + index, 61, 40, 30] for index in range(5)]
@@ -178,7 +178,7 @@ def test_cameras_json_beside_photographs(tmp_path):
     (tmp_path / "cameras.json").write_text(json.dumps(entries))
     for given in (tmp_path, tmp_path / "cameras.json"):
         capture = said(given)[0]
-        np.testing.assert_allclose(capture.world_to_camera, [pose_of(*pose) for pose in ring(3)], atol=1e-12)
+        np.testing.assert_allclose(capture.world_to_camera, [pose_matrix(*pose) for pose in ring(3)], atol=1e-12)
 
 
 def test_files_that_are_no_capture_are_named(tmp_path):

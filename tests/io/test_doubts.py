@@ -9,7 +9,7 @@ import pytest
 from command_line import PANEL, run, scene
 
 from lightfield_gs import cli
-from lightfield_gs.commands.options.panel import doubts_of_units
+from lightfield_gs.app.panel import doubts_of_units
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.rig import Rig
 

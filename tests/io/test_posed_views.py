@@ -13,9 +13,10 @@ from transforms_scene import CAMERA, edit, write_transforms
 
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.lens import COEFFICIENTS, distorted, share_beyond
+from lightfield_gs.io.captures.camera_models import BROWN_COEFFICIENTS, distort_brown
 from lightfield_gs.io.captures.masks import masks_beside
-from lightfield_gs.io.captures.transforms import read_transforms
+from lightfield_gs.io.captures.objects import read_transforms
+from lightfield_gs.io.captures.undistortion import fraction_beyond
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object
 from training.data.validate import main, problems
@@ -143,7 +144,7 @@ def test_names_of_other_systems(tmp_path):
         read_object(file)
 
 
-LENS = dict(zip(COEFFICIENTS, (-0.21, 0.05, -0.02, 0.01, 0.004, -0.006)))
+LENS = dict(zip(BROWN_COEFFICIENTS, (-0.21, 0.05, -0.02, 0.01, 0.004, -0.006)))
 
 
 def test_lens_model_is_the_formula():
@@ -155,7 +156,7 @@ def test_lens_model_is_the_formula():
             x * radial + 2 * LENS["p1"] * x * y + LENS["p2"] * (r2 + 2 * x**2),
             y * radial + LENS["p1"] * (r2 + 2 * y**2) + 2 * LENS["p2"] * x * y,
         )
-        np.testing.assert_allclose(distorted(np.array([x, y]), np.array([*LENS.values()])), expected, rtol=1e-14)
+        np.testing.assert_allclose(distort_brown(np.array([x, y]), np.array([*LENS.values()])), expected, rtol=1e-14)
 
 
 def test_distorted_pictures_become_those_of_a_pinhole_camera(tmp_path):
@@ -166,8 +167,8 @@ def test_distorted_pictures_become_those_of_a_pinhole_camera(tmp_path):
     seen = (places - (30, 26)) / (50, 55)
     points = seen.copy()
     for _ in range(50):  # the inverse: which point is seen in each pixel
-        points -= distorted(points, np.array([*LENS.values()])) - seen
-    assert np.abs(distorted(points, np.array([*LENS.values()])) - seen).max() < 1e-12
+        points -= distort_brown(points, np.array([*LENS.values()])) - seen
+    assert np.abs(distort_brown(points, np.array([*LENS.values()])) - seen).max() < 1e-12
     scene = 128 + 140 * points
     for path in (tmp_path / "a/transforms").iterdir():
         picture = np.dstack([scene, np.full(scene.shape[:2], 77)]).round().clip(0, 255)
@@ -200,11 +201,11 @@ def test_alpha_and_masks_are_undistorted_too(tmp_path, capsys):
 
 def test_how_much_of_a_picture_is_beyond_the_undistorted_one():
     intrinsics, none = np.array([70.0, 70, 32, 24]), np.zeros(6)
-    assert share_beyond(intrinsics, none, 64, 48) == 0
+    assert fraction_beyond(intrinsics, none, 64, 48) == 0
     k1 = np.array([-0.3, 0, 0, 0, 0, 0])
     # In the middle of each side the frame ends at r (1 + k1 r^2) of the stored picture, in corners at less.
     sides = [r * (1 - 0.3 * r**2) / r for r in (32 / 70, 24 / 70)]
-    assert 1 - sides[0] * sides[1] < share_beyond(intrinsics, k1, 64, 48) < 0.25
+    assert 1 - sides[0] * sides[1] < fraction_beyond(intrinsics, k1, 64, 48) < 0.25
 
 
 def test_contact_sheet_shows_what_is_left_out(tmp_path, capsys):

@@ -9,7 +9,7 @@ from faulty_set import assert_fault_is_named
 from PIL import Image
 from srn_scene import look_at, write_object
 
-from lightfield_gs.io.captures.srn import read_pose
+from lightfield_gs.io.captures.objects import read_pose
 from training.comparison import azimuths_from_source
 from training.data.cache import load_set
 from training.data.images import read_view

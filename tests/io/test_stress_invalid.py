@@ -140,7 +140,7 @@ CALLS = {
         dict(
             capture="/nowhere",
             steps=3,
-            gaussians=9,
+            cap_max=9,
             density="mcmc",
             test_every=8,
             test_names=["a.png"],
@@ -151,7 +151,7 @@ CALLS = {
             stop=lambda: False,
             background=(0, 0, 0),
             antialiased=True,
-            rate_means=1e-4,
+            means_lr=1e-4,
             seed=1,
             dropout=0.1,
         ),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from panel_cases import template_panel
 
+from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.srgb import light_of_srgb, srgb_of_light
 from lightfield_gs.commands.calibrate_fit import doubts_of
 from lightfield_gs.panels.calibration_fit import fit_lens
 from lightfield_gs.panels.calibration_photos import Place, bilinear, find_corners, homography
@@ -35,7 +35,7 @@ def perturbed(panel: Panel) -> Panel:
 
 def photograph(image, true, eye, corners=CORNERS, size=(520, 780), noise=0.01, seed=0) -> np.ndarray:
     """8-bit codes of what a camera at the eye takes of the panel in a dark room: in perspective, blurred, noisy."""
-    seen = simulate(light_of_srgb(image / 255), true, eye)
+    seen = simulate(decode_srgb(image / 255), true, eye)
     y, x = np.mgrid[0 : size[0], 0 : size[1]] + 0.5
     back = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(homography(corners)).T
     uv = back[..., :2] / back[..., 2:]
@@ -44,7 +44,7 @@ def photograph(image, true, eye, corners=CORNERS, size=(520, 780), noise=0.01, s
     light = np.where(inside[..., None], bilinear(seen, places), 0.004)
     for axis in (0, 1):
         light = (np.roll(light, 1, axis) + 2 * light + np.roll(light, -1, axis)) / 4
-    code = srgb_of_light(np.clip(light, 0, 1)) + noise * np.random.default_rng(seed).standard_normal(light.shape)
+    code = encode_srgb(np.clip(light, 0, 1)) + noise * np.random.default_rng(seed).standard_normal(light.shape)
     return np.rint(255 * np.clip(code, 0, 1)).astype(np.uint8)
 
 
@@ -88,7 +88,7 @@ def test_one_image_in_three_colours_will_do():
 
 
 def test_corners_are_found_to_a_fraction_of_a_pixel():
-    light = light_of_srgb(np.mean(places(START, EYES[:1])[0].photos, 0) / 255).mean(2)
+    light = decode_srgb(np.mean(places(START, EYES[:1])[0].photos, 0) / 255).mean(2)
     assert np.abs(find_corners(light) - CORNERS).max() < 0.5
 
 

@@ -135,7 +135,7 @@ def test_numbers_that_stand_for_the_sky_are_far(tmp_path, sky, dtype, scale):
     z = read_depth(tmp_path / "s.npy", scale=scale)
     assert np.allclose(z[1], 80) and np.allclose(z[0, :4], [1, 1.5, 2, 40]) and np.isnan(z[0, 4])
     assert np.isnan(read_depth(tmp_path / "s.npy", scale=scale, invalid="hole")[1]).all()
-    assert "50.0% sky (" in depth_map("s.npy", read_numbers(tmp_path / "s.npy"), scale=scale).said
+    assert "50.0% sky (" in depth_map("s.npy", read_numbers(tmp_path / "s.npy"), scale=scale).description
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_the_depth_channel_of_an_exr_is_taken_beside_a_picture(tmp_path, name, g
     write_channels(tmp_path / "z.exr", picture | other | {name: Z})
     numbers = read_numbers(tmp_path / "z.exr")
     assert np.array_equal(numbers.values, Z.astype(np.float32)) and numbers.kind == "distance"
-    assert depth_map("z.exr", numbers).said.startswith(f"channel {name}: distance as z ")
+    assert depth_map("z.exr", numbers).description.startswith(f"channel {name}: distance as z ")
 
 
 def test_the_depth_part_of_an_exr_of_several_is_taken(tmp_path):

@@ -93,7 +93,7 @@ def test_metric_networks_give_distances(folder, transformers):
     with torch.no_grad():
         network = depth_network._network(model, "cpu")
         values = depth_network._predicted(model, network, photo)
-    assert "distances" in found.said and found.focal_px is None
+    assert "distances" in found.description and found.focal_px is None
     assert float(values.min()) * 0.999 <= found.z.min() <= found.z.max() <= float(values.max()) * 1.001
     with pytest.raises(lf.InputError, match="--depth-range is for disparities"):
         depth_from_network(photo, model, "cpu", limits=(1, 2))

@@ -23,7 +23,7 @@ SWAPPED = matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE, name="swapped")
 def test_an_embedded_profile_is_honoured(tmp_path, suffix, options):
     found = photo(save(tmp_path / f"a.{suffix}", picture(colour=(0.8, 0.3, 0.1)), icc_profile=SWAPPED, **options))
     assert np.abs(found.pixels[130, 170, :3] / 255 - [0.3, 0.8, 0.1])[:2].max() < 0.02
-    assert found.said[1] == "profile 'swapped' converted to sRGB" and found.notes == []
+    assert found.messages[1] == "profile 'swapped' converted to sRGB" and found.notes == []
 
 
 def test_profiles_that_say_srgb_or_nothing(tmp_path):
@@ -32,7 +32,7 @@ def test_profiles_that_say_srgb_or_nothing(tmp_path):
     for profile, word in ((srgb, ""), (SWAPPED[:200], "cannot be read"), (b"no profile", "cannot be read")):
         for suffix in ("png", "tif"):
             found = photo(save(tmp_path / f"a.{suffix}", picture(), icc_profile=profile))
-            assert np.array_equal(found.pixels[..., :3], values) and len(found.said) == 1
+            assert np.array_equal(found.pixels[..., :3], values) and len(found.messages) == 1
             assert [word in note for note in found.notes] == ([True] if word else [])
 
 
@@ -52,7 +52,7 @@ def test_a_png_without_a_profile_has_its_gamma_or_a_note(tmp_path):
         found = photo(tmp_path / "a.png")
         assert [word in note for note in found.notes] == ([True] if word else [])
         assert found.floats()[130, 170, 0] == pytest.approx(0.502 if word else 0.7366, abs=1e-3)
-        assert ("linear, encoded as sRGB" in found.said) == (word == "")
+        assert ("linear, encoded as sRGB" in found.messages) == (word == "")
 
 
 def test_sixteen_bits_with_a_profile_are_converted_in_eight(tmp_path):
@@ -62,7 +62,9 @@ def test_sixteen_bits_with_a_profile_are_converted_in_eight(tmp_path):
     assert out.open(str(tmp_path / "a.png"), spec)
     assert out.write_image(to_integers(picture(colour=(0.8, 0.3, 0.1)), 16)) and out.close()
     found = photo(tmp_path / "a.png")
-    assert np.abs(found.pixels[130, 170, :3] / 255 - [0.3, 0.8, 0.1])[:2].max() < 0.02 and "in 8 bits" in found.said[1]
+    assert (
+        np.abs(found.pixels[130, 170, :3] / 255 - [0.3, 0.8, 0.1])[:2].max() < 0.02 and "in 8 bits" in found.messages[1]
+    )
 
 
 @pytest.mark.parametrize("suffix, dtype", [("tif", "uint8"), ("tif", "uint16"), ("exr", "float32")])
@@ -82,7 +84,7 @@ def test_linear_files_are_encoded_as_a_photo_is(tmp_path):
     write_image(tmp_path / "a.exr", linear)
     found = photo(tmp_path / "a.exr")
     assert np.allclose(found.pixels[130, 170, :3], [0.735357, 0.01292, 1], atol=1e-5)  # IEC 61966-2-1
-    assert "linear, encoded as sRGB" in found.said and "brighter than white" in found.notes[0]
+    assert "linear, encoded as sRGB" in found.messages and "brighter than white" in found.notes[0]
 
 
 # AVIF and HEIC

@@ -55,7 +55,7 @@ def test_pieces_of_the_object_stay(tmp_path):
     cut_out[10:13, 300:303, 3] = 1
     found = photo(save(tmp_path / "b.png", cut_out))
     assert np.array_equal(found.pixels[..., 3] > 0, mask)
-    assert found.said == [
+    assert found.messages == [
         f"cut out by its alpha, fills {mask.mean():.1%} of the picture, 225 x 79 pixels, in 8 pieces "
         "(specks beside it left out: 1)"
     ]
@@ -95,7 +95,7 @@ def test_alpha_that_covers_nearly_everything_cuts_nothing_out(tmp_path):
     for rows, columns in ((np.s_[:4], np.s_[:4]), (np.s_[-4:], np.s_[-4:])):
         corners[rows, columns] = 0
     found = photo(save(tmp_path / "plain.png", np.dstack([picture() * corners[..., None], corners])))
-    assert np.abs(found.pixels[..., 3] / 255 - THING).mean() < 0.001 and "its alpha covers 100.0%" in found.said[0]
+    assert np.abs(found.pixels[..., 3] / 255 - THING).mean() < 0.001 and "its alpha covers 100.0%" in found.messages[0]
     noise = np.random.default_rng(0).random((HEIGHT, WIDTH, 3))
     found = photo(save(tmp_path / "busy.png", np.dstack([noise, corners])))
     assert np.array_equal(found.pixels[..., 3], 255 * corners) and "all of it is taken as one object" in found.notes[0]
@@ -207,7 +207,7 @@ def test_large_photos_are_cut_out_by_blocks_in_bytes(tmp_path, monkeypatch):
     for module in (plain, colour):
         monkeypatch.setattr(module, "_MOST_PIXELS", HEIGHT * WIDTH // 4)
     write_image(tmp_path / "b.png", to_integers(picture()[:-1, :-1], 16))
-    assert "taken in 8 bits for its size" in photo(tmp_path / "b.png").said
+    assert "taken in 8 bits for its size" in photo(tmp_path / "b.png").messages
     found = photo(path)
     assert np.abs(found.pixels[..., 3] / 255 - whole.pixels[..., 3] / 255).mean() < 0.004
     assert found.pixels.shape == whole.pixels.shape and np.array_equal(found.pixels[..., :3], whole.pixels[..., :3])

@@ -11,7 +11,7 @@ import torch
 from rasterizer_cases import all_subpixels, panel, projected, random_scene, rig
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference
-from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.encoding.views import render_views
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.panels.lens import lens_view, view_aperture
@@ -224,7 +224,7 @@ def test_the_page_does_the_same():
     fan, options = rig(shown), {"background": BACKGROUND, "view_filter": WIDTH}
     stage = Stage(scene, shown, fan, BACKGROUND, view_filter=WIDTH)
     assert np.array_equal(stage.native(Controls())[0], encode(scene, shown, stage._rig(Controls()), **options).numpy())
-    want = bytes_of(render_views(scene, shown, stage._rig(Controls()), [shown.views / 2], **options))[0]
+    want = to_bytes(render_views(scene, shown, stage._rig(Controls()), [shown.views / 2], **options))[0]
     assert np.array_equal(stage.eye(Controls(), shown.width_px, still=False).pixels, want)
 
 

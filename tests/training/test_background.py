@@ -10,7 +10,7 @@ from PIL import Image
 from srn_scene import write_object
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.views import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectViews
 from training.data import validate
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object

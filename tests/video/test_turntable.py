@@ -9,7 +9,7 @@ from command_line import PANEL, scene
 
 from lightfield_gs import Gaussians, InputError, Rig, encode
 from lightfield_gs.scene.axes import upright
-from lightfield_gs.video.turntable import pivot_of, turned, turntable
+from lightfield_gs.video.camera_path import pivot_point, turned, turntable
 
 
 def place(rig: Rig) -> np.ndarray:
@@ -41,7 +41,7 @@ def test_the_middle_of_the_panel_stays_and_the_height_above_it():
     rig, up = tilted_rig(), np.array([0.0, -1, 0])
 
     def pivot(rig: Rig) -> np.ndarray:
-        return rig.world_to_camera[:3, :3].T @ (pivot_of(rig, PANEL) - rig.world_to_camera[:3, 3])
+        return rig.world_to_camera[:3, :3].T @ (pivot_point(rig, PANEL) - rig.world_to_camera[:3, 3])
 
     for turn in turntable(rig, PANEL, 8, 360, up):
         np.testing.assert_allclose(pivot(turn), pivot(rig), atol=1e-12)
@@ -53,7 +53,7 @@ def test_going_round_is_the_scene_turned_the_other_way():
     gaussians = scene()
     rig = Rig.frame(gaussians, PANEL)
     point = torch.from_numpy(
-        rig.world_to_camera[:3, :3].T @ (pivot_of(rig, PANEL) - rig.world_to_camera[:3, 3])
+        rig.world_to_camera[:3, :3].T @ (pivot_point(rig, PANEL) - rig.world_to_camera[:3, 3])
     ).float()
     angle = math.radians(40)
     back = np.array([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])

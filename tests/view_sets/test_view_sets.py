@@ -11,19 +11,18 @@ from command_line import complaint, run
 from icc_profile import matrix_profile
 from PIL import Image
 
-from lightfield_gs.base.assumptions import heard
+from lightfield_gs.base.assumptions import collect_assumptions
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.view_sets.file_names import arranged
-from lightfield_gs.view_sets.frames import Span
-from lightfield_gs.view_sets.opened import open_views
-from lightfield_gs.view_sets.quilts import QuiltViews
+from lightfield_gs.view_sets.movies import Span
+from lightfield_gs.view_sets.view_set import QuiltViews, open_views
 
 
 def in_order(*names):
     """The names as they are arranged, given by name, and what is told of it."""
-    with heard() as lines:
+    with collect_assumptions() as lines:
         found = arranged(Path("d"), [Path(name) for name in sorted(names)])
     assert not isinstance(found, dict)
     return [path.name for path in found], " ".join(lines)
@@ -31,7 +30,7 @@ def in_order(*names):
 
 def rows_of(*names):
     """The grid of cameras that names make, as rows of names."""
-    with heard() as lines:
+    with collect_assumptions() as lines:
         found = arranged(Path("d"), [Path(name) for name in sorted(names)])
     assert isinstance(found, dict) and "of a grid of cameras" in lines[0]
     rows = sorted({row for row, _ in found})
@@ -108,9 +107,9 @@ def write_views(folder: Path, views: dict[str, np.ndarray]) -> Path:
 
 def shown(path: Path, *args, **options) -> tuple[list[np.ndarray], str]:
     """The views of a path, and all that is said of them."""
-    with heard() as lines:
+    with collect_assumptions() as lines:
         found = open_views(path, *args, **options)
-    return [found.views.view(number) for number in range(found.views.count)], " ".join([found.said, *lines])
+    return [found.views.view(number) for number in range(found.views.count)], " ".join([found.description, *lines])
 
 
 def test_depth_maps_among_the_views_are_left_out_and_said(tmp_path):
@@ -306,7 +305,7 @@ def test_each_frame_of_a_video_is_one_view_whenever_it_comes(tmp_path):
         container.mux(stream.encode(None))
     views, said = shown(tmp_path / "a.mkv", span=Span())
     assert len(views) == 4 and "repeated" not in said
-    with heard() as lines:
+    with collect_assumptions() as lines:
         assert len(open_views(tmp_path / "a.mkv", (2, 2)).numbers) == 7 and "repeated to 7" in lines[0]
 
 
@@ -333,6 +332,6 @@ def test_damaged_animations_and_exif_are_refused_in_a_line(tmp_path):
             for place in rng.integers(0, min(len(damaged), 200), 3):
                 damaged[place] = rng.integers(256)
             path.write_bytes(damaged)
-            with heard(), contextlib.suppress(InputError):
+            with collect_assumptions(), contextlib.suppress(InputError):
                 found = open_views(path, span=Span() if path.suffix == ".gif" else None)
                 [found.views.view(k) for k in range(found.views.count)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.views import ObjectViews, depths_of_object
+from lightfield_gs.io.captures.objects import ObjectViews, depths_of_object
 
 OBJECT_DISTANCE = 1.3
 _NEAREST, _FARTHEST = 0.75, 1.33  # times that, of cameras that are not scaled: further off the network has no depths

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.captures.lens import source_places, undistorted
-from lightfield_gs.io.captures.masks import read_mask
-from lightfield_gs.io.captures.views import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectViews
+from lightfield_gs.io.captures.photograph import read_mask
+from lightfield_gs.io.captures.undistortion import brown_source_positions, undistort
 from lightfield_gs.io.images import read_image, read_info
 from training.data.background import Background, Choice, border_of, find_background, premultiplied
 
@@ -77,8 +77,8 @@ def _straightened(views: ObjectViews, index: int, image: np.ndarray) -> np.ndarr
     """A stored picture [H,W,C] without its lens distortion."""
     if views.distortion is None or not views.distortion[index].any():
         return image
-    places = source_places(views.intrinsics[index], views.distortion[index], views.width_px, views.height_px)
-    return undistorted(image, places)
+    places = brown_source_positions(views.intrinsics[index], views.distortion[index], views.width_px, views.height_px)
+    return undistort(image, places)
 
 
 def _cut_out(views: ObjectViews, index: int, cutout: Cutout) -> np.ndarray:

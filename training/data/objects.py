@@ -10,9 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.srn import PARTS, read_srn
-from lightfield_gs.io.captures.transforms import read_transforms
-from lightfield_gs.io.captures.views import ObjectViews
+from lightfield_gs.io.captures.objects import PARTS, ObjectViews, read_srn, read_transforms
 from training.data.distance import at_object_distance
 
 SPLITS = ("train", "val", "test")

@@ -21,9 +21,8 @@ from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.atomic import atomic_folder, check_new_folder, make_folder
 from lightfield_gs.io.captures.camera_models import COLMAP_MODELS
 from lightfield_gs.io.captures.capture import Capture, read_capture
-from lightfield_gs.io.captures.colmap import ColmapModel, read_model
-from lightfield_gs.io.captures.colmap_capture import model_folder
-from lightfield_gs.io.captures.colmap_records import ColmapCamera
+from lightfield_gs.io.captures.colmap import ColmapModel, model_folder, read_model
+from lightfield_gs.io.captures.colmap_files import ColmapCamera
 from training.command import with_line_errors
 
 LONGEST_PX, QUALITY = 564, 88

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.captures.views import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectViews
 from training.data.images import Cutout, read_colours, read_view
 
 _THUMB_PX, _VIEWS, _OBJECTS, _TITLE_PX, _GAP_PX = 128, 8, 40, 14, 4

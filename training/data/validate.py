@@ -16,10 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.base.complaint import note
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.lens import share_beyond, words
-from lightfield_gs.io.captures.views import ObjectViews
+from lightfield_gs.io.captures.camera_models import describe_coefficients
+from lightfield_gs.io.captures.objects import ObjectViews
+from lightfield_gs.io.captures.undistortion import fraction_beyond
 from lightfield_gs.io.images import read_info
 from lightfield_gs.photo.plain import cut_from_plain_background
 from training.command import with_line_errors
@@ -95,10 +96,11 @@ def _lens(views: ObjectViews) -> str:
     """What is done about lens distortion, by the first view."""
     fx, fy, cx, cy = intrinsics = views.intrinsics[0]
     lens = views.distortion[0]
-    beyond = share_beyond(intrinsics, lens, views.width_px, views.height_px)
+    beyond = fraction_beyond(intrinsics, lens, views.width_px, views.height_px)
     return (
-        f"undistorted ({words(lens)}) to a pinhole camera of {views.width_px} x {views.height_px} px, fx {fx:g}, "
-        f"fy {fy:g}, cx {cx:g}, cy {cy:g}; {beyond:.0%} of the stored picture lies beyond it"
+        f"undistorted ({describe_coefficients(lens)}) to a pinhole camera of "
+        f"{views.width_px} x {views.height_px} px, fx {fx:g}, fy {fy:g}, "
+        f"cx {cx:g}, cy {cy:g}; {beyond:.0%} of the stored picture lies beyond it"
     )
 
 

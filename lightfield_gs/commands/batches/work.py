@@ -12,16 +12,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.host_copies import HostCopies
+from lightfield_gs.app.encoding import Encoding, outputs_of, use_threads
+from lightfield_gs.app.photo_depth import AUTO
+from lightfield_gs.app.scene import files_read
+from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.hashes import facts
 from lightfield_gs.batch.item import Item
 from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record
 from lightfield_gs.batch.plan import Known
 from lightfield_gs.batch.worker import Place
-from lightfield_gs.commands.options.encoding import Encoding, outputs_of, use_threads
-from lightfield_gs.commands.options.estimated import AUTO
-from lightfield_gs.commands.options.framed import files_read
 from lightfield_gs.commands.options.parser import Parser, joined
 from lightfield_gs.io.atomic import make_folder
 
@@ -91,7 +91,7 @@ class EncodeTask:
 
     def record(self) -> Record:
         """Status, inputs and outputs, as far as they are known."""
-        said = getattr(getattr(self, "encoding", None), "said", [])
+        said = getattr(getattr(self, "encoding", None), "messages", [])
         return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": list(said)}
 
     def files(self) -> list[Path | str | None]:
@@ -180,8 +180,8 @@ class VideoTask(EncodeTask):
 
     def begin(self) -> None:
         """Checks the options before the first picture is read."""
-        from lightfield_gs.commands.options.panel import load_panel
-        from lightfield_gs.commands.options.video import checked_result
+        from lightfield_gs.app.panel import load_panel
+        from lightfield_gs.app.video import checked_result
 
         self.args = self._args()
         self.result = checked_result(self._args(), load_panel(self.args)).path

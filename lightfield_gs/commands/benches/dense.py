@@ -9,7 +9,7 @@ import torch
 
 from lightfield_gs.bench import dense
 from lightfield_gs.commands.options import bench as options
-from lightfield_gs.commands.options.values import whole_numbers
+from lightfield_gs.commands.options.parser import whole_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

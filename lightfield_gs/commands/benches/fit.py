@@ -13,7 +13,7 @@ from lightfield_gs.bench.fit_data import Photographs
 from lightfield_gs.bench.pareto_plot import check_plot
 from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.options import bench as options
-from lightfield_gs.commands.options.values import whole
+from lightfield_gs.commands.options.parser import whole
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.json_file import write_json
@@ -65,7 +65,7 @@ def rows(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     arms = fit.usual_arms(args.device, options.progress) if args.arms is None else args.arms.split(",")
     fit.check_arms(arms)
     settings = FitSettings(
-        steps=args.steps or fit.STEPS[args.device], gaussians=args.gaussians or fit.GAUSSIANS[args.device]
+        steps=args.steps or fit.STEPS[args.device], cap_max=args.gaussians or fit.GAUSSIANS[args.device]
     )
     capture = read_capture(args.capture, longest_px=args.longest_px or fit.LONGEST_PX[args.device])
     options.progress(f"{args.capture}: reading {len(capture.names)} photographs")

@@ -13,7 +13,7 @@ from lightfield_gs.bench.light_field import Case, bench_case, harmonics_cost
 from lightfield_gs.bench.oracle import ORACLE_SAMPLES
 from lightfield_gs.bench.tables import comparison_line, cost_line, table
 from lightfield_gs.commands.options import bench as options
-from lightfield_gs.commands.options.values import byte_size
+from lightfield_gs.commands.options.parser import byte_size
 
 BENCH_METHODS = (*METHODS, *peers.PEERS)
 SCENES, USUAL_METHODS = ("sheet:128",), ("direct",)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from lightfield_gs.app.photo import detail_given
 from lightfield_gs.bench import photo
 from lightfield_gs.commands.options import bench as options
-from lightfield_gs.commands.options.detail import add_detail, detail_given
+from lightfield_gs.commands.options.scene import add_detail
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

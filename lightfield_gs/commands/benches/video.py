@@ -10,7 +10,7 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import video
 from lightfield_gs.commands.options import bench as options
-from lightfield_gs.commands.options.values import whole
+from lightfield_gs.commands.options.parser import whole
 
 SCENE = "sheet:128"
 

@@ -1,288 +1,103 @@
-"""An input on its way to the image of a panel, in three parts: what `encode` does once, and `batch` over and over."""
+"""Options of `lightfield-gs encode`, which `batch` has too."""
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
+from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
+from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
+from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.parser import byte_size, threads
+from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 
-from lightfield_gs.base.arrays import on_host
-from lightfield_gs.base.complaint import note
-from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import comments_of, read_given
-from lightfield_gs.commands.options.encode import bits_of, check_options, views_given
-from lightfield_gs.commands.options.estimated import depth_file, depth_model, is_estimated
-from lightfield_gs.commands.options.framed import drawn_of, files_read, frame_scene
-from lightfield_gs.commands.options.panel import load_panel
-from lightfield_gs.commands.options.provenance import file_facts, package_versions, scene_facts, software
-from lightfield_gs.commands.options.scene import check_scene_path, read_source
-from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
-from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.io.png_cuda import compressed_image, deflated, deflates
-from lightfield_gs.io.png_file import CompressedImage
-from lightfield_gs.panels.panel import Panel
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from lightfield_gs.base.host_copies import HostCopies, HostCopy
-    from lightfield_gs.commands.options.photo import ReadPhoto
-    from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.files import SceneFile
-    from lightfield_gs.scene.gaussians import Gaussians
+Add = Callable[..., argparse.Action]
 
 
-class Encoding:
-    """args.input to args.output: `read`, then `draw`, then `write`, each in any thread.
-
-    `draw` alone needs the device; `read` and `write` are the host's work, beside which other inputs are drawn. What can
-    be refused before anything is read is refused when it is made. said: lines on what was decided; stats: those of
-    `encode`. copies: of one input after the other from CUDA to the host; with them `draw` does not wait for the image,
-    and counts nothing for the stats. All raise InputError.
-    """
-
-    def __init__(self, args: argparse.Namespace, watch: Stopwatch, copies: HostCopies | None = None) -> None:
-        self.args, self.watch, self.said = args, watch, list[str]()
-        self.bits = _check_files(args)
-        check_options(args)
-        self.panel = load_panel(args)
-        self.device = choose_device(args.device)
-        self.given, self.views = read_given(args, self.panel), views_given(args, self.panel)
-        self.rig: Rig | None = None
-        self.stats: dict[str, Any] = {}
-        self.stored: np.ndarray | CompressedImage  # the image as it is written
-        self.image: np.ndarray  # its pixels, where the host has them
-        self._counts = copies is None or self.device == "cpu"
-        self._copies = copies
-        self._copy: HostCopy | None = None
-        self._deflated: Tensor | None = None  # the image as the device has compressed it
-        self._source: SceneFile | ReadPhoto | None = None
-        watch.lap("start")
-
-    def read(self) -> None:
-        """Reads the files of the input."""
-        self._source = read_source(self.args)
-
-    def draw(self) -> None:
-        """Makes the scene of what was read, and the image of the scene, which is on its way to the host then."""
-        import torch
-
-        args, panel = self.args, self.panel
-        source, self._source = self._source, None  # its memory is of no use any more
-        with torch.inference_mode():
-            gaussians, self.file, self.said = drawn_of(args, cast("SceneFile", source), panel, self.device, self.watch)
-            _note_slow_ways(args, panel, self.device)
-            # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
-            if "cameras" in self.views:
-                self.views["cameras"] = self.views["cameras"].relative_to(gaussians.origin)
-            else:
-                self.rig, how = frame_scene(args, panel, self.given, gaussians, self.file)
-                self.said += how
-            self.gaussians = gaussians
-            parts = self._parts(self._drawn(self.stats if self._counts else None))
-            if self._copies is not None and parts[0].is_cuda:
-                self._copy = self._copies.begin([*parts, *gaussians.fields().values()])
-            else:
-                self._take([on_host(part) for part in parts])
-        self.watch.lap("image", self.stats.get("stages_ms"))
-
-    def _parts(self, image: Tensor) -> list[Tensor]:
-        """What the host needs of the image: the facts of what the device has compressed, or the pixels, or both."""
-        args = self.args
-        if not deflates(image, args.output, args.compression):
-            return [image]
-        self._deflated, facts = deflated(image)
-        return [facts] if args.preview is None else [facts, image]
-
-    def _take(self, parts: Sequence[np.ndarray]) -> None:
-        """Takes these parts on the host."""
-        out, self._deflated = self._deflated, None
-        if out is None:
-            self.image = parts[0]
-            self.stored = _stored(self.image, self.bits)
-        else:
-            facts = parts[0]
-            if len(parts) > 1:
-                self.image = parts[1]
-            self.stored = compressed_image((self.panel.height_px, self.panel.width_px, 3), out, facts)
-
-    def _drawn(self, stats: dict[str, Any] | None) -> Tensor:
-        """The image, and what `encode` tells of it in stats."""
-        from lightfield_gs.encoding.encode import encode
-
-        args = self.args
-        return encode(
-            self.gaussians,
-            self.panel,
-            self.rig,
-            args.method,
-            views=args.views,
-            background=args.background,
-            output="uint8" if self.bits == 8 else "float32",
-            quality=args.quality,
-            threads=args.threads,
-            stats=stats,
-            antialiased=args.antialiased,
-            view_filter=args.view_filter,
-            **self.views,
-        )
-
-    def write(self) -> None:
-        """Writes all that was asked for."""
-        from lightfield_gs.scene.gaussians import of_tensors
-
-        if self._copy is None:
-            self._write()
-            return
-        import torch
-
-        copies = self._copy.wait()
-        try:
-            count = len(copies) - len(self.gaussians.fields())
-            with torch.cuda.stream(torch.cuda.Stream(self.device)):  # on which nothing is queued that is drawn since
-                self._take([copy.numpy() for copy in copies[:count]])
-            if self.args.preview is None:  # which is drawn where they were
-                self.gaussians = replace(of_tensors(copies[count:]), origin=self.gaussians.origin)
-            self._write()
-        finally:
-            for name in ("gaussians", "image", "stored"):  # which are in memory that others write over
-                vars(self).pop(name, None)
-            self._copy.release()
-
-    def _write(self) -> None:
-        import torch
-
-        args, gaussians, panel = self.args, self.gaussians, self.panel
-        rig_of_file = self.rig and self.rig.relative_to([-part for part in gaussians.origin])
-        with torch.inference_mode():
-            facts = _metadata(args, gaussians, panel, rig_of_file)
-            write_image(args.output, self.stored, facts, args.compression)
-            if args.save_rig is not None:
-                cast("Rig", rig_of_file).to_yaml(args.save_rig)
-            if args.save_gaussians is not None:
-                gaussians.save(args.save_gaussians, comments_of(args, panel, self.file, rig_of_file))
-                along = ", with the framing and what is up" if args.save_gaussians.suffix.lower() == ".ply" else ""
-                self.said.append(f"{args.save_gaussians}: the Gaussians in their own axes{along}")
-            self.watch.lap("write")
-            if args.preview is not None:
-                from lightfield_gs.show.preview import write_preview
-
-                drawn_as = args.background, args.antialiased, args.view_filter
-                write_preview(args.preview, self.image, gaussians, panel, cast("Rig", self.rig), *drawn_as)
-                self.watch.lap("preview")
-            self._note_if_empty()
-
-    def _note_if_empty(self) -> None:
-        count = self.gaussians.count
-        if not self._counts:
-            if not _is_plain(self.stored):
-                return
-            self.gaussians = self.gaussians.to(self.device)
-            self._drawn(self.stats)
-        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
-            note(
-                f"{self.args.output} is all background: none of {count} Gaussians is within what the cameras see, or "
-                "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
-            )
+def add_encoding(add: Add) -> None:
+    """All that says how one input becomes an image, whether it is alone or one of many."""
+    add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
+    add_camera(add)
+    add_look(add)
+    add_depth_report(add)
+    add_views(add)
+    add_scene(
+        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)"
+    )
+    add_method(add)
+    add_antialiased(add)
+    add_view_filter(add)
+    add_background(add)
+    add_file(add)
 
 
-def _check_files(args: argparse.Namespace) -> int:
-    """Raises InputError for files that cannot be written, or would be written over; returns the bits of the image."""
-    bits = bits_of(check_image_path(args.output), args.bit_depth)
-    if args.save_rig is not None:
-        check_output_path(args.save_rig)
-    if args.save_gaussians is not None:
-        check_scene_path(args.save_gaussians)
-    if args.preview is not None:
-        check_folder(args.preview)
-    check_outputs(outputs_of(args), files_read(args))
-    return bits
+def add_device(add: Add) -> None:
+    add(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)",
+    )
 
 
-def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None:
-    """Says where a panel or an option keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_way
-    from lightfield_gs.rasterizer.quality import Quality
-
-    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
-    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
-        note(why)
-    if (args.antialiased or args.view_filter) and args.quality != "exact" and device == "cuda":
-        note(
-            f"{'anti-aliased scenes' if args.antialiased else 'filtered views'} are drawn neither from lattices nor in "
-            f"half precision on CUDA: --quality {args.quality} saves little time"
-        )
-
-
-def _is_plain(image: np.ndarray | CompressedImage) -> bool:
-    """Whether an image has one colour."""
-    if isinstance(image, CompressedImage):
-        return image.is_plain
-    return all(bool((part == image[0, 0]).all()) for part in (image[::64, ::16], image))
+def add_views(add: Add) -> None:
+    """Cameras and a view map in place of a rig and a lens."""
+    add(
+        "--cameras",
+        type=Path,
+        metavar="JSON",
+        help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
+        "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
+        "the panel)",
+    )
+    add(
+        "--view-map",
+        type=Path,
+        metavar="NPY",
+        help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
+        "-1 for the background",
+    )
 
 
-def outputs_of(args: argparse.Namespace) -> list[Path | None]:
-    """All files that the command writes; None for what was not asked for."""
-    outputs = [args.output, args.save_rig, args.save_gaussians]
-    if args.preview is None:
-        return outputs
-    from lightfield_gs.show.preview import FILES
+def add_method(add: Add) -> None:
+    """How the image is computed."""
+    add(
+        "--method",
+        choices=METHODS,
+        default="direct",
+        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
+        "picture a view, then interlaced (slow; for comparison)",
+    )
+    add(
+        "--memory-budget",
+        type=byte_size,
+        metavar="SIZE",
+        help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
+        "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)",
+    )
+    add(
+        "--views",
+        choices=VIEWS,
+        default="integer",
+        help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)",
+    )
+    add(
+        "--quality",
+        choices=QUALITY_NAMES,
+        default="exact",
+        help="less time for more error, of --method direct (default exact)",
+    )
 
-    return [*outputs, *(args.preview / name for name in FILES)]
 
-
-def _stored(image: np.ndarray, bits: int) -> np.ndarray:
-    if bits != 16:
-        return image
-    from lightfield_gs.show.preview import to_integers
-
-    return to_integers(image, 16)
-
-
-def use_threads(threads: int) -> None:
-    import OpenImageIO as oiio
-    import torch
-
-    torch.set_num_threads(threads)
-    oiio.attribute("threads", threads)
-
-
-def _metadata(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig | None) -> dict[str, str]:
-    """What the image was made from and by; the values but "software" and "input" are JSON."""
-    scene = scene_facts(gaussians)
-    if any(gaussians.origin):
-        scene["origin"] = gaussians.origin
-    encoding = {
-        "method": args.method,
-        "views": args.views,
-        "background": list(args.background),
-        "quality": args.quality,
-        **({"antialiased": True} if args.antialiased else {}),
-        **({"view_filter": args.view_filter} if args.view_filter else {}),
-    }
-    for name, path in (
-        ("cameras", args.cameras),
-        ("view_map", args.view_map),
-        ("depth", depth_file(args)),
-        ("camera", args.camera and args.camera[0]),
-    ):
-        if path is not None:
-            encoding[name] = file_facts(path)
-    if is_estimated(args):
-        encoding["depth"] = {"model": depth_model(args)}
-    maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
-    return {
-        "software": software(),
-        "input": args.input.name,
-        "panel": json.dumps(panel.to_dict()),
-        **maker,
-        "scene": json.dumps(scene),
-        "encoding": json.dumps(encoding),
-        "versions": json.dumps(package_versions()),
-    }
+def add_file(add: Add) -> None:
+    """How the image is stored."""
+    add(
+        "--bit-depth",
+        type=int,
+        choices=(8, 16, 32),
+        metavar="BITS",
+        help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32",
+    )
+    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+    add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")

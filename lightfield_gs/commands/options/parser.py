@@ -1,9 +1,12 @@
-"""How the words of a command line are parsed, wherever they come from."""
+"""How the words of a command line are parsed, wherever they come from, and values of options."""
 
 from __future__ import annotations
 
 import argparse
+import math
+import re
 from collections.abc import Iterable
+from pathlib import Path
 from typing import NoReturn
 
 from lightfield_gs.base.errors import InputError
@@ -12,6 +15,7 @@ from lightfield_gs.base.errors import InputError
 _VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--eyes", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
 _VECTOR_OPTIONS += ("--shift", "--corners")
 _VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
+_UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 
 
 class Parser(argparse.ArgumentParser):
@@ -30,3 +34,90 @@ def joined(arguments: Iterable[str]) -> list[str]:
         else:
             out.append(argument)
     return out
+
+
+def numbers(count: int):
+    """Parser of `count` comma-separated finite numbers."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(word) for word in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise argparse.ArgumentTypeError(f"expected {_counted(count)}, got '{text}'")
+        return values
+
+    return parse
+
+
+def _counted(count: int) -> str:
+    return "a finite number" if count == 1 else f"{count} numbers separated by commas"
+
+
+def background(text: str) -> tuple[float, ...]:
+    """ "1,0.5,0" -> (1.0, 0.5, 0.0)."""
+    values = numbers(3)(text)
+    if not all(0 <= value <= 1 for value in values):
+        raise argparse.ArgumentTypeError(f"expected red, green and blue in 0..1, got '{text}'")
+    return values
+
+
+def within(low: float, high: float, unit: str = ""):
+    """Parser of a number in low..high, both included; unit: of both, in the complaint."""
+
+    def parse(text: str) -> float:
+        value = numbers(1)(text)[0]
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"expected {low:g}..{high:g}{unit and ' ' + unit}, got '{text}'")
+        return value
+
+    return parse
+
+
+def whole(low: int, high: int):
+    """Parser of a whole number in low..high; "300,000" and "300_000" are 300000."""
+
+    def parse(text: str) -> int:
+        digits = text.replace("_", "").replace(",", "")
+        if not digits.isdecimal() or len(digits) > 19 or not low <= int(digits) <= high:
+            raise argparse.ArgumentTypeError(f"expected a whole number in {low}..{high}, got '{text}'")
+        return int(digits)
+
+    return parse
+
+
+def whole_numbers(low: int, high: int, separator: str = ",", count: int | None = None):
+    """Parser of whole numbers in low..high, `count` of them (None: one or more)."""
+
+    def parse(text: str) -> tuple[int, ...]:
+        words = text.split(separator)
+        if count not in (None, len(words)):
+            raise argparse.ArgumentTypeError(f"expected {count} whole numbers with {separator!r} between, got '{text}'")
+        return tuple(map(whole(low, high), words))
+
+    return parse
+
+
+def camera_choice(text: str) -> tuple[Path, int | None]:
+    """ "FILE" or "FILE:INDEX" -> the file, and which of its cameras."""
+    name, colon, index = text.rpartition(":")
+    if colon and name and index.isdecimal() and not Path(text).exists():
+        return Path(name), int(index[:9])
+    return Path(text), None
+
+
+def threads(text: str) -> int:
+    """ "8" -> 8."""
+    if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:
+        raise argparse.ArgumentTypeError(f"expected 1..1024, got '{text}'")
+    return int(text)
+
+
+def byte_size(text: str) -> int:
+    """ "256MB" -> 256000000."""
+    match = re.fullmatch(r"(\d{1,15}(?:\.\d{1,15})?)(B|[KMG]i?B)", text)
+    value = 0 if match is None else int(float(match[1]) * _UNITS[match[2]])
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a size such as 256MB or 1.5GiB, got '{text}'")
+    return value

@@ -1,4 +1,4 @@
-"""The scene of a command: a file of Gaussians, or what is made of a photo."""
+"""Options of a scene: how its file is read, what is made of a photo, and how it is drawn."""
 
 from __future__ import annotations
 
@@ -7,44 +7,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.base.complaint import note
-from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.depth_map import add_depth, has_depth
-from lightfield_gs.commands.options.detail import add_detail
-from lightfield_gs.commands.options.estimated import depth_file, is_estimated
-from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, quilt_in_name, read_photo
-from lightfield_gs.commands.options.values import within
-from lightfield_gs.io.atomic import check_output_path
-from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
-from lightfield_gs.io.unread import refuse_unread
+from lightfield_gs.base.options import (
+    DEPTH_INVALID,
+    DEPTH_KINDS,
+    DEPTH_MODEL,
+    DEPTH_PARTS,
+    DETAILS,
+    FITS,
+    MAP_ORIENTATIONS,
+)
+from lightfield_gs.commands.options.parser import background, numbers, within
 
 if TYPE_CHECKING:
-    from lightfield_gs.panels.panel import Panel
-    from lightfield_gs.scene.files import SceneFile
-    from lightfield_gs.scene.gaussians import Gaussians
-
-_PHOTO_OPTIONS = (
-    "mask",
-    "remove_background",
-    "checkpoint",
-    "depth",
-    "depth_model",
-    "rgbd",
-    "map_orientation",
-    "detail",
-    "detail_budget",
-)
-_DEPTH_OPTIONS = (
-    "depth_kind",
-    "depth_range",
-    "depth_scale",
-    "depth_invalid",
-    "pixel_aspect",
-    "fov",
-    "intrinsics",
-    "fit",
-)
+    pass
 
 
 def add_scene(
@@ -79,108 +54,139 @@ def add_reading(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def check_scene_options(args: argparse.Namespace) -> None:
-    """Raises InputError where options of the scene do not go together, or not with the input."""
-    if _is_scene_file(args):
-        _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
-    else:
-        refuse_unread(args.input)
-        _refuse(args, ("skip_invalid", "time", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
-    if _is_scene_file(args) or not has_depth(args):
-        _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
-    else:
-        _refuse(args, ("checkpoint", "detail", "detail_budget"), "is for the network, which --depth does without")
-    if args.depth is not None:
-        _refuse(args, ("rgbd",), "takes the place of --depth")
-    if is_estimated(args):
-        if args.depth_kind == "ray":
-            raise InputError("--depth-kind: ray is for a depth map in a file; --depth auto estimates none of that kind")
-        _refuse(args, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
-    else:
-        _refuse(args, ("depth_model",), "is for --depth auto")
-    if args.mask is None and depth_file(args) is None:
-        _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
-    if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
-        raise InputError(
-            f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and {args.intrinsics[1]:g}"
-        )
-    for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics"), ("pixel_aspect", "intrinsics")):
-        if getattr(args, one) is not None:
-            _refuse(args, (other,), f"takes the place of {_option(one)}")
+def add_depth(add: Callable[..., argparse.Action]) -> None:
+    """The depth map of a photo, and what its numbers mean."""
+    add(
+        "--depth",
+        type=Path,
+        metavar="FILE|auto",
+        help="depth map of the photo, of its shape: the whole scene is shown, "
+        "without the network; a grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz of "
+        "numbers [H,W]; auto: a "
+        "network of transformers estimates it (pip install 'lightfield-gs[depth]'; downloads 99 MB once)",
+    )
+    add_depth_model(add)
+    add(
+        "--depth-kind",
+        choices=DEPTH_KINDS,
+        help="what its numbers are: distance, along the camera's "
+        "axis (default), ray, distance along each pixel's ray, as some renderers and scanners give it, or disparity, "
+        "1 / distance, as most networks give it (bright is near)",
+    )
+    add(
+        "--depth-range",
+        type=numbers(2),
+        metavar="NEAR,FAR",
+        help="distances, in any unit, at the ends of the file's "
+        "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks; FAR,NEAR where the "
+        "ends are the other way round: 1.6,1 for distances of which bright is near",
+    )
+    add(
+        "--depth-scale",
+        type=float,
+        metavar="S",
+        help="in place of a range: distance = S * number, or S / number of a "
+        "disparity; 0.001 for millimetres to metres (default for floats: 1); the distance 0 is no measurement",
+    )
+    add(
+        "--depth-invalid",
+        choices=DEPTH_INVALID,
+        help="what infinite distances, those that stand for the sky (1e10, 65504, 65535) and the disparity 0 are: far "
+        "away (default), or holes, as NaN and the distance 0 always are",
+    )
+    add(
+        "--rgbd",
+        choices=DEPTH_PARTS,
+        help="in place of --depth: the half of the photo that is its depth map (found by itself for names like "
+        "photo_rgbd.png, and so is a map inside a telephone's .jpg); bright is near and --depth-range 1,1.6 when not "
+        "said",
+    )
+    add(
+        "--map-orientation",
+        choices=MAP_ORIENTATIONS,
+        help="of --mask and --depth for a photo that its Exif "
+        "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)",
+    )
+    add(
+        "--pixel-aspect",
+        type=within(0.1, 10),
+        metavar="A",
+        help="width by height of a pixel of a photo with depths: 2 where photo and map are squeezed to half their "
+        "width to lie side by side, 0.5 where to half their height (default 1)",
+    )
+    add(
+        "--fov",
+        type=float,
+        metavar="DEG",
+        help="angle that the photo's longer side takes, degrees (default 60, "
+        "unless the depth map's .npz has a focal length)",
+    )
+    add(
+        "--intrinsics",
+        type=numbers(4),
+        metavar="FX,FY,CX,CY",
+        help="in place of --fov: focal lengths and principal "
+        "point of the photo, in its pixels, from the outer corner of the first",
+    )
+    add_fit(add)
 
 
-def check_scene_path(path: Path) -> None:
-    """Raises InputError where no Gaussians can be written. The name says the format, of those that are written."""
-    check_output_path(path)
-    check_written_suffix(path)
+def add_depth_model(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--depth-model",
+        metavar="NAME|FOLDER",
+        help="the network of --depth auto: its name on huggingface.co, or a folder with its files (default "
+        f"{DEPTH_MODEL})",
+    )
 
 
-def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
-    """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
-    from lightfield_gs.scene.files import read_scene
-
-    scene = read_scene(path, skip_invalid=skip_invalid, time=time)
-    for words in scene.notes:
-        note(f"{path}: {words}")
-    return scene
-
-
-def say_origin(path: Path, gaussians: Gaussians) -> None:
-    if any(gaussians.origin):
-        place = ", ".join(f"{part:.0f}" for part in gaussians.origin)
-        print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
+def add_fit(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--fit",
+        choices=FITS,
+        help="how a photo with depths fills a panel of another shape: cover crops it, contain shows all of it and "
+        "makes up the rest of its own texture (default: cover, unless more than a third would be cropped)",
+    )
 
 
-def read_source(args: argparse.Namespace) -> SceneFile | ReadPhoto:
-    """What the files of the input hold; nothing is computed yet. Raises InputError."""
-    if _is_scene_file(args):
-        file = read_noted(args.input, args.skip_invalid, args.time)
-        say_origin(args.input, file.gaussians)
-        return file
-    _note_quilt(args.input)
-    return read_photo(args)
+def add_detail(add: Callable[..., argparse.Action]) -> None:
+    """How finely the photo of an object is laid over what the network makes of it."""
+    add(
+        "--detail",
+        type=lambda text: int(text) if text.isdecimal() else text,
+        choices=(*DETAILS, "none"),
+        help="resolution of the photo on the object: 1, 2 or 4 times the network's, none for the network's own soft "
+        "colours, or auto, what a view of the panel can show (default auto)",
+    )
+    add("--detail-budget", type=int, metavar="N", help="Gaussians at most for --detail auto (default 1500000)")
 
 
-def scene_of(
-    args: argparse.Namespace, source: SceneFile | ReadPhoto, device: str, watch: Stopwatch, panel: Panel
-) -> tuple[Gaussians, SceneFile | None]:
-    """The Gaussians of an input that was read, on the device, and what else its file holds; None of a photo.
-
-    panel: where it will be shown, which decides how finely a photo is taken, and what one with depths is to fill.
-    """
-    if isinstance(source, ReadPhoto):
-        return photo_scene(args, source, device, watch, panel), None
-    gaussians = source.gaussians.to(device)
-    watch.lap("load")
-    return gaussians, source
+def add_antialiased(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--antialiased",
+        action=argparse.BooleanOptionalAction,
+        help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's antialiased mode), which look too bright "
+        "and too thick without: what a pixel blurs becomes fainter by as much (default: as the file says that "
+        "it was trained, else without)",
+    )
 
 
-def load_scene(
-    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel
-) -> tuple[Gaussians, SceneFile | None]:
-    """What scene_of makes of the input. Raises InputError."""
-    return scene_of(args, read_source(args), device, watch, panel)
+def add_view_filter(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--view-filter",
+        type=within(0, 65536, "views"),
+        default=0.0,
+        metavar="VIEWS",
+        help="anti-aliasing between views, of a rig: each sub-pixel's picture is averaged over camera positions this "
+        "many views wide, so that what lies far before or behind the panel is blurred in place of seen double; 0: off, "
+        "1: the width of a view (default 0)",
+    )
 
 
-def _note_quilt(path: Path) -> None:
-    """Says so where a photo's name is that of a quilt."""
-    if name := quilt_in_name(path):
-        note(
-            f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
-            "photo; `lightfield-gs weave` takes its views"
-        )
-
-
-def _is_scene_file(args: argparse.Namespace) -> bool:
-    return is_scene_path(args.input)
-
-
-def _refuse(args: argparse.Namespace, names: tuple[str, ...], reason: str) -> None:
-    """Raises InputError for the first of these options that was given."""
-    for name in names:
-        if getattr(args, name) not in (None, False):
-            raise InputError(f"{_option(name)} {reason}; leave out one of them")
-
-
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+def add_background(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--background",
+        type=background,
+        metavar="R,G,B",
+        help="0..1 each (default: what the file says that lightfield-gs fitted it before, else 1,1,1)",
+    )

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from lightfield_gs.base.complaint import note
-from lightfield_gs.commands.options.values import whole
+from lightfield_gs.base.cli_messages import note
+from lightfield_gs.commands.options.parser import whole
 
 if TYPE_CHECKING:
     from lightfield_gs.show.page.server import Route

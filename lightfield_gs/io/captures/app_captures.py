@@ -20,13 +20,10 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.camera_files import read_inria
-from lightfield_gs.io.captures.colmap_records import pose_of
 from lightfield_gs.io.captures.photo_files import first_names, photographs_in
-from lightfield_gs.io.captures.pinhole import TO_OPENCV, nearest_rotation
+from lightfield_gs.io.captures.photograph import Shot, Shots, readable
+from lightfield_gs.io.captures.pinhole import TO_OPENCV, check_intrinsics, check_pose, nearest_rotation, pose_matrix
 from lightfield_gs.io.captures.point_files import points_beside
-from lightfield_gs.io.captures.readable import readable
-from lightfield_gs.io.captures.shot import Shot, Shots
-from lightfield_gs.io.captures.views import check_intrinsics, check_pose
 from lightfield_gs.io.json_file import read_json, read_object
 
 _LIMIT_BYTES = 256 << 20
@@ -132,7 +129,7 @@ def _record3d(path: Path, data: dict[str, Any]) -> list[_Camera]:
             lost.append(str(index))
             continue
         x, y, z, w, *place = (real_number(where, number, -1e12, 1e12) for number in numbers)
-        pose = pose_of((w, x, y, z), place)
+        pose = pose_matrix((w, x, y, z), place)
         if pose is None:
             lost.append(str(index))
             continue

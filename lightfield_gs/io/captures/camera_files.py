@@ -17,8 +17,15 @@ import numpy as np
 
 from lightfield_gs.base.checks import real_number, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.lens import COEFFICIENTS
-from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, nearest_rotation, say_scales, unscaled
+from lightfield_gs.io.captures.camera_models import BROWN_COEFFICIENTS
+from lightfield_gs.io.captures.pinhole import (
+    PINHOLE_MODELS,
+    TO_OPENCV,
+    focal_lengths,
+    nearest_rotation,
+    say_scales,
+    unscaled,
+)
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_json
 
@@ -154,15 +161,17 @@ def _frame(where: str, fields: dict[str, Any], images: _Images) -> tuple[FileCam
         raise InputError(f"{where}.transform_matrix: expected 4 rows of 4 numbers, got {list(matrix.shape)}")
     rotation, scale = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
     model = fields.get("camera_model", "PINHOLE")
-    if model not in MODELS or fields.get("is_fisheye") is True:
+    if model not in PINHOLE_MODELS or fields.get("is_fisheye") is True:
         raise InputError(
-            f"{where}.camera_model: expected a pinhole camera ({', '.join(MODELS)}), got "
+            f"{where}.camera_model: expected a pinhole camera ({', '.join(PINHOLE_MODELS)}), got "
             f"{shown(model)}; a panel shows flat perspective only"
         )
     width, height, assumed = _size(where, fields, images)
     focal = _focal(where, fields, width, height)
     centre = _centre(where, fields, width, height)
-    distorted = any(fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in COEFFICIENTS)
+    distorted = any(
+        fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in BROWN_COEFFICIENTS
+    )
     name = shown(fields.get("file_path", "")).strip("'\"")
     pose = _pose(rotation @ TO_OPENCV[:3, :3], matrix[:3, 3])
     return FileCamera(name, pose, focal, centre, width, height, assumed, distorted), scale

@@ -1,10 +1,20 @@
-"""The camera models of COLMAP: where each shows a point of the scene.
+"""Lens distortion: Brown's polynomial and the camera models of COLMAP.
 
-Source: COLMAP's documentation, "Camera Models" (parameters and their order), and what it cites: Brown 1971 in the form
-of OpenCV's calib3d (OPENCV, FULL_OPENCV), Devernay and Faugeras, "Straight lines have to be straight", 2001 (FOV), Weng
-et al., "Camera calibration with distortion models and accuracy evaluation", 1992 (THIN_PRISM_FISHEYE), Project Aria's
-"FisheyeRadTanThinPrism" (RAD_TAN_THIN_PRISM_FISHEYE), Fitzgibbon, "Simultaneous linear estimation of multiple view
-geometry and lens distortion", 2001 (DIVISION), Khomutenko et al., "An enhanced unified camera model", 2016 (EUCM).
+Source of Brown's polynomial: Brown, "Close-range camera calibration", 1971, in the form of OpenCV's calib3d. A lens
+shows a point (x, y) at depth 1 at
+
+    x (1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8) + 2 p1 x y + p2 (r^2 + 2 x^2)
+    y (1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8) + p1 (r^2 + 2 y^2) + 2 p2 x y,   r^2 = x^2 + y^2,
+
+both in units of the focal length. OpenCV's own k4 belongs to another, rational model, FULL_OPENCV.
+
+Source of the models: COLMAP's documentation, "Camera Models", for parameters and their order. It cites:
+    OPENCV, FULL_OPENCV: Brown, as above.
+    FOV: Devernay and Faugeras, "Straight lines have to be straight", 2001.
+    THIN_PRISM_FISHEYE: Weng et al., "Camera calibration with distortion models and accuracy evaluation", 1992.
+    RAD_TAN_THIN_PRISM_FISHEYE: Project Aria's "FisheyeRadTanThinPrism".
+    DIVISION: Fitzgibbon, "Simultaneous linear estimation of multiple view geometry and lens distortion", 2001.
+    EUCM: Khomutenko et al., "An enhanced unified camera model", 2016.
 """
 
 from __future__ import annotations
@@ -14,9 +24,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightfield_gs.io.captures.lens import distorted as brown
-
+BROWN_COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
 Formula = Callable[..., np.ndarray]  # points [...,2] at depth 1 and the coefficients -> where they are seen [...,2]
+
+
+def distort_brown(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Distort points by Brown's polynomial.
+
+    Args:
+        points: [...,2] float64, x/z and y/z in camera axes.
+        coefficients: [6], in the order of BROWN_COEFFICIENTS.
+
+    Returns:
+        Distorted points, [...,2] float64, in units of the focal length.
+    """
+    x, y = points[..., 0], points[..., 1]
+    k1, k2, k3, k4, p1, p2 = coefficients
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
+    return np.stack(
+        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
+    )
+
+
+def describe_coefficients(coefficients: np.ndarray) -> str:
+    """The coefficients that are not zero, for people."""
+    return ", ".join(f"{name} {value:g}" for name, value in zip(BROWN_COEFFICIENTS, coefficients) if value)
 
 
 @dataclass(frozen=True)
@@ -52,7 +85,7 @@ def _flattened(points: np.ndarray) -> np.ndarray:
 
 
 def _radial_tangential(points: np.ndarray, k1: float, k2: float, p1: float = 0, p2: float = 0) -> np.ndarray:
-    return brown(points, np.array([k1, k2, 0, 0, p1, p2]))
+    return distort_brown(points, np.array([k1, k2, 0, 0, p1, p2]))
 
 
 def _rational(
@@ -62,18 +95,18 @@ def _rational(
     numerator, denominator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
     # A lens shows nothing beyond the pole of the quotient
     quotient = numerator / np.where(denominator > 0, denominator, np.nan)
-    return points * quotient + brown(points, np.array([0, 0, 0, 0, p1, p2])) - points
+    return points * quotient + distort_brown(points, np.array([0, 0, 0, 0, p1, p2])) - points
 
 
 def _fisheye(points: np.ndarray, *k: float) -> np.ndarray:
-    return brown(_flattened(points), np.array([*k, *[0.0] * (6 - len(k))]))
+    return distort_brown(_flattened(points), np.array([*k, *[0.0] * (6 - len(k))]))
 
 
 def _thin_prism(
     points: np.ndarray, k1: float, k2: float, p1: float, p2: float, k3: float, k4: float, sx1: float, sy1: float
 ) -> np.ndarray:
     flat = _flattened(points)
-    return brown(flat, np.array([k1, k2, k3, k4, p1, p2])) + _squared(flat) * (sx1, sy1)
+    return distort_brown(flat, np.array([k1, k2, k3, k4, p1, p2])) + _squared(flat) * (sx1, sy1)
 
 
 def _rad_tan_thin_prism(points: np.ndarray, *coefficients: float) -> np.ndarray:
@@ -105,7 +138,9 @@ def _enhanced_unified(points: np.ndarray, alpha: float, beta: float) -> np.ndarr
 
 
 _THIN_PRISM = ("k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1")
+
 _ARIA = ("k0", "k1", "k2", "k3", "k4", "k5", "p0", "p1", "s0", "s1", "s2", "s3")
+
 COLMAP_MODELS = {
     "SIMPLE_PINHOLE": CameraModel(0, 1),
     "PINHOLE": CameraModel(1, 2),

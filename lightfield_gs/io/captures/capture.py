@@ -1,4 +1,4 @@
-"""Captures: posed photographs of a scene that stands still, and points of its surfaces where they are known."""
+"""Captures: posed photographs of a static scene, and points on its surfaces where they are known."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.captures.app_captures import app_shots
-from lightfield_gs.io.captures.colmap_capture import colmap_shots, model_folder
+from lightfield_gs.io.captures.camera_models import Lens
+from lightfield_gs.io.captures.colmap import colmap_shots, model_folder
+from lightfield_gs.io.captures.masks import masks_for
 from lightfield_gs.io.captures.photo_files import first_names
-from lightfield_gs.io.captures.photograph import Photograph
-from lightfield_gs.io.captures.prepared import photographs_of, usable_points
-from lightfield_gs.io.captures.shot import Shots
-from lightfield_gs.io.captures.spread import extent_of
-from lightfield_gs.io.captures.transforms_capture import transforms_shots
-from lightfield_gs.io.captures.transforms_frames import has_frames, transforms_file
+from lightfield_gs.io.captures.photograph import Photograph, Shot, Shots
+from lightfield_gs.io.captures.transforms import has_frames, transforms_file, transforms_shots
+from lightfield_gs.io.captures.undistortion import LARGEST_FOLDED_FRACTION, folded_fraction
+from lightfield_gs.io.images import read_info
 
 EVERY = 8  # one of so many photographs is held out where nothing says which
 TestEvery = int | Literal["own"] | None  # see Capture.split
@@ -29,6 +29,10 @@ _ONE_PLACE = 1e-12  # of places' distance from the origin: cameras less far apar
 _SMALLEST_PX = 16  # of a photograph's longer side that is asked for
 _ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\xfd7zXZ", b"BZh")
 _TAR = 257, b"ustar"
+_FARTHEST = 1e4  # times the points' median distance from their median place: no structure from motion is that sure
+_STRETCH = 0.01  # by which the two axes of a resized photograph may differ, beside the rounding of its size
+_MARGIN = 1.1  # Kerbl et al.
+_OUTLIER = 3.0  # times the median distance: from there on a camera does not count
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ class Capture:
     @property
     def extent(self) -> float:
         """The length that steps of positions are measured by, scene units, > 0; see spread.extent_of."""
-        return extent_of(self.centres, self.points)
+        return scene_extent(self.centres, self.points)
 
     def split(self, test_every: TestEvery = "own", names: list[str] | None = None) -> tuple[list[int], list[int]]:
         """Indices of the photographs to fit to and of those held out to test, in order.
@@ -148,8 +152,8 @@ def read_capture(
     masks_at = None if masks is None else folder_in("masks", root, masks)
     found = _read_layout(folder, None if images is None else folder_in("images", root, images), masks_at)
     shots = sorted(found.shots, key=lambda shot: shot.name)
-    photographs = photographs_of(found, shots, root, masks_at, share, longest)
-    points, colours = usable_points(found)
+    photographs = _photographs(found, shots, root, masks_at, share, longest)
+    points, colours = _usable_points(found)
     if not len(points):
         assume(f"{found.source} has no points of the scene: a fit begins at random ones")
     _say_one_place([shot.world_to_camera for shot in shots])
@@ -242,3 +246,111 @@ def folder_in(what: str, capture: Path, given: str | Path) -> Path:
         if path.is_dir():
             return path
     raise InputError(f"{what}: expected a folder, got {given}: there is none at {below}")
+
+
+def _photographs(
+    found: Shots, shots: Sequence[Shot], folder: Path, masks: Path | None, share: float, longest_px: int | None
+) -> list[Photograph]:
+    """The photographs of these shots, made smaller by `share`, and to `longest_px` where they are longer."""
+    infos = [read_info(shot.path) for shot in shots]
+    alphas = [info.has_alpha for info in infos]
+    mask_paths = masks_for(found, shots, folder, masks, alphas)
+    photographs, checked = [], set()
+    for shot, info, mask, alpha in zip(shots, infos, mask_paths, alphas):
+        stored = info.width_px, info.height_px
+        _check_size(shot, stored, info.orientation)
+        ratio = np.array(stored) / shot.camera_px
+        intrinsics = tuple((shot.intrinsics * np.tile(ratio, 2)).tolist())
+        if shot.lens is not None and (key := (shot.lens, intrinsics, stored)) not in checked:
+            checked.add(key)
+            _check_lens(shot, shot.lens, np.array(intrinsics), stored)
+        size = _size(stored, share, longest_px)
+        photographs.append(Photograph(shot.path, stored, size, intrinsics, shot.lens, mask, alpha, info.orientation))
+    _say_sizes(shots, photographs)
+    return photographs
+
+
+def _usable_points(found: Shots) -> tuple[np.ndarray, np.ndarray]:
+    """Points [P,3] and colours [P,3] without those that are not finite or absurdly far away."""
+    points = found.points
+    good = np.isfinite(points).all(1) & (np.abs(points).max(1, initial=0) < 1e12)
+    if good.any():
+        away = np.full(len(points), np.inf)
+        away[good] = np.linalg.norm(points[good] - np.median(points[good], 0), axis=1)
+        good &= away <= max(_FARTHEST * float(np.median(away[good])), 1e-9)
+    if not good.all():
+        words = counted(int((~good).sum()), "point", len(good), "are not finite or absurdly far, and left out")
+        assume(f"{found.source}: {words}")
+    return points[good], found.colours[good]
+
+
+def _size(stored: tuple[int, int], share: float, longest_px: int | None) -> tuple[int, int]:
+    if longest_px is not None:
+        share = min(1.0, longest_px / max(stored))
+    width, height = (max(1, round(side * share)) for side in stored)
+    return width, height
+
+
+def _check_size(shot: Shot, stored: tuple[int, int], orientation: int) -> None:
+    """Raises InputError for a file whose shape is not that of its camera's pictures, up to rounding."""
+    (width, height), (camera_width, camera_height) = stored, shot.camera_px
+    # The size was rounded up or down by less than a pixel, each way
+    slack = 1 / min(width, height) + 1 / min(camera_width, camera_height) + _STRETCH
+    if abs(width * camera_height / (height * camera_width) - 1) <= slack:
+        return
+    turned = orientation >= 5 and abs(height * camera_height / (width * camera_width) - 1) <= slack
+    way_out = (
+        f": as stored it lies on its side (Exif orientation {orientation}): store photographs turned (ImageMagick: "
+        "mogrify -auto-orient), or find the poses with the orientation left alone"
+        if turned
+        else ": a photograph may be resized, but not cropped or turned, after it was posed"
+    )
+    raise InputError(
+        f"{shot.path}: expected the shape of its camera's pictures, {camera_width} x {camera_height}, got "
+        f"{width} x {height}{way_out}"
+    )
+
+
+def _check_lens(shot: Shot, lens: Lens, intrinsics: np.ndarray, stored: tuple[int, int]) -> None:
+    """Raises InputError for a lens that makes no picture; says what of a fisheye's is seen."""
+    if (lost := folded_fraction(lens, intrinsics, *stored)) > LARGEST_FOLDED_FRACTION:
+        raise InputError(
+            f"{shot.path}: the lens {lens.words} folds {lost:.0%} of the picture onto the rest: expected "
+            "coefficients that straighten it; pose the photographs again with a simpler camera model"
+        )
+    if lens.fisheye:
+        before, after = intrinsics[2:] / intrinsics[:2], (stored - intrinsics[2:]) / intrinsics[:2]
+        wide, high = np.degrees(np.arctan(before) + np.arctan(after))
+        assume(
+            f"fisheye photographs as {shot.name} are seen as a pinhole of their focal length sees the scene, "
+            f"{wide:.0f} x {high:.0f} degrees; what they show beyond is not used"
+        )
+
+
+def _say_sizes(shots: Sequence[Shot], photographs: Sequence[Photograph]) -> None:
+    resized = [photo for shot, photo in zip(shots, photographs) if photo.stored_px != shot.camera_px]
+    if resized:
+        first = resized[0]
+        was = next(shot.camera_px for shot, photo in zip(shots, photographs) if photo is first)
+        assume(
+            f"{counted(len(resized), 'photograph', len(shots), 'are not of the posed size and were resized')}: "
+            f"{first.path.name} is {first.stored_px[0]} x {first.stored_px[1]}, its camera {was[0]} x {was[1]}; "
+            "intrinsics are scaled by the ratio of each axis"
+        )
+
+
+def scene_extent(centres: np.ndarray, points: np.ndarray) -> float:
+    """The extent of a scene, scene units, > 0, from where cameras stand [C,3] and points [P,3].
+
+    As Kerbl et al., "3D Gaussian Splatting" (2023), have it: 1.1 times the largest distance of a camera from the mean
+    of all; but of those cameras alone that stand within 3 times the median distance from the median place (of each
+    coordinate), so that one pose that is wrong does not blow it up. For a ring of cameras it is 1.1 times the radius.
+    Where all cameras stand at one place: the median distance of the points from it; without points, 1.
+    """
+    away = np.linalg.norm(centres - np.median(centres, 0), axis=1)
+    kept = centres[away <= max(_OUTLIER * float(np.median(away)), 1e-12 * float(np.abs(centres).max()))]
+    radius = _MARGIN * float(np.linalg.norm(kept - kept.mean(0), axis=1).max()) if len(kept) else 0.0
+    if radius > 1e-9 * (1 + float(np.abs(centres).max())):
+        return radius
+    distance = float(np.median(np.linalg.norm(points - centres.mean(0), axis=1))) if len(points) else 0.0
+    return distance if distance > 0 else 1.0

@@ -1,16 +1,21 @@
-"""Masks beside the images of a set: white is object, or whatever is to be seen."""
+"""Which mask belongs to which image: by names, in data sets of objects and in captures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PurePosixPath
 
-import numpy as np
-
-from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.photo_files import MASK_ENDINGS, is_hidden
-from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
-from lightfield_gs.io.images import read_image
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.captures.photo_files import (
+    IMAGE_SUFFIXES,
+    MASK_ENDINGS,
+    MASK_FOLDERS,
+    PhotoFiles,
+    first_names,
+    is_hidden,
+)
+from lightfield_gs.io.captures.photograph import Shot, Shots
 
 FOLDER = "masks"
 
@@ -72,27 +77,74 @@ def _with_endings(image: PurePath, endings: Sequence[str], known: dict[str, Path
     return None
 
 
-def read_mask(path: Path, width_px: int, height_px: int, any_size: bool = False) -> np.ndarray:
-    """A mask as opacity, uint8 [H,W]: its alpha, or else its brightness; of values 0 and 1 alone, 1 is opaque.
+def masks_for(
+    found: Shots, shots: Sequence[Shot], folder: Path, masks: Path | None, alphas: Sequence[bool]
+) -> list[Path | None]:
+    """The mask's file of each shot: in the folder `masks` where that is given; else what the layout names; else in a
+    folder masks or mask of the capture, beside or below the images, or beside the photographs themselves. Says which
+    is used, and which belong to no photograph. alphas: which photographs have alpha.
 
-    Its pixels as stored, like those of the image. Raises InputError for another size than the image's; any_size: then
-    each pixel of the image has what the mask says at its middle.
+    Raises InputError where a folder is given that has none of them.
     """
-    pixels = read_image(path, as_stored=True, turn=False)
-    if any_size:
-        rows, columns = (
-            (2 * np.arange(size) + 1) * stored // (2 * size)
-            for size, stored in zip((height_px, width_px), pixels.shape[:2])
-        )
-        pixels = pixels[rows[:, None], columns]
-    if pixels.shape[:2] != (height_px, width_px):
-        raise InputError(
-            f"{path}: expected a mask of the image's size {width_px} x {height_px}, got "
-            f"{pixels.shape[1]} x {pixels.shape[0]}"
-        )
-    full = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1
-    has_alpha = pixels.shape[2] in (2, 4) and pixels[..., -1].min() < full
-    grey = pixels[..., -1] if has_alpha else pixels[..., : 1 if pixels.shape[2] < 3 else 3].mean(-1)
-    if grey.max() <= 1:
-        full = 1
-    return np.rint(255 * np.clip(grey / full, 0, 1)).astype(np.uint8)
+    if masks is None and any(shot.mask for shot in shots):
+        paths, where = [shot.mask for shot in shots], f"mask_path of {found.source.name}"
+    else:
+        roots = (folder, found.images.parent, found.images)
+        places = [masks] if masks else [place for root in roots for place in _mask_folders(root)]
+        paths, where = _in_folders([place for place in places if place.is_dir()], found.images, shots)
+        if masks and not any(paths):
+            raise InputError(
+                f"{masks}: missing masks: expected {shots[0].name}.png or {PurePosixPath(shots[0].name).stem}.png, as "
+                "the photographs are named"
+            )
+    if any(paths):
+        without = [shot.name for shot, path in zip(shots, paths) if path is None]
+        rest = f"; {len(without)} without one count as a whole: {first_names(without)}" if without else ""
+        assume(f"what is white in the masks of {where} counts, what is black does not{rest}")
+    if any(alphas):
+        assume(f"what is opaque counts in {sum(alphas)} of {len(shots)} photographs that have alpha")
+    return paths
+
+
+def _mask_folders(root: Path) -> list[Path]:
+    """The folders of masks in a folder, in any case, in the order of MASK_FOLDERS."""
+    with reading(root):
+        found = sorted(path for path in root.iterdir() if path.name.lower() in MASK_FOLDERS)
+    return sorted(found, key=lambda path: MASK_FOLDERS.index(path.name.lower()))
+
+
+def _in_folders(places: Sequence[Path], images: Path, shots: Sequence[Shot]) -> tuple[list[Path | None], str]:
+    """The masks in the first of these folders that has any, or else beside the photographs; and where."""
+    beside = PhotoFiles(images)
+    posed = [PurePosixPath(shot.name) for shot in shots]
+    others = [PurePosixPath(name) for name in beside.photographs]  # which may have masks without being posed
+    for place in dict.fromkeys(places):
+        known = {name.lower(): path for name, path in PhotoFiles(place).paths.items()}
+        paths = [mask_named(_places(name, posed, images), known) for name in posed]
+        owned = {mask_named(_places(name, others, images), known) for name in others}.union(paths)
+        _say_unowned(place, [name for name, path in known.items() if path not in owned], len(known), shots[0].name)
+        if any(paths):
+            return paths, str(place)
+    known = {name.lower(): path for name, path in beside.paths.items()}
+    return [mask_beside(name, known) for name in posed], f"{images}, beside the photographs,"
+
+
+def _places(name: PurePosixPath, names: Sequence[PurePosixPath], images: Path) -> list[PurePosixPath]:
+    """Where the mask of a photograph may be in a folder of masks; one that all `names` are in may be left out."""
+    inner = [PurePosixPath(*name.parts[1:])] if len({other.parts[0] for other in names}) == 1 < len(name.parts) else []
+    return [name, images.name / name, *inner]
+
+
+def _say_unowned(place: Path, names: Sequence[str], count: int, example: str) -> None:
+    """Says which pictures of a folder of masks belong to no photograph."""
+    if not names:
+        return
+    which = (
+        "none of which belongs to a"
+        if len(names) == count
+        else f"{len(names)} of which belong{'s' * (len(names) == 1)} to no"
+    )
+    assume(
+        f"{place} holds {count} pictures, {which} photograph: {first_names(names)}; the mask of {example} is "
+        f"{example}.png, {PurePosixPath(example).stem}.png, or one with .mask.png or _mask.png"
+    )

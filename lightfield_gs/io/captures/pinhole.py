@@ -1,7 +1,7 @@
-"""The camera of a transforms.json, as NeRF and its successors write it: what its readers share.
+"""Pinhole cameras and their poses: conversions and checks that the readers of all layouts share.
 
-Source: Mildenhall et al., "NeRF", ECCV 2020; Müller et al., "Instant Neural Graphics Primitives", 2022; nerfstudio's
-data conventions for camera_model and the lens.
+Source of the transforms.json fields: Mildenhall et al., "NeRF", ECCV 2020; Müller et al., "Instant Neural Graphics
+Primitives", 2022; nerfstudio's data conventions for camera_model and the lens.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.errors import InputError
 
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # axes of a camera: from x right, y up, z backward (OpenGL)
-MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")  # but for a known lens
+# Values of camera_model that are a pinhole but for Brown's distortion
+PINHOLE_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -65,3 +67,52 @@ def focal_lengths(
     if fx is None:
         return None if fy is None else (fy, fy)
     return fx, (fx if fy is None else fy)
+
+
+def check_pose(where: str, pose: np.ndarray) -> None:
+    """Raise InputError, beginning with `where`, unless a 4x4 matrix is a proper rigid motion."""
+    if not np.isfinite(pose).all() or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
+        raise InputError(
+            f"{where}: bad pose: expected finite numbers and a last row of 0 0 0 1, got {pose[3].tolist()}"
+        )
+    rotation = pose[:3, :3]
+    if not is_orthonormal(rotation):
+        raise InputError(f"{where}: bad pose: the upper left 3x3 block is no rotation (its rows are not orthonormal)")
+    if np.linalg.det(rotation) < 0:
+        raise InputError(
+            f"{where}: wrong handedness: the rotation mirrors (determinant -1); expected right-handed "
+            "axes: negate the axis that was flipped"
+        )
+
+
+def check_intrinsics(where: str, intrinsics: np.ndarray, width_px: float, height_px: float) -> None:
+    """Raise InputError, beginning with `where`, unless (fx, fy, cx, cy) and an image size make a pinhole camera."""
+    fx, fy, cx, cy = intrinsics
+    if not (np.isfinite([*intrinsics, width_px, height_px]).all() and min(fx, fy) > 0):
+        raise InputError(f"{where}: bad intrinsics: expected a positive focal length in pixels, got {fx:g}, {fy:g}")
+    if min(width_px, height_px) < 1 or width_px != int(width_px) or height_px != int(height_px):
+        raise InputError(
+            f"{where}: bad intrinsics: expected a whole width and height, got {width_px:g} x {height_px:g}"
+        )
+    if not (0 <= cx <= width_px and 0 <= cy <= height_px):
+        raise InputError(
+            f"{where}: bad intrinsics: principal point ({cx:g}, {cy:g}) lies outside the "
+            f"{width_px:g} x {height_px:g} image"
+        )
+
+
+def pose_matrix(quaternion: Sequence[float], translation: Sequence[float]) -> np.ndarray | None:
+    """The pose [4,4] float64 of a quaternion w, x, y, z of any length and a translation; None where they are none."""
+    numbers = np.array([*quaternion, *translation], np.float64)
+    if not (np.abs(numbers) < 1e12).all() or (length := np.linalg.norm(numbers[:4])) <= 1e-9:
+        return None
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_matrix(numbers[:4] / length), numbers[4:]
+    return pose
+
+
+def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """The rotation [3,3] of a unit quaternion w, x, y, z: v + 2 w (q x v) + 2 q x (q x v)."""
+    w, (x, y, z) = quaternion[0], quaternion[1:]
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross

@@ -1,26 +1,49 @@
-"""Poses of photographs, and points, where nothing is known of them: structure from motion by COLMAP, on the CPU.
+"""Structure from motion: poses of photographs, and points, by COLMAP on the CPU.
 
 Source: Schönberger and Frahm, "Structure-from-Motion Revisited", CVPR 2016, through its package pycolmap, an optional
-dependency.
+dependency. COLMAP's own settings want an initial pair 16 degrees apart and photographs that determine the focal
+length; where they pose few photographs, mapping is tried again with other settings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import copy
+import shutil
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, outside
-from lightfield_gs.io.captures.sfm_cameras import cameras_of, readable
-from lightfield_gs.io.captures.sfm_tries import TRIES, Progress, best_model
+from lightfield_gs.io.images import as_floats, read_info, read_picture
 
 _LEAST_PHOTOGRAPHS = 3
 _MOST_FOR_ALL_PAIRS = 200  # beyond, photographs are matched with those that follow them: all pairs would take hours
+_EXIF, _ORIENTATION = 0x8769, 0x0112
+_MAKE_MODEL = (0x010F, 0x0110)
+_FOCAL_MM, _FOCAL_35_MM, _LENS_MODEL = 0x920A, 0xA405, 0xA434
+_DIGITS = 3  # of a focal length in mm: phones write the same one with other digits behind
+_COLMAP_READS = (b"\xff\xd8", b"\x89PNG", b"II*\0", b"MM\0*", b"BM")  # how files of JPEG, PNG, TIFF and BMP begin
+_MOST_SAID = 4
+Camera = tuple[Any, ...]
+Progress = Callable[[str], None]
+_ENOUGH = 0.9  # of the photographs: nothing else is tried then
+# Focal lengths of the photographs' longer side that cameras have: from 9 mm to 144 mm, as of 35 mm film
+_SHORTEST, _LONGEST = 0.25, 4.0
+# The most degrees between directions that tell little of a focal length, which then is within _LARGEST_CHANGE of what
+# COLMAP guesses, of the longer side
+_NARROW_DEG, _GUESS = 10.0, 1.2
+_LARGEST_CHANGE = 2.0  # of a focal length by the last refinement: beyond, the photographs do not determine it
 
 
 def structure_from_motion(
@@ -58,8 +81,8 @@ def structure_from_motion(
 def _posed(pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], work: Path, progress: Progress) -> Any:
     """The largest of pycolmap's reconstructions; raises InputError where there is none."""
     paths, database = {name: files.paths[name] for name in names}, work / "database.db"
-    cameras = cameras_of(paths)
-    photographs = readable(paths, files.folder, work)
+    cameras = group_by_camera(paths)
+    photographs = files_for_colmap(paths, files.folder, work)
     pycolmap.set_random_seed(0)
     progress(f"features of {len(names)} photographs")
     device = pycolmap.Device.cpu
@@ -102,3 +125,249 @@ def _existing(folder: str | Path) -> Path:
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of photographs, there is none")
     return folder
+
+
+def group_by_camera(paths: Mapping[str, Path]) -> list[list[str]]:
+    """Names of photographs by the camera that took them: of one size, and with one lens by their Exif, where they have
+    any. Says which. Raises InputError for what is no photograph."""
+    groups: dict[Camera, list[str]] = defaultdict(list)
+    for name, path in paths.items():
+        info = read_info(path)
+        groups[(info.width_px, info.height_px, *_lens(path))].append(name)
+    if len(groups) == 1:
+        assume(f"the {len(paths)} photographs are of one camera")
+    else:
+        words = [f"{len(names)} of {_words(camera)}" for camera, names in groups.items()]
+        more = f" and {len(words) - _MOST_SAID} more" if len(words) > _MOST_SAID else ""
+        assume(
+            f"the {len(paths)} photographs are of {len(groups)} cameras, by size and Exif: "
+            f"{', '.join(words[:_MOST_SAID])}{more}"
+        )
+    return list(groups.values())
+
+
+def files_for_colmap(paths: Mapping[str, Path], folder: Path, work: Path) -> Path:
+    """The folder of the photographs, if COLMAP reads all of them; else one in `work` with links to those that it reads
+    and JPEG files, with the same Exif, of the others, all by their names. Raises InputError."""
+    others = [name for name, path in paths.items() if not _start(path).startswith(_COLMAP_READS)]
+    if not others:
+        return folder
+    assume(f"COLMAP reads {len(others)} of {len(paths)} photographs as JPEG files, for it knows no {_kinds(others)}")
+    copies = work / "photographs"
+    for name, path in paths.items():
+        target = copies / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if name in others:
+            _write_jpeg(path, target)
+        else:
+            _link(path, target)
+    return copies
+
+
+def _start(path: Path) -> bytes:
+    with reading(path), path.open("rb") as file:
+        return file.read(4)
+
+
+def _kinds(names: Sequence[str]) -> str:
+    return " or ".join(sorted({Path(name).suffix.lower() for name in names}))
+
+
+def _lens(path: Path) -> tuple[Any, ...]:
+    """What Exif says of the camera and its lens: make, model, lens and focal lengths, as far as it does."""
+    exif = _exif(path)
+    inner = exif.get_ifd(_EXIF)
+    words = [str(exif.get(tag, "")).strip("\0 ") for tag in _MAKE_MODEL] + [
+        str(inner.get(_LENS_MODEL, "")).strip("\0 ")
+    ]
+    return (*words, *(_millimetres(inner.get(tag)) for tag in (_FOCAL_MM, _FOCAL_35_MM)))
+
+
+def _millimetres(value: Any) -> float:
+    """A focal length to _DIGITS digits; 0 where there is none."""
+    with contextlib.suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
+        number = float(value)
+        return float(f"{number:.{_DIGITS}g}") if 0 < number < np.inf else 0.0
+    return 0.0
+
+
+def _words(camera: Camera) -> str:
+    width, height, *_, focal, equivalent = camera
+    length = f" at {equivalent:g} mm (35 mm film)" if equivalent else f" at {focal:g} mm" if focal else ""
+    return f"{width} x {height}{length}"
+
+
+def _exif(path: Path) -> Any:
+    """Pillow's Exif of a photograph that read_info read; empty where Pillow finds none."""
+    from PIL import Image
+
+    with warnings.catch_warnings(), contextlib.suppress(OSError, ValueError, SyntaxError, RuntimeError, EOFError):
+        warnings.simplefilter("ignore")  # of large pictures, which are not decoded here, and of damaged Exif
+        with Image.open(path) as image:
+            exif = image.getexif()
+            exif.get_ifd(_EXIF)
+            return exif
+    return Image.Exif()
+
+
+def _write_jpeg(path: Path, target: Path) -> None:
+    """A photograph as stored, as JPEG; its Exif too, but for the orientation, which COLMAP and poses leave alone."""
+    from PIL import Image
+
+    pixels = as_floats(read_picture(path, turn=False).pixels)
+    colours = np.repeat(pixels[..., :1], 3, 2) if pixels.shape[2] < 3 else pixels[..., :3]
+    exif = _exif(path)
+    exif.pop(_ORIENTATION, None)
+    image = Image.fromarray(np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8))
+    image.save(target, "JPEG", quality=95, subsampling=0, exif=exif)
+
+
+def _link(path: Path, target: Path) -> None:
+    """A link to a file, or a copy where there are no links."""
+    try:
+        target.symlink_to(path.resolve())
+    except OSError:
+        shutil.copyfile(path, target)
+
+
+@dataclass(frozen=True)
+class Try:
+    """Settings of a try: least angle at a point between the two photographs that a model begins with, degrees, and
+    between any others; focal length to begin with, of the photographs' longer side, where Exif has none. It stands
+    still until all are posed. None: COLMAP's own settings."""
+
+    first_deg: float | None = None
+    other_deg: float | None = None
+    focal: float | None = None
+
+    @property
+    def words(self) -> str:
+        if self.focal is None:
+            return "by COLMAP's own settings"
+        return (
+            f"from photographs {self.first_deg:g} degrees apart or more, and a focal length of {self.focal:g} x the "
+            "longer side where Exif has none"
+        )
+
+
+# Phones' wide cameras have a focal length of 0.72 of the longer side, their telephotos and most others one above 1
+TRIES = (Try(), Try(4, 1.5, 1.2), Try(4, 1.5, 0.75), Try(1.5, 0.5, 1.2))
+
+
+def best_model(pycolmap: ModuleType, database: Path, photographs: Path, count: int, progress: Progress) -> Any:
+    """The reconstruction with the most of `count` photographs, whose features match in a database; None where no try
+    finds one. Tries again, each said, until nearly all are posed with focal lengths that may be; of such models those
+    with half of the photographs or more go before others. Raises what pycolmap raises."""
+    best, chosen, guessed, rank = None, TRIES[0], _without_focal(pycolmap, database), (False, 0)
+    for number, settings in enumerate(TRIES, 1):
+        if settings.focal not in (None, TRIES[1].focal) and not guessed:
+            continue  # Exif has all focal lengths, and nothing else differs
+        if settings.focal is not None:
+            _begin_with(pycolmap, database, guessed, settings.focal)
+        model = _mapped(pycolmap, database, photographs, settings, progress)
+        posed = 0 if model is None else model.num_reg_images()
+        wrong = None if model is None else _doubtful_focal(model, guessed)
+        found = f"{posed} of {count} photographs" if posed else "none posed"
+        progress(f"poses, try {number}, {settings.words}: {found}{'' if wrong is None else f', {wrong}'}")
+        if posed and (own := (wrong is None and 2 * posed >= count, posed)) > rank:
+            best, chosen, rank = model, settings, own
+        if rank >= (True, _ENOUGH * count):
+            break
+    if best is not None and (wrong := _doubtful_focal(best, guessed)) is not None:
+        assume(
+            f"COLMAP finds {wrong}, which the photographs hardly determine: depths and angles may be wrong; "
+            "photographs that keep their Exif, or from farther apart, are surer"
+        )
+    if best is None or chosen.focal is None:
+        return best
+    best = _refined(pycolmap, best)
+    lengths = ", ".join(f"{camera.mean_focal_length():.0f}" for camera in list(best.cameras.values())[:3])
+    assume(
+        f"the photographs' directions hardly differ: poses are {chosen.words}, refined to {lengths} px; depths are "
+        "less sure than of photographs from farther apart"
+    )
+    return best
+
+
+def _mapped(pycolmap: ModuleType, database: Path, photographs: Path, settings: Try, progress: Progress) -> Any:
+    """The largest reconstruction by these settings; None where there is none."""
+    options = pycolmap.IncrementalPipelineOptions()
+    if settings.focal is not None:
+        options.mapper.init_min_tri_angle = settings.first_deg
+        options.mapper.filter_min_tri_angle = options.triangulation.min_angle = settings.other_deg
+        options.ba_refine_focal_length = options.ba_refine_extra_params = False
+        options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
+    models = database.with_name("models")
+    models.mkdir(exist_ok=True)
+    begun, posed = _counted(progress)
+    found = pycolmap.incremental_mapping(
+        str(database),
+        str(photographs),
+        str(models),
+        options=options,
+        initial_image_pair_callback=begun,
+        next_image_callback=posed,
+    )
+    return max(found.values(), key=lambda model: model.num_reg_images(), default=None)
+
+
+def _without_focal(pycolmap: ModuleType, database: Path) -> list[int]:
+    """The cameras whose focal length is COLMAP's guess, for Exif has none."""
+    with pycolmap.Database.open(str(database)) as opened:
+        return [camera.camera_id for camera in opened.read_all_cameras() if not camera.has_prior_focal_length]
+
+
+def _doubtful_focal(model: Any, guessed: Sequence[int]) -> str | None:
+    """A focal length of a reconstruction, in words, that hardly is the camera's: that of one of the cameras `guessed`,
+    of which nothing is known beforehand; None where all may be."""
+    directions = np.array([image.viewing_direction() for image in model.images.values() if image.has_pose])
+    least = float((directions @ directions.T).min(initial=1.0)) if len(directions) else 1.0
+    low, high = _SHORTEST, _LONGEST
+    if least > np.cos(np.radians(_NARROW_DEG)):
+        low, high = _GUESS / _LARGEST_CHANGE, _GUESS * _LARGEST_CHANGE
+    for number, camera in model.cameras.items():
+        length, side = camera.mean_focal_length(), max(camera.width, camera.height)
+        if number in guessed and not low <= length / side <= high:
+            return f"a focal length of {length:.0f} px, {length / side:.2g} x the longer side"
+    return None
+
+
+def _begin_with(pycolmap: ModuleType, database: Path, cameras: Sequence[int], focal: float) -> None:
+    """Takes the focal lengths of these cameras as known, of their longer side, and verifies the matches anew by it."""
+    with pycolmap.Database.open(str(database)) as opened:
+        for camera in opened.read_all_cameras():
+            if camera.camera_id in cameras:
+                camera.focal_length = focal * max(camera.width, camera.height)
+                camera.has_prior_focal_length = True
+                opened.update_camera(camera)
+        opened.clear_two_view_geometries()
+    pycolmap.geometric_verification(str(database))
+
+
+def _refined(pycolmap: ModuleType, model: Any) -> Any:
+    """A reconstruction with its focal lengths refined; as it was where the photographs do not determine them."""
+    refined = copy.deepcopy(model)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_extra_params = options.print_summary = False
+    pycolmap.bundle_adjustment(refined, options)
+    pairs = (
+        (model.cameras[key].mean_focal_length(), camera.mean_focal_length()) for key, camera in refined.cameras.items()
+    )
+    sane = all(before / _LARGEST_CHANGE < after < before * _LARGEST_CHANGE for before, after in pairs)
+    return refined if sane else model
+
+
+def _counted(progress: Progress) -> tuple[Callable[[], None], Callable[[], None]]:
+    """What tells of a model that is begun with two photographs, and of each that is posed after them."""
+    count = 0
+
+    def begun() -> None:
+        nonlocal count
+        count = 2
+
+    def posed() -> None:
+        nonlocal count
+        count += 1
+        progress(f"posed {count} photographs")
+
+    return begun, posed

@@ -1,163 +1,395 @@
-"""Reader of the NeRF layout: a transforms.json beside the images of one object.
+"""Captures with a transforms.json: nerfstudio's, instant-ngp's and NeRF's.
 
-Source of the layout: Mildenhall et al., "NeRF", ECCV 2020; Müller et al., "Instant Neural Graphics Primitives", 2022.
-frames: for each view an object with file_path (relative to the JSON, extension optional) and transform_matrix (4x4,
-camera-to-world, OpenGL axes: x right, y up, z backward). The camera, at the top or in a frame, which has precedence:
-    w, h                                whole pixels; default: the size of the first image
-    fl_x, fl_y                          pixels; or camera_angle_x, camera_angle_y, radians: w / 2 / tan(angle / 2);
-                                        the one that is missing equals the other (square pixels)
-    cx, cy                              pixels from the outer corner of the first pixel; default: the middle
-    k1 k2 k3 k4 p1 p2                   lens distortion (lens.py), taken out of the images when they are read; the
-                                        camera stays the same: fl_x ... cy are those of the undistorted image, too
-    camera_model                        one of MODELS; fisheyes and others are refused
-and mask_path, likewise an image for each frame, white where the object is. Without it, masks are looked for in masks/
-(masks.py). File names may have \\ between folders, and another case than the files.
-Everything else (aabb_scale, scale, offset, ...) is about other programs and is not read.
+Source: nerfstudio's data conventions, also for train_filenames, val_filenames and test_filenames; Müller et al.,
+"Instant Neural Graphics Primitives", 2022; the synthetic scenes of Mildenhall et al., "NeRF", 2020, for
+transforms_train.json, transforms_val.json and transforms_test.json.
 
-The unit of length of such files is arbitrary; poses stay as the file has them.
+The fields are those of objects.py, with these differences:
+    camera_model: any of COLMAP's, with its coefficients by name; is_fisheye means OPENCV_FISHEYE. Cameras may differ.
+    file_path: seen from the images folder or from one of its reduced copies.
+    ply_file_path: points in the world of the poses. Without it, points are looked for beside the file.
+    applied_transform: from COLMAP's world to that of the poses; it changes neither poses nor points.
 """
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import counted, shown
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import counted, real_number, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.files import named_image
-from lightfield_gs.io.captures.lens import COEFFICIENTS, check_distortion
-from lightfield_gs.io.captures.masks import masks_beside
-from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, say_scales, unscaled
-from lightfield_gs.io.captures.views import ObjectViews, check_intrinsics, check_looking_at_object, check_pose
+from lightfield_gs.io.captures.camera_models import (
+    BROWN_COEFFICIENTS,
+    COLMAP_MODELS,
+    Lens,
+    describe_coefficients,
+    distort_brown,
+    lens_of,
+)
+from lightfield_gs.io.captures.colmap import model_folder, points_of_model
+from lightfield_gs.io.captures.photo_files import Places, first_names, named_image, photographs_in
+from lightfield_gs.io.captures.photograph import Shot, Shots, readable
+from lightfield_gs.io.captures.pinhole import (
+    PINHOLE_MODELS,
+    TO_OPENCV,
+    check_intrinsics,
+    check_pose,
+    focal_lengths,
+    nearest_rotation,
+    say_scales,
+    unscaled,
+)
+from lightfield_gs.io.captures.point_files import points_beside, read_points
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_object as read_json
+from lightfield_gs.io.json_file import read_object
 
-_LIMIT_BYTES = 64 << 20
-_FISHEYE = ("is_fisheye", "fisheye")
-_OTHER_COEFFICIENTS = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")
-_AXES = "OpenGL axes, x right, y up, z backward: from OpenCV axes, negate the second and third column of each rotation"
+_LIMIT_BYTES = 256 << 20
+_WHOLE, _TRAIN = "transforms.json", "transforms_train.json"
+_TESTS = ("transforms_test.json", "transforms_val.json")  # the first that there is holds out
+_TRAIN_KEY, _TEST_KEYS = "train_filenames", ("val_filenames", "test_filenames")
+_ANGLES_DIFFER = 0.02  # of an angle of view: what lens distortion and rounding make of one camera is less
+_FURTHER = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")  # of lenses that are none of PINHOLE_MODELS
 
 
-def read_transforms(path: Path) -> ObjectViews:
-    """Read the cameras of a transforms file, and find its images (not decoded here).
+@dataclass(frozen=True)
+class Frame:
+    """One frame that has a pose. where: its place, for messages. name: of its photograph, with / between folders.
+    fields: its own, and those at the top of its file. is_held: whether it is kept for tests."""
 
-    Raises InputError that names file and field of the first thing wrong.
+    where: str
+    name: str
+    fields: dict[str, Any]
+    is_held: bool = False
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What is fitted to or tested by. data: what stands at the top of the file. held_by: what keeps some for tests."""
+
+    data: dict[str, Any]
+    frames: list[Frame]
+    held_by: str = ""
+
+
+def transforms_file(folder: Path) -> Path | None:
+    """The transforms.json of a capture, or transforms_train.json, or the file itself that was given; None where there
+    is none."""
+    if folder.suffix.lower() == ".json":
+        return folder if folder.is_file() else None
+    return next((folder / name for name in (_WHOLE, _TRAIN) if (folder / name).is_file()), None)
+
+
+def has_frames(path: Path) -> bool:
+    """Whether a JSON file has frames that name photographs; not one that cannot be read."""
+    try:
+        frames = read_object(path, _LIMIT_BYTES).get("frames")
+    except InputError:
+        return False
+    return isinstance(frames, list) and any(isinstance(frame, dict) and "file_path" in frame for frame in frames[:1])
+
+
+def read_frames(path: Path, given: bool) -> Frames:
+    """The frames of a capture that a file tells of; says which are left out.
+
+    Args:
+        path: a transforms.json, or one of another name.
+        given: whether it was given itself; a transforms_train.json of a folder brings its tests along.
+
+    Raises InputError that names file and field.
     """
-    path = Path(path)
-    data = read_json(path, _LIMIT_BYTES)
-    frames = data.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise InputError(f"{path}: frames: expected a list of views, got {shown(frames)}")
-    fields = [f"{path}: frames[{index}]" for index in range(len(frames))]
-    for field, frame in zip(fields, frames):
-        if not isinstance(frame, dict):
-            raise InputError(f"{field}: expected an object with file_path and transform_matrix, got {shown(frame)}")
-    images = [
-        named_image(f"{field}.file_path", path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)
-    ]
-    found, scales = zip(*(_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)))
-    say_scales(path, scales)
-    poses = np.stack(found)
-    check_looking_at_object(f"{path}: transform_matrix", poses, _AXES)
-    sizes, intrinsics, lenses = zip(*(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames)))
-    for field, size in zip(fields, sizes):
-        if size != sizes[0]:
+    data, frames = _frames(path)
+    if not given and path.name == _TRAIN:
+        return _with_tests(path, data, frames)
+    if not given and path.name == _WHOLE and (path.parent / _TRAIN).is_file():
+        assume(f"{path} is read, not {_TRAIN} beside it: give that file itself to read it")
+    return _split(path, data, frames)
+
+
+def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
+    """What stands at the top of one file, and its frames that have poses."""
+    data = read_object(path, _LIMIT_BYTES)
+    entries = data.get("frames")
+    if not isinstance(entries, list) or not entries:
+        raise InputError(f"{path}: frames: expected a list of views, got {shown(entries)}")
+    shared = {key: value for key, value in data.items() if key != "frames"}
+    frames = []
+    for index, entry in enumerate(entries):
+        where = f"{path}: frames[{index}]"
+        name = entry.get("file_path") if isinstance(entry, dict) else None
+        if not isinstance(name, str) or not name.strip() or "\0" in name:
+            raise InputError(f"{where}.file_path: expected the name of an image, got {shown(name)}")
+        frames.append(Frame(where, _plain(name), {**shared, **entry}))
+    frames = _once(path, frames)
+    posed = [frame for frame in frames if not _has_no_pose(frame.fields.get("transform_matrix"))]
+    if not posed:
+        raise InputError(f"{path}: frames: expected some with a pose (transform_matrix), got {len(frames)} without")
+    if len(posed) < len(frames):
+        there = {frame.name for frame in posed}
+        lost = [frame.name for frame in frames if frame.name not in there]
+        words = counted(len(lost), "frame", len(frames), "have no pose and are left out")
+        assume(f"{path}: {words}: {first_names(lost)}")
+    return shared, posed
+
+
+def _once(path: Path, frames: list[Frame]) -> list[Frame]:
+    """The frames without those that are the same as one before, which is said. Raises InputError where a photograph has
+    two poses or cameras."""
+    kept: dict[str, Frame] = {}
+    for frame in frames:
+        before = kept.setdefault(frame.name, frame)
+        if _apart_from_name(before) != _apart_from_name(frame):
             raise InputError(
-                f"{field}: bad intrinsics: expected the size of frames[0], {sizes[0][0]} x {sizes[0][1]}, "
-                f"got w x h of {size[0]} x {size[1]}; resize the images to one size"
+                f"{path}: frames: expected each photograph once, got {shown(frame.name)} twice, with different "
+                "poses or cameras: take one out"
             )
-    masks = _masks(fields, frames, path.parent, images)
-    width, height = sizes[0]
-    return ObjectViews(
-        path.parent.name,
-        tuple(images),
-        poses,
-        np.stack(intrinsics),
-        width,
-        height,
-        f"{path}: w, h",
-        masks,
-        np.stack(lenses) if np.any(lenses) else None,
+    if same := len(frames) - len(kept):
+        assume(f"{path}: {counted(same, 'frame', len(frames), 'are the same as one before and are left out')}")
+    return list(kept.values())
+
+
+def _apart_from_name(frame: Frame) -> str:
+    """What a frame says but for its name, to compare: NaN is the same as NaN."""
+    return repr({key: value for key, value in frame.fields.items() if key != "file_path"})
+
+
+def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
+    """The frames to fit to, and those of the file of tests beside theirs."""
+    there = [name for name in _TESTS if (path.parent / name).is_file()]
+    if not there:
+        return _split(path, data, train)
+    held = [replace(frame, is_held=True) for frame in _frames(path.parent / there[0])[1]]
+    names = {frame.name for frame in held}
+    fitted = [frame for frame in train if frame.name not in names]
+    if not fitted:
+        raise InputError(f"{path.parent}: {there[0]} has all photographs of {_TRAIN}: expected others to test with")
+    if both := len(train) - len(fitted):
+        words = counted(both, "photograph", does=f"of {_TRAIN} are in {there[0]} too and are held out, not fitted to")
+        assume(f"{path.parent}: {words}")
+    if unused := there[1:]:
+        assume(f"{path.parent}: {unused[0]} is not read: {there[0]} holds out photographs already")
+    return Frames(data, [*fitted, *held], there[0])
+
+
+def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
+    """The frames as the file's own lists of names part them. A list of those to fit to alone holds out the others."""
+    known = {frame.name for frame in frames}
+    train = known & _names(path, data, _TRAIN_KEY)
+    keys = [key for key in _TEST_KEYS if data.get(key)]
+    named = {name for key in keys for name in _names(path, data, key)}
+    if strange := sorted((named | _names(path, data, _TRAIN_KEY)) - known):
+        words = counted(len(strange), "name", does="in its lists of photographs are of no frame with a pose")
+        assume(f"{path}: {words}: {first_names(strange)}")
+    held = named & known if keys else known - train if train else set()
+    if train and not train - held:
+        held -= train  # a file may test with what it fits to
+    if not held:
+        return Frames(data, frames)
+    left = known - train - held if train else set()
+    if left:
+        lists = f"in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and"
+        words = counted(len(left), "photograph", does=f"are {lists} are left out")
+        assume(f"{path}: {words}: {first_names(sorted(left))}")
+    kept = [replace(frame, is_held=frame.name in held) for frame in frames if frame.name not in left]
+    return Frames(data, kept, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
+
+
+def _names(path: Path, data: dict[str, Any], key: str) -> set[str]:
+    """The names in a list of the file, none where there is no such list; raises InputError."""
+    names = data.get(key) or []
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{path}: {key}: expected a list of names, got {shown(names)}")
+    return {_plain(name) for name in names}
+
+
+def _plain(name: str) -> str:
+    """A name with / between folders, without ./ and .. in its middle."""
+    return PurePosixPath(os.path.normpath(name.replace("\\", "/"))).as_posix()
+
+
+def _has_no_pose(matrix: Any) -> bool:
+    """Whether a matrix is none: missing, empty, or with numbers that are none, as of an app that lost its way."""
+    if isinstance(matrix, list) and matrix:
+        return any(_has_no_pose(entry) for entry in matrix)
+    return matrix is None or matrix == [] or isinstance(matrix, float) and not math.isfinite(matrix)
+
+
+def transforms_shots(path: Path, images: Path | None, given: bool) -> Shots:
+    """What a transforms.json says of the photographs of a capture.
+
+    Args:
+        path: of the file.
+        images: the folder of the photographs; None: where the file has them.
+        given: whether the file was given itself, not its folder.
+
+    Raises InputError that names file and field.
+    """
+    read = read_frames(path, given)
+    folder, places = _photographs(path, images, [frame.name for frame in read.frames])
+    places = readable(places, folder)
+    frames = [frame for frame in read.frames if frame.name in places]
+    shots, scales = [], []
+    for frame in frames:
+        pose, scale = _world_to_camera(frame.where, frame.fields)
+        shots.append(_shot(frame.where, path.parent, frame.fields, *places[frame.name], pose))
+        scales.append(scale)
+    say_scales(path, scales)
+    _say_angles(path, list(zip(frames, shots)))
+    held = tuple(places[frame.name][0] for frame in frames if frame.is_held)
+    return Shots(
+        path,
+        folder,
+        shots,
+        *_points(path, read.data.get("ply_file_path"), read.data.get("applied_transform"), shots),
+        held,
+        read.held_by,
     )
 
 
-def _masks(
-    fields: list[str], frames: list[dict[str, Any]], folder: Path, images: list[Path]
-) -> tuple[Path, ...] | None:
-    """The mask of each frame: what mask_path names, or else what lies in masks/; None where there is neither."""
-    given = [frame.get("mask_path") is not None for frame in frames]
-    if not any(given):
-        return masks_beside(folder, images)
-    if not all(given):
-        raise InputError(
-            f"{fields[given.index(False)]}: missing mask_path: "
-            f"{counted(sum(given), 'frame', len(frames), 'have')} one; give each frame one, or none"
-        )
-    return tuple(named_image(f"{field}.mask_path", folder, frame["mask_path"]) for field, frame in zip(fields, frames))
+def _photographs(path: Path, images: Path | None, names: list[str]) -> tuple[Path, Places]:
+    """The folder of images, and by the names of the photographs their names in it and their files. Missing ones are
+    not there, which is said."""
+    common = _common([PurePosixPath(name).parent for name in names])
+    inner = {name: PurePosixPath(name).relative_to(common).as_posix() if common else name for name in names}
+    if images is not None:
+        found = photographs_in([images], list(inner.values()))
+        return found.folder, {name: found.places[inner[name]] for name in names if inner[name] in found.places}
+    known: Places = {}
+    for name in names:
+        try:
+            known[name] = inner[name], named_image("file_path", path.parent, name)
+        except InputError as error:
+            if not any(words in str(error) for words in ("missing image", "leads out")):
+                raise InputError(f"{path}: {error}") from None
+    if len(known) == len(names):
+        return path.parent / common, known
+    found = photographs_in([path.parent / "images", path.parent], names, known)
+    if known:
+        return path.parent / common, {name: (inner[name], file) for name, (_, file) in found.places.items()}
+    folder = found.folder / _common([PurePosixPath(within).parent for within, _ in found.places.values()])
+    return folder, {name: (file.relative_to(folder).as_posix(), file) for name, (_, file) in found.places.items()}
 
 
-def _pose(field: str, frame: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """The camera-to-world matrix of a frame, float64 [4,4], OpenCV axes, and the scale that it was divided by."""
-    try:
-        pose = np.array(frame.get("transform_matrix"))
-    except ValueError:
-        raise InputError(f"{field}: bad pose: expected 4 rows of 4 numbers, got rows of different lengths") from None
-    if pose.shape != (4, 4) or pose.dtype.kind not in "iuf":
-        raise InputError(f"{field}: bad pose: expected 4 rows of 4 numbers, got {pose.dtype} {list(pose.shape)}")
-    pose = pose.astype(np.float64)
-    pose[:3, :3], scale = unscaled(pose[:3, :3])
-    check_pose(field, pose)
-    return pose @ TO_OPENCV, scale
+def _common(folders: list[PurePosixPath]) -> str:
+    """The folder that all of these lie in; none where only some begin at the root."""
+    if len({folder.is_absolute() for folder in folders}) > 1:
+        return ""
+    return os.path.commonpath(folders)
 
 
-def _camera(
-    field: str, shared: dict[str, Any], frame: dict[str, Any], first_image: Path
-) -> tuple[tuple[int, int], np.ndarray, np.ndarray]:
-    """Image size (w, h), (fx, fy, cx, cy) and lens distortion of a frame; what it does not say is shared by all."""
-
+def _shot(where: str, folder: Path, fields: dict[str, Any], name: str, photo: Path, pose: np.ndarray) -> Shot:
     def number(key: str) -> float | None:
-        value = frame.get(key, shared.get(key))
-        if value is None:
-            return None
-        if not isinstance(value, (int, float)) or isinstance(value, bool) or not abs(value) < 1e12:
-            raise InputError(f"{field}: {key}: expected a number, got {shown(value)}")
-        if key.startswith("camera_angle") and not 0 < value < math.pi:
-            raise InputError(f"{field}: bad intrinsics: {key}: expected 0 to pi radians, got {value:g}")
-        return value
+        is_angle = key.startswith("camera_angle")
+        low, high = (1e-6, 3.14159) if is_angle else (-1e12, 1e12)
+        what = f"{where}.{key}{', radians,' if is_angle else ''}"
+        return None if fields.get(key) is None else real_number(what, fields[key], low, high)
 
-    _check_model(field, {**shared, **frame})
     width, height = number("w"), number("h")
     if width is None or height is None:
-        info = read_info(first_image)
-        width, height = info.width_px if width is None else width, info.height_px if height is None else height
-    found = focal_lengths(number, width, height)
-    if found is None:
-        raise InputError(
-            f"{field}: bad intrinsics: missing focal length: give fl_x (pixels) or camera_angle_x (radians)"
-        )
+        info = read_info(photo)
+        width, height = float(info.width_px), float(info.height_px)
+    focal = focal_lengths(number, width, height)
+    if focal is None:
+        raise InputError(f"{where}: missing focal length: give fl_x (pixels) or camera_angle_x (radians)")
     cx, cy = number("cx"), number("cy")
-    intrinsics = np.array([*found, width / 2 if cx is None else cx, height / 2 if cy is None else cy], np.float64)
-    check_intrinsics(field, intrinsics, width, height)
-    lens = np.array([number(key) or 0 for key in COEFFICIENTS], np.float64)
-    if lens.any():
-        check_distortion(field, intrinsics, lens, int(width), int(height))
-    return (int(width), int(height)), intrinsics, lens
+    intrinsics = np.array([*focal, width / 2 if cx is None else cx, height / 2 if cy is None else cy])
+    check_intrinsics(where, intrinsics, width, height)
+    mask = None
+    if fields.get("mask_path") is not None:
+        mask = named_image(f"{where}.mask_path", folder, fields["mask_path"])
+    size = int(width), int(height)
+    return Shot(name, photo, pose, intrinsics, size, _lens(where, fields, number), mask)
 
 
-def _check_model(field: str, camera: dict[str, Any]) -> None:
-    """Raises InputError for a camera that this reader cannot draw, by its model's name or further coefficients."""
-    model = camera.get("camera_model") or "PINHOLE"
-    fisheye = [key for key in _FISHEYE if camera.get(key)]
-    if model not in MODELS or fisheye:
+def _say_angles(path: Path, pairs: Sequence[tuple[Frame, Shot]]) -> None:
+    """Says of which frames camera_angle_x is another than that of fl_x, which is what counts."""
+    off = []
+    for frame, shot in pairs:
+        angle = 2 * math.atan(shot.camera_px[0] / 2 / shot.intrinsics[0])
+        given = frame.fields.get("camera_angle_x")
+        if isinstance(given, (int, float)) and abs(given - angle) > _ANGLES_DIFFER * angle:
+            off.append((given, angle))
+    if off:
+        words = counted(len(off), "frame", len(pairs), "have a camera_angle_x of another focal length than fl_x")
+        assume(f"{path}: {words}, {off[0][0]:.4g} and not {off[0][1]:.4g} radians: fl_x counts")
+
+
+def _world_to_camera(where: str, fields: dict[str, Any]) -> tuple[np.ndarray, float]:
+    """World to camera [4,4] of a frame, OpenCV axes, and the scale that its rotation was divided by."""
+    where = f"{where}.transform_matrix"
+    try:
+        pose = np.array(fields.get("transform_matrix"))
+    except ValueError:
+        raise InputError(f"{where}: expected 4 rows of 4 numbers, got rows of different lengths") from None
+    if pose.shape not in ((4, 4), (3, 4)) or pose.dtype.kind not in "iuf":
+        raise InputError(f"{where}: expected 4 rows of 4 numbers, got {pose.dtype} {list(pose.shape)}")
+    pose = np.concatenate([pose[:3], [[0, 0, 0, 1]]]).astype(np.float64)
+    pose[:3, :3], scale = unscaled(pose[:3, :3])
+    check_pose(where, pose)
+    rotation = nearest_rotation((pose @ TO_OPENCV)[:3, :3]).T
+    inverse = np.eye(4)
+    inverse[:3, :3], inverse[:3, 3] = rotation, -rotation @ pose[:3, 3]
+    return inverse, scale
+
+
+def _lens(where: str, fields: dict[str, Any], number: Callable[[str], float | None]) -> Lens | None:
+    model = "OPENCV_FISHEYE" if fields.get("is_fisheye") is True else fields.get("camera_model") or "PINHOLE"
+    if model in PINHOLE_MODELS:
+        if unknown := [key for key in _FURTHER if number(key)]:
+            raise InputError(
+                f"{where}.{unknown[0]}: expected a lens of {', '.join(BROWN_COEFFICIENTS)} alone with the camera_model "
+                f"{model}, got {shown(fields[unknown[0]])}"
+            )
+        coefficients = tuple(number(key) or 0.0 for key in BROWN_COEFFICIENTS)
+        said = describe_coefficients(np.array(coefficients))
+        return Lens(_brown, coefficients, f"{model} {said}") if any(coefficients) else None
+    if model not in COLMAP_MODELS:
         raise InputError(
-            f"{field}: bad intrinsics: camera_model: expected one of {', '.join(MODELS)}, got "
-            f"{fisheye[0] if fisheye else shown(model)}: undistort the images first"
+            f"{where}.camera_model: expected one of {', '.join(COLMAP_MODELS)}, got {shown(model)}: make perspective "
+            "photographs of these first"
         )
-    if unknown := [key for key in _OTHER_COEFFICIENTS if camera.get(key)]:
-        raise InputError(
-            f"{field}: bad intrinsics: {unknown[0]}: expected a lens of {', '.join(COEFFICIENTS)} alone, "
-            f"got {shown(camera[unknown[0]])}: undistort the images first"
-        )
+    keys = [("k1" if key == "k" else key) for key in COLMAP_MODELS[model].coefficients]
+    return lens_of(model, [number(key) or 0.0 for key in keys])
+
+
+def _brown(points: np.ndarray, *coefficients: float) -> np.ndarray:
+    return distort_brown(points, np.array(coefficients))
+
+
+def _points(path: Path, name: Any, applied: Any, shots: Sequence[Shot]) -> tuple[np.ndarray, np.ndarray]:
+    """Points [P,3] and colours [P,3] uint8 of the .ply that a transforms.json names, or else of files beside it that
+    have some; none where there are none.
+
+    Args:
+        path: of the file.
+        name: its ply_file_path.
+        applied: its applied_transform, of COLMAP's world to that of the poses.
+        shots: its photographs, which a model of COLMAP beside it may have too.
+    """
+    if name is None:
+        points, colours = points_beside(None, [path.parent])
+        if not len(points) and (model := model_folder(path.parent)) is not None:
+            points, colours = points_of_model(model, shots, applied)
+        return points, colours
+    if not isinstance(name, str) or not name.strip() or "\0" in name:
+        raise InputError(f"{path}: ply_file_path: expected the name of a .ply file beside it, got {shown(name)}")
+    named = path.parent / name
+    files = [named, *(path.parent / end for end in _ends(name))]
+    ply = next((file for file in files if file.is_file()), None)
+    if ply is None:
+        raise InputError(f"{path}: ply_file_path: expected the name of a .ply file beside it, got {shown(name)}")
+    if ply != named:
+        assume(f"{path}: the points of ply_file_path {shown(name)} are those of {ply}, by the last parts of its name")
+    return read_points(ply)
+
+
+def _ends(name: str) -> list[PurePosixPath]:
+    """The last parts of a path, the longest first."""
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    return [PurePosixPath(*parts[first:]) for first in range(1 if PurePosixPath(name).is_absolute() else 0, len(parts))]

@@ -151,7 +151,7 @@ def encoded(picture: Picture, lossless: bool) -> Answer:
     from PIL import Image
 
     headers = {
-        "X-Picture": picture.said,
+        "X-Picture": picture.description,
         "Server-Timing": ", ".join(f"{name};dur={value:.2f}" for name, value in picture.stages_ms.items()),
     }
     if lossless:

@@ -19,7 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
-from lightfield_gs.base.complaint import is_out_of_memory
+from lightfield_gs.base.cli_messages import is_out_of_memory
 from lightfield_gs.base.errors import InputError
 
 DEFAULT_HOST = "127.0.0.1"

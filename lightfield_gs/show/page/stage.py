@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 import torch
 
-from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
@@ -34,10 +34,10 @@ _STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be plac
 
 @dataclass
 class Picture:
-    """pixels: uint8 [h, w, 3]; said: what they are; stages_ms: what they took, in order."""
+    """pixels: uint8 [h, w, 3]; description: what they are; stages_ms: what they took, in order."""
 
     pixels: np.ndarray
-    said: str
+    description: str
     stages_ms: dict[str, float] = field(default_factory=dict)
 
 
@@ -102,14 +102,14 @@ class Stage:
         still: cut out of the native picture. Else these pixels alone are drawn, as a panel of their own.
         """
         left, top, width, height = self._box(centre, size_px)
-        said = f"native pixels {left}..{left + width - 1} x {top}..{top + height - 1}"
+        description = f"native pixels {left}..{left + width - 1} x {top}..{top + height - 1}"
         if still:
             native, stages = self.native(controls)
-            return Picture(native[top : top + height, left : left + width], said, stages)
+            return Picture(native[top : top + height, left : left + width], description, stages)
         stages = {}
         with _timed(stages, "pixels"):
             pixels = self._encoded(*cut_out(self.panel, self._rig(controls), left, top, width, height), controls)
-        return Picture(pixels, said, stages)
+        return Picture(pixels, description, stages)
 
     def native(self, controls: Controls) -> tuple[np.ndarray, dict[str, float]]:
         """The native picture, uint8 [H, W, 3] (to be read only), and the times of its stages in ms, {} where it is the
@@ -218,7 +218,7 @@ class Stage:
             antialiased=self.antialiased,
             view_filter=self.view_filter,
         )
-        return list(bytes_of(views).cpu().numpy())
+        return list(to_bytes(views).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
         """Left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""

@@ -1,0 +1,1 @@
+"""The application's core: scenes, cameras and pictures of the commands, by options as data."""

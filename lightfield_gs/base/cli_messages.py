@@ -1,0 +1,181 @@
+"""Messages of a command on its standard streams: errors and notes on stderr, assumptions on stdout."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+from lightfield_gs.base.assumptions import Assumption, collect_assumptions
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
+
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+_NO_MEMORY = ("allocate memory", "out of memory")  # torch's messages for the host and for a device
+_captured: ContextVar[list[str] | None] = ContextVar("captured", default=None)
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Return whether an error says that the host or a device has too little memory."""
+    return (
+        isinstance(error, MemoryError)
+        or isinstance(error, RuntimeError)
+        and any(words in str(error) for words in _NO_MEMORY)
+    )
+
+
+def report_error(program: str, error: BaseException, remedy: str) -> int:
+    """Print one line on stderr that says why a program ends, and return its exit code.
+
+    Args:
+        program: name of the program, which begins the line.
+        error: the reason. A fault of the program itself is raised again.
+        remedy: what the user can do if memory runs out.
+    """
+    code = EXIT_BAD_INPUT
+    if isinstance(error, KeyboardInterrupt):
+        message, code = "interrupted", EXIT_INTERRUPTED
+    elif isinstance(error, (InputError, OSError)):
+        message = str(error)
+        if FOLDER_GONE not in message and not has_working_folder():
+            message += f"; {FOLDER_GONE}"
+    elif is_out_of_memory(error):
+        message = f"out of memory; {remedy}"
+    else:
+        raise error
+    print(f"{program}: error: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def note(message: str) -> None:
+    """Print one line on stderr about a result that may disappoint."""
+    print(f"note: {message}", file=sys.stderr)
+
+
+@contextmanager
+def print_assumptions() -> Iterator[None]:
+    """Print the library's assumptions on stdout at the end of the block; other warnings go their usual way."""
+    lines: dict[str, None] = {}  # each once, in order
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
+            if issubclass(category, Assumption):
+                lines[f"{category.label}: {message}"] = None
+            else:
+                usual(message, category, *rest, **options)
+
+        warnings.simplefilter("always", Assumption)
+        warnings.showwarning = show
+        yield
+    for line in lines:
+        print(line)
+
+
+class _CapturableStream:
+    """Stands in for stdout or stderr: stores the text of threads inside `capture`, and passes other text on."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        parts = _captured.get()
+        if parts is None:
+            return self._stream.write(text)
+        parts.append(text)
+        return len(text)
+
+    def isatty(self) -> bool:
+        """Return False: a progress bar would end up among the captured lines."""
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def make_streams_capturable() -> None:
+    """Let `capture` see the stdout and stderr of this process, from now on."""
+    if not isinstance(sys.stdout, _CapturableStream):
+        sys.stdout, sys.stderr = _CapturableStream(sys.stdout), _CapturableStream(sys.stderr)
+
+
+@contextmanager
+def capture(messages: list[str]) -> Iterator[None]:
+    """Append to `messages` the lines that this thread prints, and its assumptions, instead of printing them."""
+    parts: list[str] = []
+    token = _captured.set(parts)
+    try:
+        with collect_assumptions() as assumptions:
+            yield
+    finally:
+        _captured.reset(token)
+        messages += [line for line in "".join(parts).splitlines() if line.strip()] + assumptions
+
+
+def open_closed_streams() -> None:
+    """Open the standard streams that are closed on /dev/null.
+
+    Otherwise the first files that are opened would get their numbers, and libraries would print into them.
+    """
+    while (file := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(file, True)
+    os.close(file)
+    sys.stdin = sys.stdin or open(0, closefd=False)
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)
+
+
+class PatientStream(io.RawIOBase):
+    """Writes to an unbuffered stream until a write fails, and drops everything after that.
+
+    Attributes:
+        failed: the first error; None while there is none.
+    """
+
+    def __init__(self, stream: io.TextIOWrapper) -> None:
+        super().__init__()
+        buffer: Any = stream.buffer
+        # Keep the text stream: its end would close the file. python -u has no buffer between the two.
+        self._stream, self._raw = stream, getattr(buffer, "raw", buffer)
+        self.name = self._raw.name
+        self.failed: OSError | None = None
+
+    @staticmethod
+    def wrap(stream: io.TextIOWrapper, errors: str) -> tuple[io.TextIOWrapper, PatientStream]:
+        """Return a text stream that replaces `stream`, and the patient stream below it.
+
+        Args:
+            stream: a standard stream.
+            errors: how to write characters that its encoding lacks, as in `open`.
+        """
+        patient = PatientStream(stream)
+        unbuffered: Any = patient
+        return io.TextIOWrapper(
+            io.BufferedWriter(patient) if hasattr(stream.buffer, "raw") else unbuffered,
+            encoding=stream.encoding,
+            errors=errors,
+            line_buffering=stream.line_buffering,
+            write_through=stream.write_through,
+        ), patient
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._raw.fileno()
+
+    def isatty(self) -> bool:
+        return self._raw.isatty()
+
+    def write(self, data: Any) -> int | None:
+        if self.failed is None:
+            try:
+                return self._raw.write(data)
+            except OSError as error:
+                self.failed = error
+        return len(data)
