@@ -120,7 +120,7 @@ class _CpuStages:
     def composite(
         self,
         work: CpuWorkspace,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         lists: tuple[Tensor, Tensor],
         background: Tensor,
         out: Tensor,
@@ -294,7 +294,7 @@ class _Encoding:
         self.plan.release()
         self.resident = False
 
-    def _native_cameras(self, first: int, views: int) -> _core._Stages.Cameras:
+    def _native_cameras(self, first: int, views: int) -> _core.float32.Cameras:
         """The core's view of a chunk's cameras, which holds as long as self.cameras does."""
         poses, optics, edges = (t[first:].data_ptr() for t in self.cameras)
         return self.scene.core.Cameras(

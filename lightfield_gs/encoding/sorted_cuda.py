@@ -44,7 +44,7 @@ class CudaStages:
         return work.pair_count, 0
 
     def composite(
-        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+        self, work: Any, cameras: _core.float32.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         _core.cuda.composite_sorted(work.native, native, background.data_ptr(), *floats_or_bytes(out), work.stream)
@@ -63,7 +63,7 @@ class SortedWorkspace:
         self.native.place(self.work.data_ptr())
         self.stream = torch.cuda.current_stream(scene.device).cuda_stream
 
-    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
+    def project_dense(self, cameras: _core.float32.Cameras) -> None:
         _core.cuda.project_sorted(self.native, self.scene.native(), cameras, self.stream)
 
     def order_and_bin(self, admit: Callable[[], bool]) -> bool:

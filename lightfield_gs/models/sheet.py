@@ -96,7 +96,7 @@ def lay_texels(
         _run("sheet", job, fine)
 
 
-def _native(fields: list[Tensor]) -> _core._Stages.Gaussians:
+def _native(fields: list[Tensor]) -> _core.float32.Gaussians:
     """Gaussians [N,...] as the native module takes them."""
     degree = SH_COEFFICIENTS.index(fields[4].shape[1])
     return _core.float32.Gaussians(len(fields[0]), degree, *(field.data_ptr() for field in fields))

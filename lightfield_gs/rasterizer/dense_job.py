@@ -153,7 +153,7 @@ class DenseJob:
         scene, given = self.scene, out or (None, None, None)
         with scene.guard, self.stats.stage("composite"):
             image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self._shapes()))
-            native = scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
+            native = scene.core.Images(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
             self.work.composite_dense(self.arguments.cameras, self.background, native)
         return DenseImages(image, alpha, depth)
 
@@ -172,10 +172,10 @@ class DenseJob:
                 self.background, of_images, of_gradients, absolute
             )
 
-    def _natives(self, images: DenseImages, gradients: DenseImages) -> list[_core._Stages.DenseImages]:
+    def _natives(self, images: DenseImages, gradients: DenseImages) -> list[_core.float32.Images]:
         """The core's views of both, which hold as long as the job."""
         self._held = self._checked("", images), self._checked("g_", gradients)
-        return [self.scene.core.DenseImages(*(0 if t is None else t.data_ptr() for t in group)) for group in self._held]
+        return [self.scene.core.Images(*(0 if t is None else t.data_ptr() for t in group)) for group in self._held]
 
     def _checked(self, prefix: str, images: DenseImages) -> DenseImages:
         """The same, contiguous."""

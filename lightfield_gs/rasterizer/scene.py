@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from contextlib import AbstractContextManager
+from types import ModuleType
 from typing import NamedTuple, Protocol
 
 import torch
@@ -28,7 +29,7 @@ def _devices() -> str:
     return "CPU or CUDA" if hasattr(_core, "cuda") else "CPU"
 
 
-def _core_of(tensor: Tensor) -> type[_core._Stages]:
+def _core_of(tensor: Tensor) -> ModuleType:
     """The core's functions for the tensor's precision."""
     if tensor.dtype == torch.float32:
         return _core.float32
@@ -90,7 +91,7 @@ class Scene:
         """Selects the device of the Gaussians; another one each time, for torch's is not made to be entered twice."""
         return device_guard(self.device)
 
-    def native(self) -> _core._Stages.Gaussians:
+    def native(self) -> _core.float32.Gaussians:
         """Their addresses for the core, which hold as long as this scene does."""
         return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))
 
@@ -99,7 +100,7 @@ class Scene:
         make = torch.zeros if zero else torch.empty
         return make(shape, dtype=dtype or self.dtype, device=self.device)
 
-    def gradients(self, zero: bool) -> tuple[list[Tensor], _core._Stages.Gaussians]:
+    def gradients(self, zero: bool) -> tuple[list[Tensor], _core.float32.Gaussians]:
         """Tensors for the gradients of the five fields, all zero or without values, and the core's view of them."""
         grads = [torch.zeros_like(t) if zero else torch.empty_like(t) for t in self.tensors]
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))

@@ -88,7 +88,7 @@ class Workspace(Protocol):
     def state(self) -> State:
         """What a reverse needs."""
 
-    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
+    def project_dense(self, cameras: _core.float32.Cameras) -> None:
         """Makes the splats of I images, one for each camera."""
 
     def project_lens(self, view: NativeView, quality: Quality) -> float:
@@ -98,9 +98,7 @@ class Workspace(Protocol):
         """Sorts the splats by depth and lists the pairs. admit: asked, once `pair_count` is known and before memory is
         taken for the lists, whether to go on; returns its answer."""
 
-    def composite_dense(
-        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
-    ) -> None:
+    def composite_dense(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
         """background: [I, 3]; out: the core's DenseImages."""
 
     def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
@@ -108,10 +106,10 @@ class Workspace(Protocol):
 
     def dense_backward(
         self,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
         wanted: Wanted,
     ) -> DenseGradients:
         """The gradients that follow from those of images."""

@@ -47,11 +47,11 @@ class CpuWorkspace:
     def state(self) -> State:
         return State(self.splats.splats, self.splats.colours, self.lists)
 
-    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
-        self.scene.core.project_dense(self.scene.native(), cameras, self.splats.native, self.threads)
+    def project_dense(self, cameras: _core.float32.Cameras) -> None:
+        self.scene.core.project_images(self.scene.native(), cameras, self.splats.native, self.threads)
 
     def project_lens(self, view: NativeView, quality: Quality) -> float:
-        return self.scene.core.project_lens(
+        return self.scene.core.project_direct(
             self.scene.native(),
             view.rig,
             view.lens,
@@ -83,18 +83,16 @@ class CpuWorkspace:
         self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
         return True
 
-    def composite_dense(
-        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
-    ) -> None:
+    def composite_dense(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
         self.stats.count(
-            self.scene.core.composite_dense(
+            self.scene.core.composite_images(
                 self.splats.native, self.bins, cameras, background.data_ptr(), out, self.threads
             )
         )
 
     def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], of the scene's dtype or uint8."""
-        counters = self.scene.core.composite_lens(
+        counters = self.scene.core.composite_direct(
             self.splats.native,
             self.bins,
             view.lens,
@@ -111,15 +109,15 @@ class CpuWorkspace:
 
     def dense_backward(
         self,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
         wanted: Wanted,
     ) -> DenseGradients:
         core, scene = self.scene.core, self.scene
-        first, pairs, g_background = self._gradient_buffers(_core.dense_pair_gradient_size(wanted.absolute))
-        core.composite_dense_backward(
+        first, pairs, g_background = self._gradient_buffers(_core.image_intersection_gradient_size(wanted.absolute))
+        core.composite_images_backward(
             self.splats.native,
             self.bins,
             cameras,
@@ -135,7 +133,7 @@ class CpuWorkspace:
         out, native = scene.gradients(zero=True)
         g_cameras = scene.new(self.images, 4, 4, zero=True)
         screen = scene.new(self.images, scene.count, wanted.screen_numbers)
-        core.project_dense_backward(
+        core.project_images_backward(
             scene.native(),
             cameras,
             self.splats.native,
@@ -153,9 +151,9 @@ class CpuWorkspace:
         self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
         core, splats = self.scene.core, self.splats
-        size = _core.pair_gradient_size(splats.colour_order, splats.compensations is not None)
+        size = _core.intersection_gradient_size(splats.colour_order, splats.compensations is not None)
         first, pairs, g_background = self._gradient_buffers(size)
-        core.composite_lens_backward(
+        core.composite_direct_backward(
             self.splats.native,
             self.bins,
             view.lens,
@@ -168,7 +166,7 @@ class CpuWorkspace:
             self.threads,
         )
         out, native = self.scene.gradients(zero=True)
-        core.project_lens_backward(
+        core.project_direct_backward(
             self.scene.native(),
             view.rig,
             view.lens,
@@ -183,6 +181,6 @@ class CpuWorkspace:
     def _gradient_buffers(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
         """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
-        self.scene.core.first_pairs(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
+        self.scene.core.first_intersections(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
         pairs = self.scene.new(self.pair_count, size, zero=True)
         return first, pairs, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)

@@ -1,4 +1,4 @@
-"""Ordinary images before which some splats stand whose slots a whole block adds up, with room for all pairs or too
+"""Ordinary images before which some splats stand whose intersections a whole block adds up, with capacity for all of them or too
 little: what the CUDA stages compiled for the CPU are compared with those of the CPU on."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
 from lightfield_gs.rasterizer.workspace import Wanted
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
-SIDE_PX = 272  # 17 x 17 tiles: a splat before all of them has more slots than one warp adds up
+SIDE_PX = 272  # 17 x 17 tiles: a splat before all of them has more intersections than one warp adds up
 SCENES, VIEWS = 2, 3
 _GUARD_BYTES, _GUARD = 4096, 0xA5
 
@@ -51,7 +51,7 @@ def images_and_gradients(dtype: torch.dtype, room: int | None = None) -> tuple[d
     return {**images._asdict(), **fields, **others, "background": background}, job
 
 
-def with_rooms() -> dict[str, Any]:
+def with_capacities() -> dict[str, Any]:
     """By CUDA stages: found when the host waits for the number of pairs, and with just enough room; how many pairs
     there are, and of rooms that are too small how many they say, and whether nothing was written beside a buffer."""
     waited, _ = images_and_gradients(torch.float32)
