@@ -21,9 +21,9 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 import cases
 import crop_cases
 import fit_cases
+import intersection_cases
 import png_cases
 import sheet_cases
-import intersection_cases
 import surface_cases
 import torch
 

@@ -1,5 +1,5 @@
-"""Ordinary images before which some splats stand whose intersections a whole block adds up, with capacity for all of them or too
-little: what the CUDA stages compiled for the CPU are compared with those of the CPU on."""
+"""Ordinary images before which some splats stand whose intersections a whole block adds up, with capacity for all of
+them or too little: what the CUDA stages compiled for the CPU are compared with those of the CPU on."""
 
 from __future__ import annotations
 
