@@ -34,7 +34,7 @@ def known_cameras(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) 
 def views_of(scene: lf.Gaussians, cameras: lf.Cameras | None = None, device: str = "cpu") -> Views:
     """Photographs of a scene over black, in 8 bits, with their cameras."""
     cameras = cameras or known_cameras()
-    photos = lf.render(scene, cameras, background=(0.0, 0.0, 0.0)).clamp(0, 1).mul(255).round().to(torch.uint8)
+    photos = lf.render(scene, cameras, background=(0.0, 0.0, 0.0)).image.clamp(0, 1).mul(255).round().to(torch.uint8)
     names, size = [f"{i:02d}.png" for i in range(cameras.count)], (cameras.width_px, cameras.height_px)
     tensors = (t.contiguous().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits()))
     return Views(names, photos.to(device), None, *tensors, [size] * cameras.count)
@@ -51,5 +51,5 @@ def first_fields(scene: lf.Gaussians, settings: FitSettings, points: int = 150, 
 
 def psnr_db(fields: Fields, views: Views) -> float:
     """Of all views together, as the fields are now."""
-    image = lf.render(fields.gaussians(), views.cameras(), background=(0.0, 0.0, 0.0)).clamp(0, 1)
+    image = lf.render(fields.gaussians(), views.cameras(), background=(0.0, 0.0, 0.0)).image.clamp(0, 1)
     return -10 * math.log10(float((image - views.photos / 255).square().mean()))

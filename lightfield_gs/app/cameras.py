@@ -13,15 +13,15 @@ import numpy as np
 from lightfield_gs.app.photo import photo_rig
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, render_comments
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.axes import DEFAULT_UP, Up, stated_up
-from lightfield_gs.scene.fitted import drawn_comments, stated_fit, trained_antialiased
+from lightfield_gs.scene.axes import DEFAULT_UP, Up, find_up
 
 if TYPE_CHECKING:
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.cameras import Cameras
-    from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _OTHERS = "another: --camera, --rig, --up"
@@ -70,7 +70,7 @@ def read_given(args: argparse.Namespace, panel: Panel) -> Given:
 def _refuse_cameras(path: Path) -> None:
     """Raises InputError where a file that was given as a rig holds the cameras of photographs."""
     from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
-    from lightfield_gs.io.json_file import read_json
+    from lightfield_gs.io.text_files import read_json
 
     if path.suffix.lower() == ".json" and is_camera_file(read_json(path, LIMIT_BYTES)):
         raise InputError(f"{path}: holds the cameras of photographs, no rig; give it as --camera FILE[:INDEX]")
@@ -111,7 +111,7 @@ def choose_rig(
 
 
 def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
-    from lightfield_gs.panels.own_camera import photo_camera, stored_framing
+    from lightfield_gs.panels.framing import photo_camera, stored_framing
 
     with named(path):
         if (stored := stored_framing(file.comments, panel)) is not None:
@@ -143,24 +143,26 @@ def _looking(
 def _automatic(args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile) -> tuple[Rig, list[str]]:
     up = axes_of(args.up, file)
     notes: list[str] = []
-    rig = Rig.frame(gaussians, panel, up=up.axis, notes=notes)
+    from lightfield_gs.panels.framing import frame_scene
+
+    rig = frame_scene(gaussians, panel, up=up.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
-    return rig, [f"axes: {up.words()}", *(f"framing: {words}; {others}" for words in notes)]
+    return rig, [f"axes: {up.describe()}", *(f"framing: {words}; {others}" for words in notes)]
 
 
 def axes_of(up: str | None, file: SceneFile) -> Up:
     """Which axis points up, and who says so; up: what the command line says."""
     if up:
         return Up(up, "--up")
-    return stated_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
+    return find_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
 
 
 def brought_along(file: SceneFile) -> list[tuple[str, str]]:
     """What a scene's file says of its fit and of cameras, for `info`."""
     try:
-        fitted = stated_fit(file.comments)
-        fit = [] if fitted is None else [("fitted", fitted.words())]
-        if trained_antialiased(file.comments) == "trained":
+        fitted = find_fit_record(file.comments)
+        fit = [] if fitted is None else [("fitted", fitted.describe())]
+        if antialiasing_source(file.comments) == "trained":
             fit.append(("anti-aliasing", "trained with it, the file says, and drawn with it"))
     except InputError as error:
         fit = [("fitted", str(error))]
@@ -168,7 +170,7 @@ def brought_along(file: SceneFile) -> list[tuple[str, str]]:
 
 
 def _cameras_along(file: SceneFile) -> list[tuple[str, str]]:
-    from lightfield_gs.panels.own_camera import photo_camera, stored_size
+    from lightfield_gs.panels.framing import photo_camera, stored_size
 
     try:
         if (size := stored_size(file.comments)) is not None:
@@ -181,10 +183,10 @@ def _cameras_along(file: SceneFile) -> list[tuple[str, str]]:
 
 def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, rig: Rig | None) -> list[str]:
     """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
-    from lightfield_gs.panels.own_camera import framing_comment
+    from lightfield_gs.panels.framing import framing_comment
 
-    known = drawn_comments(file.comments if file is not None else (), args.antialiased)
-    if file is not None and (args.up or stated_up(file.comments)):
+    known = render_comments(file.comments if file is not None else (), args.antialiased)
+    if file is not None and (args.up or find_up(file.comments)):
         known.append(f"Vertical Axis: {axes_of(args.up, file).axis}")
     return known + ([] if rig is None else [framing_comment(rig, panel)])
 

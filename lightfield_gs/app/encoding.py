@@ -32,8 +32,8 @@ from lightfield_gs.base.options import of_other_methods
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.io.png_cuda import compressed_image, deflated, deflates
-from lightfield_gs.io.png_file import CompressedImage
+from lightfield_gs.io.png import CompressedImage
+from lightfield_gs.io.png_cuda import compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
     from lightfield_gs.app.photo import ReadPhoto
     from lightfield_gs.base.cuda import HostCopies, HostCopy
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -105,9 +105,9 @@ class Encoding:
     def _parts(self, image: Tensor) -> list[Tensor]:
         """What the host needs of the image: the facts of what the device has compressed, or the pixels, or both."""
         args = self.args
-        if not deflates(image, args.output, args.compression):
+        if not is_deflated_on_gpu(image, args.output, args.compression):
             return [image]
-        self._deflated, facts = deflated(image)
+        self._deflated, facts = deflate(image)
         return [facts] if args.preview is None else [facts, image]
 
     def _take(self, parts: Sequence[np.ndarray]) -> None:
@@ -145,7 +145,7 @@ class Encoding:
 
     def write(self) -> None:
         """Writes all that was asked for."""
-        from lightfield_gs.scene.gaussians import of_tensors
+        from lightfield_gs.scene.gaussians import from_tensors
 
         if self._copy is None:
             self._write()
@@ -158,7 +158,7 @@ class Encoding:
             with torch.cuda.stream(torch.cuda.Stream(self.device)):  # on which nothing is queued that is drawn since
                 self._take([copy.numpy() for copy in copies[:count]])
             if self.args.preview is None:  # which is drawn where they were
-                self.gaussians = replace(of_tensors(copies[count:]), origin=self.gaussians.origin)
+                self.gaussians = replace(from_tensors(copies[count:]), origin=self.gaussians.origin)
             self._write()
         finally:
             for name in ("gaussians", "image", "stored"):  # which are in memory that others write over

@@ -30,10 +30,10 @@ def report_depth(
     if not is_asked and not is_given(args):
         if not may_fill:
             return []
-        from lightfield_gs.panels.unseen import share_past, words_on_past
+        from lightfield_gs.panels.visibility import background_fraction, background_warning
 
-        past = share_past(gaussians, panel, rig)
-        if past is not None and (words := words_on_past(past)) is not None:
+        past = background_fraction(gaussians, panel, rig)
+        if past is not None and (words := background_warning(past)) is not None:
             note(words)
         return []
     from lightfield_gs.panels.comfort import depth_report

@@ -12,7 +12,7 @@ from pathlib import Path
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import unknown_of
 

@@ -118,7 +118,7 @@ def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) ->
     """Lines on what a picture may be beside a photo, and what its file holds and others beside it, that is not used;
     side: the half that looks like a depth map, which comes first."""
     from lightfield_gs.io.depth_names import depth_maps_beside
-    from lightfield_gs.photo.inside import notes_inside
+    from lightfield_gs.photo.embedded_depth import notes_inside
 
     notes = []
     if side is not None:
@@ -137,7 +137,7 @@ def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) ->
 
 def _notes_on_eyes(args: argparse.Namespace, picture: Picture) -> list[str]:
     """A line on a picture that looks like a stereo pair."""
-    from lightfield_gs.photo.stereo_pair import stereo_layout
+    from lightfield_gs.photo.side_by_side import stereo_layout
 
     layout = None if quilt_in_name(args.input) else stereo_layout(picture.pixels)
     if layout is None:
@@ -200,7 +200,7 @@ def _tried(refused: InputError | None) -> Iterator[None]:
 def _read_whole(args: argparse.Namespace) -> ReadPhoto:
     """All that a photo shows, with its depth map unless that is estimated."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.inside import notes_inside
+    from lightfield_gs.photo.embedded_depth import notes_inside
     from lightfield_gs.photo.load import photo_of
     from lightfield_gs.photo.rgbd import check_photo_size
 

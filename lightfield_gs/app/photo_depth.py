@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from lightfield_gs.io.images import Picture
-    from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.depth_files import DepthNumbers
+    from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
 
 AUTO = Path("auto")  # in place of the file of --depth
@@ -69,14 +68,14 @@ def is_depth_inside(args: argparse.Namespace) -> bool:
         return False
     if any(getattr(args, name, None) is not None for name in others):
         return False
-    from lightfield_gs.photo.inside import depth_inside
+    from lightfield_gs.photo.embedded_depth import depth_inside
 
     return depth_inside(args.input) is not None
 
 
 def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
     """The map of --depth, at the photo's size. Raises InputError."""
-    from lightfield_gs.photo.depth_files import read_numbers
+    from lightfield_gs.photo.depth import read_numbers
 
     numbers = read_numbers(args.depth)
     turn = _turn_with(args, photo, args.map_orientation)
@@ -117,7 +116,7 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
 def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
     """The map inside the photo's file, as its format has it where nothing else is said. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
-    from lightfield_gs.photo.inside import depth_inside
+    from lightfield_gs.photo.embedded_depth import depth_inside
 
     inside = depth_inside(args.input)
     assert inside is not None
@@ -172,7 +171,7 @@ def _turn_with(
     args: argparse.Namespace, photo: Photo, choice: str | None
 ) -> Callable[[DepthNumbers], tuple[np.ndarray, bool]]:
     """What turns numbers as upright as the photo is; choice: of --map-orientation."""
-    from lightfield_gs.photo.orientation import turned_with_photo
+    from lightfield_gs.photo.load import turned_with_photo
 
     return lambda numbers: turned_with_photo(
         str(args.depth),
@@ -202,7 +201,7 @@ def _rays_of(
 def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """A map at the photo's size; of another size it has to have the photo's shape. Raises InputError."""
     from lightfield_gs.photo.joint_upsampling import at_size_of_photo
-    from lightfield_gs.photo.orientation import is_alike
+    from lightfield_gs.photo.load import is_alike
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
     if shape == size:

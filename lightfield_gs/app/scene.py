@@ -15,16 +15,16 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_output_path
-from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
-from lightfield_gs.io.unread import refuse_unread
+from lightfield_gs.io.file_kinds import refuse_unsupported
+from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb
+from lightfield_gs.io.scenes.files import check_written_suffix, is_scene_path
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene.fitted import rgb, stated_fit, trained_antialiased
 
 if TYPE_CHECKING:
     from lightfield_gs.app.photo import ReadPhoto
+    from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _PHOTO_OPTIONS = (
@@ -57,7 +57,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
     else:
-        refuse_unread(args.input)
+        refuse_unsupported(args.input)
         _refuse(args, ("skip_invalid", "time", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
     if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
@@ -90,7 +90,7 @@ def check_scene_path(path: Path) -> None:
 
 def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
     """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
-    from lightfield_gs.scene.files import read_scene
+    from lightfield_gs.io.scenes.files import read_scene
 
     scene = read_scene(path, skip_invalid=skip_invalid, time=time)
     for words in scene.notes:
@@ -165,7 +165,7 @@ def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str
     open_ones = [name for name in ("antialiased", "background") if getattr(args, name, ()) is None]
     comments = file.comments if file is not None and open_ones else ()
     with named(args.input):
-        fitted, trained = stated_fit(comments), trained_antialiased(comments)
+        fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     messages = []
     if "antialiased" in open_ones:
         args.antialiased = trained is not None
@@ -176,7 +176,9 @@ def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str
     if "background" in open_ones:
         args.background = (fitted and fitted.background) or _WHITE
         if fitted is not None and fitted.background is not None:
-            messages.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
+            messages.append(
+                f"background: {format_rgb(fitted.background)}, which the scene was fitted before (--background)"
+            )
     return messages
 
 

@@ -27,15 +27,14 @@ from lightfield_gs.app.scene import check_scene_options, frame_scene, load_drawn
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.io.atomic import scratch_folder
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.atomic import scratch_folder, sha256
+from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
-from lightfield_gs.io.not_what_it_says import refuse_video
+from lightfield_gs.io.scenes.files import SceneFile
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.side_by_side import depth_side, is_named_so
-from lightfield_gs.scene.axes import stated_up, upright
-from lightfield_gs.scene.files import SceneFile
+from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
 from lightfield_gs.video.rendering import FrameSource as FrameScenes
@@ -121,9 +120,9 @@ def _turntable(
     degrees = (_PHOTO_DEGREES if file is None else 360.0) if args.degrees is None else args.degrees
     up: np.ndarray | None = None
     axis = "the camera's vertical"
-    if file is not None and (args.up or stated_up(file.comments)):
+    if file is not None and (args.up or find_up(file.comments)):
         axis = axes_of(args.up, file).axis
-        up = -upright(axis)[1]
+        up = -upright_rotation(axis)[1]
     is_said = args.turntable is not None or args.degrees is not None
     assumed = "" if is_said else " (assumed; another: --turntable, --degrees, --path)"
     words = f"turntable: {degrees:g} degrees about {axis} in {float(frames / fps):g} s{assumed}"
@@ -188,7 +187,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         **{name: part.digest() for name, part in beside.items() if part is not None},
         **{name: getattr(args, name) for name in (*_OF_PICTURES, *_MORE_OF_PICTURES)},
         **({"depth_model": depth_model(args)} if is_estimated(args) else {}),
-        "checkpoint": args.checkpoint and sha256_of(args.checkpoint),
+        "checkpoint": args.checkpoint and sha256(args.checkpoint),
     }
     name = first.input.name if pictures.files else args.input.name
     example = f"{name}, {f'frame {shown}' if shown else 'the first'}"

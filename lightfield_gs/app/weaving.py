@@ -13,7 +13,7 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.atomic import sha256
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.view_sets.pixels import ViewColours
 from lightfield_gs.view_sets.view_set import QuiltMovie
@@ -140,7 +140,7 @@ def _sink(args: argparse.Namespace, panel: Panel, movie: QuiltMovie):
     job = {
         "software": software(),
         "input": args.input.name,
-        "pictures": sha256_of(args.input),
+        "pictures": sha256(args.input),
         "panel": panel.to_dict(),
         "quilt": [layout.columns, layout.rows, args.aspect or movie.aspect],
         "order": [args.top_first, args.right_to_left],

@@ -16,9 +16,8 @@ from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_
 from lightfield_gs.commands.options.parser import numbers
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.calibration_fit import CalibrationFit, PlaceFit, fit_lens, most_spread_views
-from lightfield_gs.panels.calibration_photos import Place
-from lightfield_gs.panels.calibration_places import load_place, read_places
-from lightfield_gs.panels.profile import check_profile_path, write_profile
+from lightfield_gs.panels.calibration_photos import Place, load_place, read_places
+from lightfield_gs.panels.lens_change import check_profile_path, write_profile
 
 _MOST_OFFSET_VIEWS = 0.3  # between a place and the lens of all, above which its eye or the profile is doubtful
 

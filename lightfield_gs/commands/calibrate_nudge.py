@@ -11,9 +11,16 @@ from lightfield_gs.commands.calibrate_pattern import KINDS, draw_pattern, write_
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.parser import numbers
 from lightfield_gs.io.atomic import check_outputs
-from lightfield_gs.panels.lens_change import LensChange, changed, turns_in_middle
+from lightfield_gs.panels.lens_change import (
+    LensChange,
+    changed,
+    check_profile_path,
+    is_looking_glass,
+    lens_in_owners_terms,
+    turns_in_middle,
+    write_profile,
+)
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.profile import check_profile_path, is_looking_glass, lens_in_owners_terms, write_profile
 
 _TO_SHOW = [kind for kind in KINDS if kind != "single"]
 

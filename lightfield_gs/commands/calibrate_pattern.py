@@ -15,7 +15,7 @@ from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.parser import whole, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.panels import pattern_fans, patterns
+from lightfield_gs.panels import patterns
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 
 KINDS = {
@@ -108,8 +108,8 @@ def draw_pattern(panel: Panel, args: argparse.Namespace) -> np.ndarray:
     if kind in ("phase", "rgb"):
         return patterns.bars(panel, None if kind == "rgb" else args.shift or 0)
     if kind == "depth":
-        return pattern_fans.depth_ramp(panel, args.span, args.bands)
-    return pattern_fans.fan(panel, kind, args.span, args.bands)
+        return patterns.depth_ramp(panel, args.span, args.bands)
+    return patterns.fan(panel, kind, args.span, args.bands)
 
 
 def write_pattern(path: Path, panel: Panel, kind: str, image: np.ndarray) -> None:

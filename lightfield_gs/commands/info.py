@@ -12,11 +12,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.cameras import add_up
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.scene import add_reading
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
-from lightfield_gs.io.scenes.stored import is_scene_path
-from lightfield_gs.io.text_file import read_text
-from lightfield_gs.io.unread import refuse_unread
-from lightfield_gs.io.yaml_file import MOST_BYTES
+from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unsupported
+from lightfield_gs.io.scenes.files import is_scene_path
+from lightfield_gs.io.text_files import MOST_BYTES, read_text
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
@@ -67,7 +65,7 @@ def describe(
         return _rig(path)
     if suffix == ".json" and _is_camera_file(path):
         return _camera_file(path)
-    refuse_unread(path)
+    refuse_unsupported(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
         return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
@@ -89,7 +87,7 @@ def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -
         ("gaussians", scene.count),
         ("sh_degree", scene.sh_degree),
         ("sha256", scene_hash(scene)),
-        ("axes", axes_of(up, file).words()),
+        ("axes", axes_of(up, file).describe()),
         *brought_along(file),
         ("opacity", _range(scene.opacities)),
         ("median opacity", f"{scene.opacities.median():.3f}"),
@@ -130,7 +128,7 @@ def _digits(centres: Tensor) -> int:
 
 def _image(path: Path) -> list[tuple[str, object]]:
     from lightfield_gs.io.images import read_info
-    from lightfield_gs.photo.inside import facts_inside
+    from lightfield_gs.photo.embedded_depth import facts_inside
 
     info = read_info(path)
     return [
@@ -146,7 +144,7 @@ def _is_rig(path: Path) -> bool:
 
 def _is_camera_file(path: Path) -> bool:
     from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
-    from lightfield_gs.io.json_file import read_json
+    from lightfield_gs.io.text_files import read_json
 
     return is_camera_file(read_json(path, LIMIT_BYTES))
 

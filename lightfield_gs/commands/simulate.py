@@ -17,8 +17,7 @@ from lightfield_gs.commands.options.parser import numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.psf import Psf
-from lightfield_gs.panels.simulate import row_of_eyes, simulate_eyes
+from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate_eyes
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
 

@@ -17,8 +17,8 @@ from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.poses import Poses
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.rasterizer.dense_job import DenseImages
-from lightfield_gs.rasterizer.workspace import Wanted
+from lightfield_gs.rasterizer.image_render import DenseImages
+from lightfield_gs.rasterizer.scene import Wanted
 from lightfield_gs.scene.gaussians import Gaussians
 
 STEPS, RATE = 100, 1e-3  # of each camera; the rate at the start, extents and radians a step

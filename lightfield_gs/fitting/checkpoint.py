@@ -27,7 +27,7 @@ from lightfield_gs.fitting.tally import Tally
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import atomic_path, remove_file
 from lightfield_gs.io.captures.capture import Capture
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 
 FILE = "checkpoint.safetensors"
 _KEY, _VERSION = "lightfield-gs fit", 1
@@ -120,7 +120,7 @@ def restore(path: Path, trainer: Trainer, identity: Identity) -> list[dict[str, 
         said, on_host = _read(path)
         identity.check(path, said)
         tensors = {name: tensor.to(trainer.device) for name, tensor in on_host.items()}
-        trainer.fields = Fields.of_tensors(_below("fields", tensors))
+        trainer.fields = Fields.from_tensors(_below("fields", tensors))
         trainer.tally = Tally(trainer.fields.count, trainer.settings, trainer.device)
         trainer.tally.set(_below("tally", tensors))
         for prefix, owned in (("counters", vars(trainer.counters)), ("extra", trainer.extra)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.rasterizer.dense_job import DenseJob
+from lightfield_gs.rasterizer.image_render import DenseJob
 from lightfield_gs.scene.gaussians import Gaussians
 
 

@@ -62,7 +62,7 @@ class Fields:
         return {**named, "scales": self.scales, "opacities": self.opacities}
 
     @classmethod
-    def of_tensors(cls, tensors: dict[str, Tensor]) -> Fields:
+    def from_tensors(cls, tensors: dict[str, Tensor]) -> Fields:
         """What tensors() gave."""
         values, first, second = (
             RawFields(*(tensors[f"{group}.{name}"] for name in RawFields._fields)) for group in _GROUPS

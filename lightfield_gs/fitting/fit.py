@@ -37,10 +37,9 @@ from lightfield_gs.fitting.world import World
 from lightfield_gs.io.atomic import make_folder, remove_left_over
 from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
-from lightfield_gs.io.scenes.doubts import float_step, usual_size
-from lightfield_gs.io.scenes.render_mode import ANTIALIASED
+from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
+from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene.fitted import fit_comment
 from lightfield_gs.scene.gaussians import Gaussians
 
 _ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: rounding to float32 may move one by so much
@@ -239,6 +238,6 @@ def _begun(
 def _without_origin(gaussians: Gaussians) -> Gaussians:
     """The same from an origin of zero, where float32 is fine enough for that: not every program reads doubles."""
     exact = gaussians.means.double().numpy() + gaussians.origin
-    if float_step(np.median(exact, 0)) > _ORIGIN_STEP * usual_size(gaussians.scales.numpy()):
+    if float32_step(np.median(exact, 0)) > _ORIGIN_STEP * typical_size(gaussians.scales.numpy()):
         return gaussians
     return replace(gaussians, means=torch.from_numpy(exact.astype(np.float32)), origin=(0.0, 0.0, 0.0))

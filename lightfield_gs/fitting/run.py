@@ -19,7 +19,7 @@ from lightfield_gs.fitting.pictures import write_pictures
 from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.io.json_file import write_json
+from lightfield_gs.io.text_files import write_json
 from lightfield_gs.scene.gaussians import Gaussians
 
 _CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop

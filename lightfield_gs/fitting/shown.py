@@ -20,9 +20,9 @@ from lightfield_gs.fitting.frame import PROTOCOL, Frame, framed
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
-from lightfield_gs.rasterizer.dense_job import DenseImages
-from lightfield_gs.rasterizer.workspace import Wanted
-from lightfield_gs.scene.gaussians import Gaussians, mapped
+from lightfield_gs.rasterizer.image_render import DenseImages
+from lightfield_gs.rasterizer.scene import Wanted
+from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
 # Of the mean error that colours of 0..1 may have for what is pruned: 1/39 of a step of 8 bits, a third of what `prune`
 # allows, for here nobody asked for a smaller scene.
@@ -131,7 +131,7 @@ def pruned(
     shown = shown_by(gaussians, world, display, trainer.views, contribution_cut, settings.antialiased)
     for line in shown.lines():
         run.say(line)
-    left = mapped(gaussians, lambda field: field[shown.kept])
+    left = map_fields(gaussians, lambda field: field[shown.kept])
     scores = _scores_in_frame(run, Frame.of(display, world), display, gaussians, left)
     if scores is None:
         run.write_scores(pruned=shown.to_dict())

@@ -26,8 +26,8 @@ from lightfield_gs.fitting.several import ALONE, Group
 from lightfield_gs.fitting.tally import Tally
 from lightfield_gs.fitting.update import Gradients, update
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
-from lightfield_gs.rasterizer.workspace import Wanted
+from lightfield_gs.rasterizer.image_render import DenseImages, DenseJob
+from lightfield_gs.rasterizer.scene import Wanted
 
 
 @dataclass

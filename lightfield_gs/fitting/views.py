@@ -65,7 +65,7 @@ class Views:
         opacity = np.full_like(weights if masks == "alpha" else weights[:0], 255)
         for place, (index, (w, h)) in enumerate(zip(ticks, sizes)):
             photos[place, :h, :w] = capture.image(index)
-            counts = capture.frame(index) if masks == "alpha" else capture.mask(index)
+            counts = capture.valid_area(index) if masks == "alpha" else capture.mask(index)
             weights[place, :h, :w] = 255 if counts is None else counts
             opaque = capture.opacity(index) if masks == "alpha" else None
             if opaque is not None:

@@ -23,7 +23,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models.initializer import Pixels
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
 _WIDENING = 0.3
@@ -74,7 +74,7 @@ def with_detail(
     if harmonics.shape[1]:
         rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
-    return of_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, faded.fields().values()))
+    return from_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, faded.fields().values()))
 
 
 class SheetSurface(NamedTuple):

@@ -25,8 +25,8 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.file_kinds import refuse_stand_in
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.models import crop
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
@@ -36,7 +36,7 @@ from lightfield_gs.models.initializer import Pixels, describe_pixels, mirror_ima
 from lightfield_gs.models.sheet import is_native, lay_sheet
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
 _CONFIG_KEY = "lightfield_gs.model_config"
@@ -183,7 +183,7 @@ class SplatterNet(nn.Module):
             self.train(was_training)
         own = batch.quaternions[:, -self.config.layers * cropped.shape[1] * cropped.shape[2] :]
         own.copy_(F.normalize(own, dim=-1))  # those of texels are of length 1
-        return of_tensors(field[0].contiguous() for field in batch.fields().values())
+        return from_tensors(field[0].contiguous() for field in batch.fields().values())
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""
@@ -205,7 +205,7 @@ class SplatterNet(nn.Module):
 def seen(gaussians: Gaussians) -> Gaussians:
     """Those that are not too faint to be drawn. Waits for the device, once."""
     which = (gaussians.opacities >= OPACITY_CUT).nonzero().squeeze(1)
-    return of_tensors(field.index_select(0, which) for field in gaussians.fields().values())
+    return from_tensors(field.index_select(0, which) for field in gaussians.fields().values())
 
 
 def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:

@@ -26,16 +26,16 @@ from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
-from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.rasterizer.direct import LensJob
 from lightfield_gs.rasterizer.frame_cuda import Frames
-from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 
 
 class PhotoEncoder:
-    """Draws what a panel shows of the object in a photo: SplatterNet.predict, Rig.frame and `encode`, without detours.
+    """Draw the object in a photo for a panel: SplatterNet.predict, frame_scene and `encode`, without detours.
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
     ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
@@ -120,14 +120,14 @@ class PhotoEncoder:
         with torch.cuda.device(self.net.device):
             if self._captured is None or not self._captured.takes(photo):
                 self._captured = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
-            capture_graph = self._captured
+            graphs = self._captured
             with stats.stage("crop"):
-                capture_graph.crop(photo)
+                graphs.crop(photo)
             with stats.stage("network"):
-                capture_graph.network()
+                graphs.network()
             with stats.stage("framing"):
-                self.gaussians = capture_graph.gaussians
-                self.rig = self._looked(capture_graph.rig(self.panel), self.gaussians)
+                self.gaussians = graphs.gaussians
+                self.rig = self._looked(graphs.rig(self.panel), self.gaussians)
             with stats.stage("encode"):
                 return self._draw_frame(self.gaussians, self.rig)
 
@@ -182,7 +182,7 @@ class _Capture:
         values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)
         crop.check_object(has_object)
-        return framing.fit(extent, panel, np.eye(4))
+        return framing.fit_rig(extent, panel, np.eye(4))
 
     def _cropped(self) -> tuple[Tensor, Tensor | None, Tensor]:
         size = self.net.config.image_size_px

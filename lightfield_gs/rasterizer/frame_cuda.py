@@ -19,7 +19,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.cuda import free_memory
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.lens_job import LensJob
+from lightfield_gs.rasterizer.direct import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.scene import floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats

@@ -1,16 +1,21 @@
-"""What a render is made from, checked, and what it leaves to its reverse."""
+"""Checked inputs of a render: Gaussians and background; and the State that its backward reads."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from functools import lru_cache
 from types import ModuleType
 from typing import NamedTuple, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import Colour, to_tensor
+from lightfield_gs.base.checks import shown
 from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 
@@ -131,3 +136,110 @@ class State(NamedTuple):
                 f"state: lists must be {least_bytes} bytes or more, got {list(self.lists.shape)} of {self.lists.dtype}"
             )
         return State(splats, colours, self.lists.contiguous())
+
+
+def background_tensor(background: Colour, like: Tensor) -> Tensor:
+    """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
+    if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
+        if like.is_cuda and torch.cuda.is_current_stream_capturing():
+            return _captured_background(background, like)
+        return _constant_background(tuple(background), like.dtype, like.device)
+    return _checked_background(background, like.dtype, like.device)
+
+
+def _captured_background(background: Sequence[float], like: Tensor) -> Tensor:
+    """A background that a graph under capture makes itself, in its own memory.
+
+    Of a tensor from outside it would keep nothing but the address, where something else may lie at a replay.
+    """
+    numbers = _checked_background(background, like.dtype, torch.device("cpu")).tolist()
+    return torch.stack([like.new_full((), number) for number in numbers])
+
+
+@lru_cache(maxsize=64)
+def _constant_background(background: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """A background of plain numbers. It is made once, for copying it to a device waits for that every time."""
+    with torch.inference_mode(False):  # it may be part of a graph of gradients later
+        return _checked_background(background, dtype, device)
+
+
+def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """A background of any kind as a tensor. One on a GPU is not searched for NaN, which would wait for the GPU.
+
+    Tensors and arrays may hold values beyond 0..1, as optimizers make them; plain numbers beyond it are mistakes.
+    """
+    plain = True
+    if isinstance(background, (Tensor, np.ndarray)):
+        plain, background = False, to_tensor("background", background)
+    there = isinstance(background, Tensor) and background.is_cuda
+    try:
+        colour = torch.as_tensor(background, dtype=dtype, device=device)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        raise InputError(
+            f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
+        ) from None
+    if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
+        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {shown(background)}")
+    if plain and not bool(((colour >= 0) & (colour <= 1)).all()):
+        raise InputError(
+            f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by 255"
+        )
+    return colour
+
+
+class Splats:
+    """Projected Gaussians of `images` images: what `project` writes and all later stages read."""
+
+    def __init__(
+        self, scene: Scene, images: int, colour_order: int, with_orders: bool, compensated: bool, state: State | None
+    ):
+        """Memory for them, or what a render left of them in `state`.
+
+        colour_order: highest order of the polynomials that give the colours of a light field over the rig; 0 for one
+        colour each. with_orders: whether each Gaussian may have a lower order of its own. compensated: whether they are
+        those of an anti-aliased light field, whose opacities change over the rig.
+        """
+        n, self.colour_order = scene.count, colour_order
+        if state is None:
+            self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
+        else:
+            self.splats, self.colours = state.splats, state.colours
+        self.orders = scene.new(images, n if with_orders else 0, dtype=torch.int32)
+        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
+        self.native = scene.core.Splats(
+            images,
+            n,
+            colour_order,
+            self.splats.data_ptr(),
+            self.colours.data_ptr(),
+            self.orders.data_ptr(),
+            0 if self.compensations is None else self.compensations.data_ptr(),
+        )
+
+    def buffers(self) -> list[Tensor]:
+        extra = [] if self.compensations is None else [self.compensations]
+        return [self.splats, self.colours, self.orders, *extra]
+
+
+class Wanted(NamedTuple):
+    """Which gradients of ordinary images are asked for beside those of the five fields and of the background.
+
+    screen_numbers: 0; 2 for the places of the splats, in 1 / pixels; 4 for these and the sums of absolute values.
+    """
+
+    screen_numbers: int = 0
+    cameras: bool = True
+
+    @property
+    def absolute(self) -> bool:
+        return self.screen_numbers == 4
+
+
+class DenseGradients(NamedTuple):
+    """Gradients of ordinary images: of the five fields; of the background in parts [I * parts, 3]; of the cameras
+    [I, 4, 4], or of none; and of the splats' places [I, N, screen_numbers]."""
+
+    fields: list[Tensor]
+    background_parts: Tensor
+    cameras: Tensor
+    screen: Tensor

@@ -1,76 +1,19 @@
-"""The stages of a render, and their buffers, whatever device they are on."""
+"""The stages of a render and their buffers, on the CPU; workspace_cuda.py has those of CUDA."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.rasterizer.lens_view import NativeView
+from lightfield_gs.rasterizer.lenticular_camera import NativeView
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import Scene, State
-from lightfield_gs.rasterizer.stats import Stats
-
-
-class Splats:
-    """Projected Gaussians of `images` images: what `project` writes and all later stages read."""
-
-    def __init__(
-        self, scene: Scene, images: int, colour_order: int, with_orders: bool, compensated: bool, state: State | None
-    ):
-        """Memory for them, or what a render left of them in `state`.
-
-        colour_order: highest order of the polynomials that give the colours of a light field over the rig; 0 for one
-        colour each. with_orders: whether each Gaussian may have a lower order of its own. compensated: whether they are
-        those of an anti-aliased light field, whose opacities change over the rig.
-        """
-        n, self.colour_order = scene.count, colour_order
-        if state is None:
-            self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
-        else:
-            self.splats, self.colours = state.splats, state.colours
-        self.orders = scene.new(images, n if with_orders else 0, dtype=torch.int32)
-        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
-        self.native = scene.core.Splats(
-            images,
-            n,
-            colour_order,
-            self.splats.data_ptr(),
-            self.colours.data_ptr(),
-            self.orders.data_ptr(),
-            0 if self.compensations is None else self.compensations.data_ptr(),
-        )
-
-    def buffers(self) -> list[Tensor]:
-        extra = [] if self.compensations is None else [self.compensations]
-        return [self.splats, self.colours, self.orders, *extra]
-
-
-class Wanted(NamedTuple):
-    """Which gradients of ordinary images are asked for beside those of the five fields and of the background.
-
-    screen_numbers: 0; 2 for the places of the splats, in 1 / pixels; 4 for these and the sums of absolute values.
-    """
-
-    screen_numbers: int = 0
-    cameras: bool = True
-
-    @property
-    def absolute(self) -> bool:
-        return self.screen_numbers == 4
-
-
-class DenseGradients(NamedTuple):
-    """Gradients of ordinary images: of the five fields; of the background in parts [I * parts, 3]; of the cameras
-    [I, 4, 4], or of none; and of the splats' places [I, N, screen_numbers]."""
-
-    fields: list[Tensor]
-    background_parts: Tensor
-    cameras: Tensor
-    screen: Tensor
+from lightfield_gs.rasterizer.scene import DenseGradients, Scene, Splats, State, Wanted, floats_or_bytes
+from lightfield_gs.rasterizer.stats import Stats, direct_counts
+from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
 
 class Workspace(Protocol):
@@ -118,3 +61,196 @@ class Workspace(Protocol):
         self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
         """Gradients of the five fields, and of the background in parts [parts, 3]."""
+
+
+class CpuWorkspace:
+    """Splats and bins of one render on the CPU, and the stages over them."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        images: int,
+        width: int,
+        height: int,
+        colour_order: int,
+        stats: Stats,
+        threads: int,
+        state: State | None = None,
+        compensated: bool = False,
+    ):
+        self.scene, self.images, self.stats, self.threads = scene, images, stats, threads
+        self.width, self.height = width, height
+        self.offsets = images * _core.band_count(height) + 1  # where each band's list begins, and the end
+        if state is not None:
+            state = state.check(images, scene, colour_order, 8 * self.offsets)
+            self._use_lists(state.lists)
+        self.splats = Splats(scene, images, colour_order, True, compensated, state)
+
+    def _use_lists(self, lists: Tensor) -> None:
+        """Takes over lists, bytes: band offsets [I * bands + 1] int64, then the splats of the pairs, int32."""
+        self.lists, self.pair_count = lists, (lists.numel() - 8 * self.offsets) // 4
+        self.bins = _core.Bins(lists.data_ptr(), lists.data_ptr() + 8 * self.offsets)
+
+    def state(self) -> State:
+        return State(self.splats.splats, self.splats.colours, self.lists)
+
+    def project_dense(self, cameras: _core.float32.Cameras) -> None:
+        self.scene.core.project_images(self.scene.native(), cameras, self.splats.native, self.threads)
+
+    def project_lens(self, view: NativeView, quality: Quality) -> float:
+        return self.scene.core.project_direct(
+            self.scene.native(),
+            view.rig,
+            view.lens,
+            quality.native,
+            quality.colour_error,
+            self.splats.native,
+            self.threads,
+        )
+
+    def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        scene, core, native, threads = self.scene, self.scene.core, self.splats.native, self.threads
+        with self.stats.stage("order"):
+            # `order` [I, N] begins with the splats that are drawn, nearest first; there are `drawn` [I] of them
+            order = scene.new(self.images, scene.count, dtype=torch.int32)
+            drawn = scene.new(self.images, dtype=torch.int64)
+            core.order(native, order.data_ptr(), drawn.data_ptr(), threads)
+        with self.stats.stage("bin"):
+            self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
+            bins = _core.Bins(self.band_offsets.data_ptr(), 0)
+            self.pair_count = core.bin_count(native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads)
+            if not admit():
+                return False
+            self._use_lists(scene.new(8 * self.offsets + 4 * self.pair_count, dtype=torch.uint8))
+            self.lists[: 8 * self.offsets] = self.band_offsets.view(torch.uint8)
+            core.bin_fill(native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
+        self.pairs_on_device = torch.tensor([self.pair_count])
+        self.stats.images += self.images
+        self.stats.gaussians_drawn += int(drawn.sum())
+        self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
+        return True
+
+    def composite_dense(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
+        self.stats.count(
+            self.scene.core.composite_images(
+                self.splats.native, self.bins, cameras, background.data_ptr(), out, self.threads
+            )
+        )
+
+    def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
+        """out: [H, W, 3], of the scene's dtype or uint8."""
+        counters = self.scene.core.composite_direct(
+            self.splats.native,
+            self.bins,
+            view.lens,
+            quality.native,
+            background.data_ptr(),
+            *floats_or_bytes(out),
+            self.threads,
+        )
+        self.stats.count(counters)
+        if self.stats.device is not None:
+            splats = self.splats
+            self.stats.pruned = int((splats.splats[..., _core.SPLAT_REACH_INDEX] == _core.PRUNED).sum())
+            self.stats.skipped = direct_counts(counters, splats.orders, splats.splats, splats.colour_order)
+
+    def dense_backward(
+        self,
+        cameras: _core.float32.Cameras,
+        background: Tensor,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
+        wanted: Wanted,
+    ) -> DenseGradients:
+        core, scene = self.scene.core, self.scene
+        first, pairs, g_background = self._gradient_buffers(_core.image_intersection_gradient_size(wanted.absolute))
+        core.composite_images_backward(
+            self.splats.native,
+            self.bins,
+            cameras,
+            background.data_ptr(),
+            images,
+            gradients,
+            wanted.absolute,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
+        out, native = scene.gradients(zero=True)
+        g_cameras = scene.new(self.images, 4, 4, zero=True)
+        screen = scene.new(self.images, scene.count, wanted.screen_numbers)
+        core.project_images_backward(
+            scene.native(),
+            cameras,
+            self.splats.native,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            native,
+            screen.data_ptr() if wanted.screen_numbers else 0,
+            wanted.absolute,
+            g_cameras.data_ptr(),
+            self.threads,
+        )
+        return DenseGradients(out, g_background, g_cameras, screen)
+
+    def lens_backward(
+        self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
+        core, splats = self.scene.core, self.splats
+        size = _core.intersection_gradient_size(splats.colour_order, splats.compensations is not None)
+        first, pairs, g_background = self._gradient_buffers(size)
+        core.composite_direct_backward(
+            self.splats.native,
+            self.bins,
+            view.lens,
+            background.data_ptr(),
+            image.data_ptr(),
+            g_image.data_ptr(),
+            first.data_ptr(),
+            pairs.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
+        out, native = self.scene.gradients(zero=True)
+        core.project_direct_backward(
+            self.scene.native(),
+            view.rig,
+            view.lens,
+            self.splats.native,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            native,
+            self.threads,
+        )
+        return out, g_background
+
+    def _gradient_buffers(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
+        """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
+        first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
+        self.scene.core.first_intersections(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
+        pairs = self.scene.new(self.pair_count, size, zero=True)
+        return first, pairs, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)
+
+
+def workspace_of(
+    scene: Scene,
+    images: int,
+    width: int,
+    height: int,
+    stats: Stats,
+    threads: int,
+    *,
+    lens: bool = False,
+    colour_order: int = 0,
+    compensated: bool = False,
+    state: State | None = None,
+    room: int | None = None,
+) -> Workspace:
+    """For `images` images of one size. lens, colour_order, compensated, state: see workspace.Splats; room: see
+    image_render.DenseJob."""
+    if scene.device.type == "cuda":
+        return CudaWorkspace(
+            scene, images, width, height, colour_order, stats, lens, state, compensated=compensated, room=room
+        )
+    return CpuWorkspace(scene, images, width, height, colour_order, stats, threads, state, compensated)

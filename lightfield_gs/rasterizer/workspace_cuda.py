@@ -9,11 +9,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs import _core
-from lightfield_gs.rasterizer.lens_view import NativeView
+from lightfield_gs.rasterizer.lenticular_camera import NativeView
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import Scene, State
+from lightfield_gs.rasterizer.scene import DenseGradients, Scene, Splats, State, Wanted
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import DenseGradients, Splats, Wanted
 
 _ALIGNMENT = 256  # bytes, that of memory from CUDA
 

@@ -29,12 +29,12 @@ class Up:
     axis: str
     source: str
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """What was taken and why, for the user."""
         return f"{self.axis} is up ({self.source})"
 
 
-def stated_up(comments: Iterable[str]) -> Up | None:
+def find_up(comments: Iterable[str]) -> Up | None:
     """What the header of a .ply says; the last word counts.
 
     Nerfstudio and others write "Vertical Axis: z" (an axis, which may have a sign), Brush "Vertical axis: y", or three
@@ -62,7 +62,7 @@ def _known_direction(up: str) -> np.ndarray:
     return direction
 
 
-def upright(up: str) -> np.ndarray:
+def upright_rotation(up: str) -> np.ndarray:
     """World-to-camera rotation [3, 3] of an upright camera before the scene: rows right, down, forward. See UP_AXES."""
     direction = _known_direction(up)
     nearest = up if up in UP_AXES else _nearest(direction)

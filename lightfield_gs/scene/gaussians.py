@@ -12,13 +12,12 @@ from typing import Any, NoReturn
 import numpy as np
 import torch
 
+import lightfield_gs
 from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
-from lightfield_gs.io.scenes.render_mode import ANTIALIASED_WARNING, stated_antialiased
-from lightfield_gs.io.scenes.stored import read_stored, write_stored
-from lightfield_gs.scene.turning import rotated_fields
+from lightfield_gs.scene.rotation import rotated_fields
 
 
 @dataclass(eq=False)
@@ -95,11 +94,11 @@ class Gaussians:
 
     def to(self, *args, **kwargs) -> Gaussians:
         """As torch.Tensor.to, on every field."""
-        return mapped(self, lambda tensor: tensor.to(*args, **kwargs))
+        return map_fields(self, lambda tensor: tensor.to(*args, **kwargs))
 
     def detach(self) -> Gaussians:
         """The same data outside the autograd graph."""
-        return mapped(self, torch.Tensor.detach)
+        return map_fields(self, torch.Tensor.detach)
 
     def rotated(self, rotation: Any) -> Gaussians:
         """The same Gaussians turned about the zero of their file: places, quaternions and harmonics of degree 0..3.
@@ -182,42 +181,21 @@ class Gaussians:
 
     @staticmethod
     def load(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> Gaussians:
-        """Reads a file of Gaussians (.ply, compressed .ply, .spz, .sog, .splat, .ksplat): float32, CPU. What looks
-        wrong is a warning, and so is an origin.
+        """Read a file of Gaussians: float32 on the CPU. Suspicious contents and an origin are warnings.
 
-        skip_invalid: leave out Gaussians with values that have no meaning. time: at which those that move are read. See
-        lightfield_gs.scene.files.read_scene, which tells more of the file.
+        lightfield_gs.read_scene describes the formats and arguments, and returns more of the file.
         """
-        stored = read_stored(path, skip_invalid=skip_invalid, time=time)
-        gaussians = of_arrays(stored.fields, stored.origin)
-        for words in stored.notes:
+        scene = lightfield_gs.read_scene(path, skip_invalid=skip_invalid, time=time)
+        for words in scene.warnings():
             warnings.warn(f"{path}: {words}", stacklevel=2)
-        if stated_antialiased(stored.comments):
-            warnings.warn(f"{path}: {ANTIALIASED_WARNING}", stacklevel=2)
-        if any(gaussians.origin):
-            warnings.warn(
-                f"{path}: the means are given from the origin {gaussians.origin}; cameras in the "
-                "file's coordinates fit after relative_to(gaussians.origin)",
-                stacklevel=2,
-            )
-        return gaussians
+        return scene.gaussians
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Writes one set of Gaussians, complete or not at all, in the format that the name ends in: a standard 3DGS
-        .ply, .spz (version 3) or .splat. A .ply is float32, but for the centres of Gaussians with an origin, which are
-        written as double with the origin added. What the other formats cannot hold is a warning.
+        """Write one set of Gaussians as .ply, .spz or .splat. What the format cannot hold is a warning.
 
-        comments: texts of one line each for the header of a .ply, 64 KiB in all at most with it.
-        Raises InputError on a batch of sets, a set of none, on values that `validate` refuses, on comments that are no
-        single lines, or when it cannot be written.
+        lightfield_gs.write_scene describes the arguments.
         """
-        if self.is_batched:
-            raise InputError(f"a file holds one set of Gaussians, got a batch of {self.means.shape[0]}; save one")
-        if self.count == 0:
-            raise InputError(f"{path}: there are no Gaussians to write; expected at least one")
-        values = self.detach().validate().fields()
-        arrays = {name: value.cpu().double().numpy() for name, value in values.items()}
-        for words in write_stored(path, arrays, self.origin, comments):
+        for words in lightfield_gs.write_scene(self, path, comments):
             assume(f"{path}: {words}", Loss)
 
 
@@ -245,13 +223,13 @@ def _complain(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str
     raise InputError(f"{name}{list(index)}: expected {expected}, got {tensor[index].tolist()}")
 
 
-def of_tensors(fields: Iterable[torch.Tensor]) -> Gaussians:
+def from_tensors(fields: Iterable[torch.Tensor]) -> Gaussians:
     """Gaussians of the five tensors, in the order of Gaussians.fields."""
     means, quaternions, scales, opacities, sh = fields
     return Gaussians(means, quaternions, scales, opacities, sh)
 
 
-def mapped(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tensor]) -> Gaussians:
+def map_fields(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tensor]) -> Gaussians:
     """The same Gaussians, each of the five tensors changed."""
     return replace(
         gaussians,
@@ -263,6 +241,6 @@ def mapped(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tensor])
     )
 
 
-def of_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
+def from_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
     """Gaussians on the CPU that share the memory of the arrays; fields: as of Gaussians.fields, [N, ...]."""
     return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)

@@ -12,8 +12,7 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.json_file import read_object
-from lightfield_gs.io.yaml_file import check_keys, read_mapping
+from lightfield_gs.io.text_files import check_keys, read_mapping, read_object
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 

@@ -16,10 +16,10 @@ from tqdm import tqdm
 from lightfield_gs.base.arrays import Colour, to_bytes
 from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.options import QualityName, Views
+from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.quilt import quilt
-from lightfield_gs.encoding.views import render_views
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig, reduced

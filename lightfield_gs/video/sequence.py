@@ -13,10 +13,10 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.atomic import sha256
 from lightfield_gs.io.depth_names import depth_maps_beside
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
 from lightfield_gs.video.decoding import decode, timeline
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
@@ -62,7 +62,7 @@ class Sequence:
 
     def digest(self) -> str:
         """SHA-256 over the contents of its files."""
-        return sha256_of(*(self.files or (self.path,)))
+        return sha256(*(self.files or (self.path,)))
 
 
 def is_sequence(path: str | Path) -> bool:

@@ -13,9 +13,9 @@ import numpy as np
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_large_non_image
 from lightfield_gs.io.images import MAX_PIXELS, Picture
-from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS, refuse_large_no_image
-from lightfield_gs.io.pillow_images import pillow_complaints
+from lightfield_gs.io.pillow_images import pillow_errors
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.video.sequence import Sequence, open_sequence
 from lightfield_gs.view_sets.pixels import ViewColours, plays_back_and_forth, thumbnail
@@ -115,8 +115,8 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
     """Number of frames of an image file, and frames a second; 1, None of what is no animation."""
     from PIL import Image
 
-    with contextlib.suppress(InputError), pillow_complaints(str(path)):  # what reads images sees to it
-        refuse_large_no_image(path)
+    with contextlib.suppress(InputError), pillow_errors(str(path)):  # what reads images sees to it
+        refuse_large_non_image(path)
         with path.open("rb") as file:
             start = file.read(32)
         if start[:4] == b"RIFF" and not (start[12:16] == b"VP8X" and start[20] & _ANIMATED_BIT):
@@ -133,14 +133,14 @@ def _animation(path: Path) -> Iterator[np.ndarray]:
     from PIL import Image, ImageSequence
 
     words = f"{path} is no animation that can be read"
-    with pillow_complaints(words):
+    with pillow_errors(words):
         image = Image.open(path)
     with image:
         if image.width * image.height > MAX_PIXELS:
             raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {MAX_PIXELS}")
         frames = ImageSequence.Iterator(image)
         while True:
-            with pillow_complaints(words):
+            with pillow_errors(words):
                 frame = next(frames, None)
                 pixels = None if frame is None else np.asarray(frame.convert("RGBA"))
             if pixels is None:

@@ -13,10 +13,10 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.file_kinds import refuse_large_non_image, refuse_video
 from lightfield_gs.io.images import Picture, as_floats
-from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_large_no_image, refuse_video
-from lightfield_gs.io.pillow_images import pillow_complaints
+from lightfield_gs.io.pillow_images import pillow_errors
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.panels.quilt import QuiltLayout, check_divides, stated_layout
 from lightfield_gs.view_sets.folder import FileViews, folder_views
@@ -150,8 +150,8 @@ def _comment(path: Path) -> dict[str, Any]:
 
     comment: object = b""
     # Other readers see to files that are no images
-    with contextlib.suppress(InputError), pillow_complaints(str(path)):
-        refuse_large_no_image(path)
+    with contextlib.suppress(InputError), pillow_errors(str(path)):
+        refuse_large_non_image(path)
         with Image.open(path) as image:
             comment = image.getexif().get_ifd(_EXIF_TAGS).get(_USER_COMMENT, b"")
     if isinstance(comment, str):

@@ -15,7 +15,7 @@ from lightfield_gs import Encoder, InputError, Panel, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, with_harmonics
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.rasterizer import frame_cuda
-from lightfield_gs.rasterizer.lens_job import LensJob
+from lightfield_gs.rasterizer.direct import LensJob
 from lightfield_gs.rasterizer.quality import EXACT
 
 WIDE = dict(width_px=1920, height_px=960, views=96, line_number=16.013, slant_tan=0.182, cone_deg=40.0)

@@ -6,8 +6,8 @@ import pytest
 import torch
 from rasterizer_cases import dense_views, hard_scene, random_scene, stacked
 
+from benchmarks import training_step
 from lightfield_gs import Gaussians, _core
-from lightfield_gs.bench import training as bench_training
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -95,11 +95,11 @@ def test_more_pairs_than_can_be_counted_are_refused():
 
 
 def test_the_training_step_can_be_timed(monkeypatch):
-    monkeypatch.setattr(bench_training, "SCENES", 2)
-    monkeypatch.setattr(bench_training, "SIZE_PX", 16)
-    row = bench_training.cuda_row(1)
+    monkeypatch.setattr(training_step, "SCENES", 2)
+    monkeypatch.setattr(training_step, "SIZE_PX", 16)
+    row = training_step.cuda_row(1)
     assert row["images"] == 8 and row["gaussians"] == 256 and 0 < row["ms_forward"] < row["ms_total"]
-    assert row["card"] in bench_training.table([row])
+    assert row["card"] in training_step.table([row])
 
 
 def test_more_images_than_a_launch_takes_are_refused():

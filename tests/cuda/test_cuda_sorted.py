@@ -13,7 +13,7 @@ from sorted_cases import oracle, random_map, toe_in
 
 from lightfield_gs import Gaussians, InputError, SortedPlan, _core, encode
 from lightfield_gs.bench.scenes import cloud, sheet
-from lightfield_gs.encoding.sorted_cuda import CudaStages
+from lightfield_gs.encoding.sorted import CudaStages
 from lightfield_gs.rasterizer.scene import Scene as WorkScene
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):

@@ -205,7 +205,7 @@ def gradients(
     else:
         image = render(
             given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND, antialiased=antialiased
-        )
+        ).image
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
     return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
 

@@ -32,7 +32,7 @@ from lightfield_gs.models import unet
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rasterizer import frame_cuda
-from lightfield_gs.rasterizer.lens_job import LensJob
+from lightfield_gs.rasterizer.direct import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 
 

@@ -26,7 +26,7 @@ from lightfield_gs.fitting.shown import NEAR_SHARE, photographed, shown_by
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.photograph import Photograph
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.io.scenes.files import read_scene
 
 MIDDLE = np.array([3.0, -2.0, 7.0])  # what the cameras of a ring look at
 RADIUS = 4.0
@@ -288,7 +288,7 @@ def test_weights_in_photographs_are_those_of_the_pictures():
     views, scene = views_of(known_scene(40)), known_scene(40)
     white = replace(scene, sh=torch.zeros_like(scene.sh))  # colours of 0.5: the picture is half of all weights
     cameras = known_cameras()
-    picture = lf.render(white, cameras, background=(0.0, 0.0, 0.0))
+    picture = lf.render(white, cameras, background=(0.0, 0.0, 0.0)).image
     assert float(photographed(scene, views).sum()) == pytest.approx(float(picture.sum()) / 3 / 0.5, rel=1e-4)
 
 

@@ -20,7 +20,7 @@ BLACK = (0.0, 0.0, 0.0)
 def test_scores_are_those_of_the_definition():
     other, views = known_scene(seed=1), views_of(known_scene())
     scores = evaluated(other, views, BLACK)
-    drawn = lf.render(other, known_cameras(), background=BLACK).clamp(0, 1)
+    drawn = lf.render(other, known_cameras(), background=BLACK).image.clamp(0, 1)
     photos = views.photos / 255
     psnr = [-10 * math.log10(float((d - p).double().square().mean())) for d, p in zip(drawn, photos)]
     assert scores.psnr_db == pytest.approx(psnr, abs=1e-4)

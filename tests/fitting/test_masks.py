@@ -25,7 +25,7 @@ from lightfield_gs.io.captures.capture import read_capture
 
 def cut_out(views: Views, scene: lf.Gaussians) -> tuple[Views, torch.Tensor]:
     """Views whose masks are the alpha of the scene, their photographs of straight colours; and that alpha."""
-    image, alpha = lf.render(scene, views.cameras(), background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha, *_ = lf.render(scene, views.cameras(), background=(0.0, 0.0, 0.0), alpha=True)
     straight = image / alpha.clamp_min(1e-3)[..., None]
     views.photos = straight.clamp(0, 1).mul(255).round().to(torch.uint8)
     views.opacity = alpha.mul(255).round().to(torch.uint8)
@@ -39,7 +39,7 @@ def test_the_scene_itself_is_the_target_over_any_background():
     everything = torch.arange(views.count)
     for background in ((0.0, 0.0, 0.0), (1.0, 0.2, 0.6)):
         target, weights = views.targets(everything, torch.tensor([background]).expand(6, 3))
-        image = lf.render(scene, views.cameras(), background=background)
+        image = lf.render(scene, views.cameras(), background=background).image
         assert weights is None and (image - target).abs().max() < 0.006
         assert photo_loss_and_gradient(image, target)[0] / views.count < 0.002
 

@@ -12,8 +12,8 @@ from lightfield_gs.fitting.fields import Fields
 from lightfield_gs.fitting.poses import Poses, moved, rotations_about, twist_gradients, without_common
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
-from lightfield_gs.rasterizer.workspace import Wanted
+from lightfield_gs.rasterizer.image_render import DenseImages, DenseJob
+from lightfield_gs.rasterizer.scene import Wanted
 
 DOUBLE = torch.float64
 

@@ -64,7 +64,7 @@ def drawn(gaussians: Gaussians, factor: int) -> tuple[torch.Tensor, torch.Tensor
     camera, size = factor * INTRINSICS, factor * SIZE
     cameras = Cameras(torch.eye(4, dtype=torch.float64)[None], camera[:, :2], camera[:, 2:], size, size)
     single = Gaussians(*(field[0] for field in gaussians.fields().values()))
-    image, alpha = render(single, cameras, background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha, *_ = render(single, cameras, background=(0.0, 0.0, 0.0), alpha=True)
     return image[0].permute(2, 0, 1) / alpha.clamp_min(1e-9), alpha[0]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-import lightfield_gs.rasterizer.lens  # noqa: F401  the operator
+import lightfield_gs.rasterizer.direct  # noqa: F401  the operator
 
 FILES = {name: os.environ.get(f"LFGS_STAGES_{name.upper()}", "") for name in ("arm", "x86")}
 if not all(FILES.values()):

@@ -12,13 +12,13 @@ from rasterizer_cases import all_subpixels, panel, projected, random_scene, rig
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference
 from lightfield_gs.base.arrays import to_bytes
-from lightfield_gs.encoding.views import render_views
+from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.panels.lens import lens_view, view_aperture
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
+from lightfield_gs.rasterizer.image_render import DenseImages, DenseJob
 from lightfield_gs.rasterizer.quality import QUALITIES
-from lightfield_gs.rasterizer.workspace import Wanted
+from lightfield_gs.rasterizer.scene import Wanted
 from lightfield_gs.reference.blend import LOW_PASS_PX2, Projection, Scene, square
 from lightfield_gs.reference.light_field import rig_eye
 from lightfield_gs.scene.gaussians import Gaussians
