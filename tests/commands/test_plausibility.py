@@ -9,7 +9,7 @@ import pytest
 from command_line import PANEL, run, scene
 
 from lightfield_gs import cli
-from lightfield_gs.app.panel import doubts_of_units
+from lightfield_gs.app.panel import implausible_units
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.rig import Rig
@@ -34,9 +34,9 @@ def notes(capsys, line: str) -> list[str]:
     ],
 )
 def test_numbers_in_other_units_are_doubted(change, words):
-    (doubt,) = doubts_of_units(replace(PANEL, **change))
+    (doubt,) = implausible_units(replace(PANEL, **change))
     assert re.search(words, doubt)
-    assert not doubts_of_units(PANEL) and not doubts_of_units(replace(PANEL, viewing_distance_mm=None))
+    assert not implausible_units(PANEL) and not implausible_units(replace(PANEL, viewing_distance_mm=None))
 
 
 def test_commands_doubt_the_units_of_a_panel(folder, capsys):

@@ -98,6 +98,9 @@ def write_scene(gaussians: Gaussians, path: str | Path, comments: Sequence[str] 
     Raises:
         InputError: Gaussians are a batch, empty or invalid, comments have several lines, or the file cannot be written.
     """
+    from lightfield_gs.scene.gaussians import Gaussians
+
+    expect("gaussians", gaussians, Gaussians)
     if gaussians.is_batched:
         raise InputError(f"a file holds one set of Gaussians, got a batch of {gaussians.means.shape[0]}; save one")
     if gaussians.count == 0:
