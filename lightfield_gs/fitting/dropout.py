@@ -17,10 +17,11 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.native import check_tensor, core_of, stream_of
+from lightfield_gs.fitting.native import core_of, stream_of
 from lightfield_gs.fitting.settings import FitSettings
 
 _FEW = 12  # photographs, up to which it gained most in what was measured, and a fit speaks of it

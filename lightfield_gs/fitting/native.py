@@ -1,4 +1,4 @@
-"""What the wrappers of the fitting stages share: checks of tensors, and the native functions of a device."""
+"""What the wrappers of the fitting stages share: the native functions of a device."""
 
 from __future__ import annotations
 
@@ -6,24 +6,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-
-
-def check_tensor(
-    what: str, value: object, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device, writes: bool = False
-) -> Tensor:
-    """`value` contiguous. Raises InputError unless it is a tensor of this shape and dtype on this device; writes: also
-    unless it is contiguous itself, since what is written to a copy would be lost."""
-    expect(what, value, Tensor)
-    assert isinstance(value, Tensor)
-    if value.shape != shape:
-        raise InputError(f"{what} must be {list(shape)}, got {list(value.shape)}")
-    if value.dtype != dtype or value.device != device:
-        raise InputError(f"{what} must be {dtype} on {device}, got {value.dtype} on {value.device}")
-    if writes and not value.is_contiguous():
-        raise InputError(f"{what} is written to and must be contiguous; use .contiguous()")
-    return value.contiguous()
 
 
 def core_of(what: str, tensor: Tensor) -> type[_core._Stages]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
+from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting import adaptive, mcmc, morton
 from lightfield_gs.fitting.exposure import Exposure
@@ -175,12 +176,9 @@ class Trainer:
             self.views.stage(self._host_order[min(self.done + ahead, self.settings.steps - 1)])
 
     def _captured(self) -> torch.cuda.CUDAGraph:
-        """A step as a graph. Capturing does not run it."""
+        """Capture a step as a graph, without running it."""
         torch.cuda.synchronize(self.device)
-        graph, step = torch.cuda.CUDAGraph(), self._step(self._room)
-        with torch.cuda.graph(graph):
-            step.run()
-        return graph
+        return capture_graph(self._step(self._room).run)[0]
 
     def _look(self, begun: int) -> None:
         """Waits for the device, and learns from it how many of the steps that were begun are done, and whether they

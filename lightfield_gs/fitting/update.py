@@ -13,10 +13,11 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.native import check_tensor, core_of, optional_address, stream_of
+from lightfield_gs.fitting.native import core_of, optional_address, stream_of
 
 MOST_LOG_SCALE = _core.MOST_LOG_SCALE  # the update keeps log_scales within -20..20: 2e-9 .. 5e8 scene units
 MOST_LOGIT = _core.MOST_LOGIT  # and logits within -15..15, so that opacities stay below 1 in float32 as well
