@@ -21,7 +21,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import peers
 from lightfield_gs.bench.fit_data import BLACK, Fit, Photographs, scores
 from lightfield_gs.bench.fit_peer import PeerFit, Recipe
-from lightfield_gs.fitting.fields import Fields
+from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.settings import Density, FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.rasterizer.images import render
@@ -37,7 +37,7 @@ class OurFit:
     """Ours."""
 
     def __init__(self, photographs: Photographs, settings: FitSettings) -> None:
-        self._trainer = Trainer(Fields.of(photographs.start(settings)), photographs.train, settings)
+        self._trainer = Trainer(GaussianState.start(photographs.start(settings)), photographs.train, settings)
 
     def advance(self, until: int) -> None:
         """Does the steps up to `until`."""
@@ -45,7 +45,7 @@ class OurFit:
 
     def gaussians(self) -> Gaussians:
         """The scene as it is now."""
-        return self._trainer.fields.gaussians()
+        return self._trainer.state.gaussians()
 
     def draw(self, cameras: Cameras) -> Tensor:
         """It before a camera, [1, H, W, 3]."""

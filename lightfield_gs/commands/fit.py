@@ -64,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
     held = names_in(args.test_list)
     check_cone(args)
 
+    from lightfield_gs.base.torchrun import is_first
     from lightfield_gs.fitting.fit import fit
-    from lightfield_gs.fitting.several import is_first
 
     with Interrupts() as interrupts:
         capture = _capture(args, folder)
@@ -116,20 +116,20 @@ def _capture(args: argparse.Namespace, folder: Path) -> Capture:
 
 def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
     """What came out, how well, and how to go on."""
-    from lightfield_gs.fitting.evaluate import protocol
+    from lightfield_gs.fitting.evaluate import describe_protocol
 
     if result.scores is not None:
-        print(f"{result.scores.table()}\n{protocol(result.settings.poses)}")
+        print(f"{result.scores.table()}\n{describe_protocol(result.settings.poses)}")
         _say_angles(result)
     print(f"{args.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
     scores = ", scores.json" if result.scores is not None else ""
     print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
-        from lightfield_gs.fitting.display import rig_path
+        from lightfield_gs.fitting.cone import rig_path
 
         rig = rig_path(args.output)
         print(f"{rig}: the rig in the capture's coordinates: encode {args.output} --rig {rig} --panel {_panel(args)}")
-        if result.shown is None:
+        if result.pruning is None:
             print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
@@ -141,10 +141,10 @@ def _say_angles(result: FitResult) -> None:
         return
     print(f"from {result.angles.centre}, cone of {result.angles.cone_deg:g} degrees:")
     print(result.angles.table(result.scores))
-    if (framed := result.frame_scores) is not None:
+    if (framed := result.window_scores) is not None:
         whole, pruned, count = framed.whole, framed.pruned, len(framed.whole.names)
         print(
-            f"in the panel's frame, {framed.share:.0%} of {counted(count, 'photograph')} inside its cone: PSNR "
+            f"in the panel's frame, {framed.coverage:.0%} of {counted(count, 'photograph')} inside its cone: PSNR "
             f"{whole.mean_psnr_db:.2f} dB, SSIM {whole.mean_ssim:.4f}; with the {result.gaussians.count} Gaussians "
             f"that it shows {pruned.mean_psnr_db:.2f} dB, {pruned.mean_ssim:.4f}"
         )
@@ -152,7 +152,7 @@ def _say_angles(result: FitResult) -> None:
 
 def _panel(args: argparse.Namespace) -> str:
     """What encode is given as --panel to show what --cone names."""
-    from lightfield_gs.fitting.display import is_angle
+    from lightfield_gs.fitting.cone import is_angle
     from lightfield_gs.panels.panel import DEFAULT_PANEL
 
     return DEFAULT_PANEL if is_angle(args.cone) else args.cone

@@ -144,7 +144,7 @@ class FitTask(EncodeTask):
     def draw(self) -> None:
         """Fits the scene, where it was left off, and draws it."""
         from lightfield_gs.commands import fit
-        from lightfield_gs.fitting.display import rig_path
+        from lightfield_gs.fitting.cone import rig_path
 
         fit.run(self.fit_args)
         args = self.encode_args(self.scene)
@@ -156,7 +156,7 @@ class FitTask(EncodeTask):
 
     def write(self) -> None:
         """Writes the image, and notes what image and scene hold."""
-        from lightfield_gs.fitting.display import rig_path
+        from lightfield_gs.fitting.cone import rig_path
 
         super().write()
         self.note_outputs(self.scene, rig_path(self.scene))

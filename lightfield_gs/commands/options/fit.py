@@ -229,12 +229,12 @@ def add_cone(parser: argparse.ArgumentParser) -> None:
 
 def check_cone(args: argparse.Namespace) -> None:
     """Raises InputError where --cone is neither a panel nor an angle: at once, not after the capture was read."""
-    from lightfield_gs.fitting.display import panel_of
+    from lightfield_gs.fitting.cone import read_cone
 
     if args.cone is None:
         return
     try:
-        panel_of(args.cone)
+        read_cone(args.cone)
     except InputError as error:
         raise InputError(f"--cone: expected a panel, or degrees, 1..179: {error}") from None
 
