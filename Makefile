@@ -204,7 +204,7 @@ $(VENV)/.python: constraints.txt | $(VENV)/.system
 
 # Where files lie is known to the installation; what is in them is read anew every time.
 $(VENV)/.files: FORCE
-	@mkdir -p $(VENV) && find lightfield_gs training -name '*.py' | sort > $@.now
+	@mkdir -p $(VENV) && find lightfield_gs training benchmarks -name '*.py' | sort > $@.now
 	@cmp -s $@.now $@ && rm $@.now || mv $@.now $@
 
 $(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.files $(VENV)/.python

@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lightfield_gs.base.errors import InputError
-    from lightfield_gs.encoding.encode import encode, interlace
+    from lightfield_gs.encoding.classic import interlace
+    from lightfield_gs.encoding.encode import encode
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.quilt import quilt
     from lightfield_gs.encoding.sorted_plan import SortedPlan
     from lightfield_gs.encoding.weave import weave
     from lightfield_gs.fitting.fit import FitResult, fit
+    from lightfield_gs.io.scenes.files import read_scene, write_scene
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.comfort import DepthReport, depth_report
+    from lightfield_gs.panels.framing import frame_scene
     from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
@@ -24,7 +27,7 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
     from lightfield_gs.photo.rgbd import from_depth
-    from lightfield_gs.rasterizer.images import render
+    from lightfield_gs.rasterizer.images import RenderedImages, render
     from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
@@ -41,6 +44,7 @@ _HOMES = {
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
+    "RenderedImages": "rasterizer.images",
     "QuiltLayout": "panels.quilt",
     "Rig": "panels.rig",
     "SortedPlan": "encoding.sorted_plan",
@@ -49,13 +53,16 @@ _HOMES = {
     "depth_report": "panels.comfort",
     "encode": "encoding.encode",
     "fit": "fitting.fit",
+    "frame_scene": "panels.framing",
     "from_depth": "photo.rgbd",
-    "interlace": "encoding.encode",
+    "interlace": "encoding.classic",
     "load_photo": "photo.load",
     "prune": "encoding.pruning",
     "quilt": "encoding.quilt",
+    "read_scene": "io.scenes.files",
     "render": "rasterizer.images",
     "weave": "encoding.weave",
+    "write_scene": "io.scenes.files",
 }
 # Spelled out for type checkers: they take no other name as public, and would not run a line that makes it from _HOMES
 __all__ = [
@@ -70,6 +77,7 @@ __all__ = [
     "PhotoEncoder",
     "Quality",
     "QuiltLayout",
+    "RenderedImages",
     "Rig",
     "SortedPlan",
     "SplatterNet",
@@ -78,13 +86,16 @@ __all__ = [
     "depth_report",
     "encode",
     "fit",
+    "frame_scene",
     "from_depth",
     "interlace",
     "load_photo",
     "prune",
     "quilt",
+    "read_scene",
     "render",
     "weave",
+    "write_scene",
 ]
 __version__ = "0.1.0"
 

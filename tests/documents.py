@@ -1,4 +1,4 @@
-"""README.md, CONTRIBUTING.md and docs/*.md taken apart: blocks, headings, links, names of files and sentences."""
+"""README.md and docs/*.md taken apart: blocks, headings, links, names of files and sentences."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LANGUAGES = {"sh", "python", "yaml", "json", "text"}
 # Why a block may be left unrun; see Block.needs.
 REASONS = {"gpu", "network", "blender", "browser", "photographs"}
@@ -15,7 +15,7 @@ REASONS = {"gpu", "network", "blender", "browser", "photographs"}
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _MARK = re.compile(r"<!-- needs: ([a-z]+) -->\n\Z")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
-_TOP_FOLDERS = "csrc|lightfield_gs|training|configs|tests|notebooks|docs|cmake"
+_TOP_FOLDERS = "benchmarks|csrc|lightfield_gs|training|configs|tests|notebooks|docs|cmake"
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ def known_cameras(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) 
 def photograph_scene(scene: lf.Gaussians, cameras: lf.Cameras | None = None, device: str = "cpu") -> PosedImages:
     """Photographs of a scene over black, in 8 bits, with their cameras."""
     cameras = cameras or known_cameras()
-    photos = lf.render(scene, cameras, background=(0.0, 0.0, 0.0)).clamp(0, 1).mul(255).round().to(torch.uint8)
+    photos = lf.render(scene, cameras, background=(0.0, 0.0, 0.0)).image.clamp(0, 1).mul(255).round().to(torch.uint8)
     names, size = [f"{i:02d}.png" for i in range(cameras.count)], (cameras.width_px, cameras.height_px)
     tensors = (t.contiguous().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits()))
     return PosedImages(names, photos.to(device), None, *tensors, [size] * cameras.count)
@@ -51,5 +51,5 @@ def first_state(scene: lf.Gaussians, settings: FitSettings, points: int = 150, d
 
 def psnr_db(state: GaussianState, images: PosedImages) -> float:
     """Of all images together, as the state is now."""
-    image = lf.render(state.gaussians(), images.cameras(), background=(0.0, 0.0, 0.0)).clamp(0, 1)
+    image = lf.render(state.gaussians(), images.cameras(), background=(0.0, 0.0, 0.0)).image.clamp(0, 1)
     return -10 * math.log10(float((image - images.photos / 255).square().mean()))

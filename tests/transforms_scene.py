@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from srn_scene import FOCAL, HEIGHT, WIDTH, write_object
 
-from lightfield_gs.io.captures.objects import read_srn
+from lightfield_gs.io.captures.objects import read_srn_object
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 CAMERA = {"w": WIDTH, "h": HEIGHT, "fl_x": FOCAL, "fl_y": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2}
@@ -17,7 +17,7 @@ def write_transforms(folder: Path, name: str = "transforms.json", scale: float =
     """The object that write_object(..., **scene) makes, the world `scale` times as large."""
     temporary = folder.parent / f".{folder.name}"
     write_object(temporary, **scene)
-    views = read_srn(temporary)
+    views = read_srn_object(temporary)
     stem = name.removesuffix(".json")
     (folder / stem).mkdir(parents=True)
     frames = []

@@ -14,7 +14,7 @@ from torch import Tensor
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.json_file import parse_json, read_object
+from lightfield_gs.io.text_files import parse_json, read_object
 from lightfield_gs.models import SplatterNet
 from training.config import TrainingConfig
 from training.data.cache import fingerprint

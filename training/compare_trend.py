@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.text_files import read_object
 from training.command import with_line_errors
 from training.compare_report import LIMIT_BYTES, lead_cell, markdown_table, save_figure
 

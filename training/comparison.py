@@ -17,11 +17,11 @@ from torch import Tensor
 from lightfield_gs import Gaussians
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import make_folder
-from lightfield_gs.io.captures.objects import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectImages
 from lightfield_gs.io.images import write_image
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel
 from training.data.background import Choice
 from training.data.distance import OBJECT_DISTANCE, distance_doubt
 from training.data.images import find_cutout, read_view
@@ -81,7 +81,7 @@ def source_view(path: Path, camera_to_world: np.ndarray, source: Source) -> int:
     return source
 
 
-def _frames(views: ObjectViews, background: Choice) -> Tensor:
+def _frames(views: ObjectImages, background: Choice) -> Tensor:
     """All views of an object as premultiplied RGBA, uint8 [V,4,H,W]."""
     cutout = find_cutout(views, background)
     frames = np.stack([read_view(views, index, cutout) for index in range(len(views.image_paths))])

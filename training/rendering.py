@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -23,8 +25,8 @@ def render_views(
     """
     cameras = Cameras(world_to_camera, intrinsics[..., :2], intrinsics[..., 2:], width_px, height_px)
     with torch.autocast(world_to_camera.device.type, enabled=False):
-        images, alpha = render(gaussians, cameras, background=backgrounds, alpha=True)
-    return images.permute(0, 1, 4, 2, 3), alpha
+        images = render(gaussians, cameras, background=backgrounds, alpha=True)
+    return images.image.permute(0, 1, 4, 2, 3), cast(Tensor, images.alpha)
 
 
 def render_card(

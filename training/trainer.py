@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.models import ModelConfig, SplatterNet
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel
 from training.config import TrainingConfig
 from training.data.batches import Batch
 from training.data.plan import made_up

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.atomic import sha256
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
@@ -46,4 +46,4 @@ def scene_facts(gaussians: Gaussians) -> dict[str, Any]:
 
 
 def file_facts(path: Path) -> dict[str, str]:
-    return {"file": path.name, "sha256": sha256_of(path)}
+    return {"file": path.name, "sha256": sha256(path)}

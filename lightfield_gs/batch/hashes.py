@@ -10,7 +10,7 @@ from stat import S_ISDIR
 from typing import Any
 
 from lightfield_gs.base.errors import reading
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.atomic import sha256
 
 
 def stamp(path: str | Path) -> list[int]:
@@ -37,8 +37,8 @@ def facts(path: str | Path) -> dict[str, Any]:
 def _digest(path: str, version: tuple[int, ...]) -> str:
     with reading(path):
         if not os.path.isdir(path):
-            return sha256_of(path)
-        lines = [f"{sha256_of(file)} {file.relative_to(path).as_posix()}\n" for file in _files(Path(path))]
+            return sha256(path)
+        lines = [f"{sha256(file)} {file.relative_to(path).as_posix()}\n" for file in _files(Path(path))]
     return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
 
 

@@ -16,11 +16,9 @@ from lightfield_gs.batch.item import COMMANDS, Command, Item
 from lightfield_gs.io.captures.colmap import model_folder
 from lightfield_gs.io.captures.transforms import transforms_file
 from lightfield_gs.io.depth_names import depth_maps_beside
-from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
-from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
-from lightfield_gs.io.text_file import read_text
-from lightfield_gs.io.unread import refuse_unread
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_unsupported
+from lightfield_gs.io.scenes.files import SUFFIXES, is_scene_path
+from lightfield_gs.io.text_files import parse_json, read_text
 from lightfield_gs.video.sequence import PICTURES, is_sequence
 
 _LIST_LIMIT_BYTES = 1 << 30
@@ -56,7 +54,7 @@ def read_items(
                 f"{source} is not a list of inputs; batch takes a folder, or a text file with a path on each line, and "
                 "lightfield-gs encode takes one scene or photo"
             )
-        refuse_unread(source)
+        refuse_unsupported(source)
         items = list(_listed(source, suffix))
     if not items:
         raise InputError(f"{source}: expected photos, scenes, captures or videos, got none")

@@ -11,7 +11,7 @@ from typing import Any
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import lock, make_folder
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 
 MANIFEST = "batch.jsonl"
 Record = dict[str, Any]

@@ -1,1 +1,1 @@
-"""Benchmarks: scenes, methods and peers, timing, tables; `lightfield-gs bench` runs them."""
+"""What `lightfield-gs bench` measures: a module for each benchmark, with `add_arguments` and `run`."""

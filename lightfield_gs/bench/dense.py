@@ -5,6 +5,7 @@ The scene is synthetic, so that other programs can draw the same one: see `frust
 
 from __future__ import annotations
 
+import argparse
 import gc
 import math
 import statistics
@@ -16,14 +17,16 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.bench import peers
-from lightfield_gs.bench.tables import aligned, in_ms, megabytes, or_dash
+from lightfield_gs.bench import options
+from lightfield_gs.bench.benchmarks import load_from_checkout
+from lightfield_gs.bench.report import aligned, in_ms, megabytes, or_dash
 from lightfield_gs.bench.timing import ms_in_a_row, timed_by_turns
-from lightfield_gs.bench.training import OURS, Step
+from lightfield_gs.commands.options.parser import whole_numbers
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
+OURS = "lightfield-gs"
 COUNTS = {"cpu": (10_000,), "cuda": (100_000, 500_000, 1_000_000, 3_000_000)}
 SIZES_PX = {"cpu": (400, 266), "cuda": (1600, 1066)}
 SH_DEGREE = 3
@@ -33,6 +36,38 @@ _FOCAL_WIDTHS = 0.75  # the focal length in widths of the image
 _HARMONIC_DEVIATIONS = (0.5, 0.1)  # of the coefficients of degree 0, and of the others
 
 Program = Callable[[Cameras], Callable[[Gaussians], Tensor]]  # what draws images [1, H, W, 3] before black
+
+
+class Step:
+    """A training step in two parts: images of Gaussians that ask for gradients, and the gradients of a loss."""
+
+    def __init__(self, gaussians: Gaussians, draw: Callable[[Gaussians], Any], loss: Callable[[Any], Tensor]) -> None:
+        self.gaussians, self._draw, self._loss = gaussians, draw, loss
+        self._outputs: Any = None
+
+    def forward(self) -> None:
+        """draw(gaussians)."""
+        for field in self.gaussians.fields().values():
+            field.grad = None
+        self._outputs = self._draw(self.gaussians)
+
+    def backward(self) -> None:
+        """Through loss(outputs) to the fields of the Gaussians."""
+        self._loss(self._outputs).backward()
+
+    def both(self) -> None:
+        """Forward and backward."""
+        self.forward()
+        self.backward()
+
+    def image_and_gradients(self) -> dict[str, Tensor]:
+        """The image of the last step, and the gradient of every field."""
+        gradients = {name: cast(Tensor, field.grad) for name, field in self.gaussians.fields().items()}
+        return {"image": self._outputs.detach(), **gradients}
+
+    def release(self) -> None:
+        """Lets go of what was drawn; the gradients stay."""
+        self._outputs = None
 
 
 def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussians:
@@ -57,7 +92,7 @@ def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussia
     base, others = _HARMONIC_DEVIATIONS
     sh = np.concatenate([base * random.normal(size=(count, 1, 3)), others * random.normal(size=(count, 15, 3))], axis=1)
     fields = (means, quaternions, scales, opacities, sh)
-    return of_tensors(torch.from_numpy(np.ascontiguousarray(field, np.float32)) for field in fields)
+    return from_tensors(torch.from_numpy(np.ascontiguousarray(field, np.float32)) for field in fields)
 
 
 def camera(width_px: int, height_px: int, device: str) -> Cameras:
@@ -68,32 +103,32 @@ def camera(width_px: int, height_px: int, device: str) -> Cameras:
     return Cameras(torch.eye(4, device=device)[None], focal, centre, width_px, height_px)
 
 
-def rows(
-    counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: int | None, complain: Callable[[str], None]
-) -> list[dict[str, Any]]:
+def rows(counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: int | None) -> list[dict[str, Any]]:
     """A row for each number of Gaussians and program.
 
-    gsplat's are there where it can be had on CUDA; else `complain`, which also hears how far it is, is told why not.
+    There are rows of gsplat on CUDA if it is installed; else a line on stderr says why not.
     """
     programs: dict[str, Program] = {OURS: _ours}
     if device == "cuda":
         try:
-            programs[f"gsplat {peers.gsplat().__version__}"] = _gsplats
+            version = load_from_checkout("peers").gsplat().__version__
+            programs[f"gsplat {version}"] = _gsplats
         except InputError as error:
-            complain(f"no rows of gsplat: {error}")
+            options.progress(f"no rows of gsplat: {error}")
     found = []
     for count in counts:
         found += _rows_of(frustum(count, *size_px), camera(*size_px, device), programs, repeats)
         taken = (f"{row['program']} {in_ms(row['ms_total'])} ms" for row in found[-len(programs) :])
-        complain(f"{count} Gaussians: {', '.join(taken)}")
+        options.progress(f"{count} Gaussians: {', '.join(taken)}")
     return found
 
 
 def _ours(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
-    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0))
+    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0)).image
 
 
 def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
+    peers = load_from_checkout("peers")
     rasterization, matrices = peers.gsplat().rasterization, peers.intrinsic_matrices(cameras)
     view, black = cameras.world_to_camera, torch.zeros(1, 3, device=cameras.world_to_camera.device)
 
@@ -114,11 +149,11 @@ def _rows_of(
     gradient = np.random.default_rng(1).normal(size=(1, height, width, 3)).astype(np.float32)
     weights, steps = torch.from_numpy(gradient).to(device), []
     for draw in programs.values():
-        own = of_tensors(field.to(device, copy=True).requires_grad_() for field in gaussians.fields().values())
+        own = from_tensors(field.to(device, copy=True).requires_grad_() for field in gaussians.fields().values())
         steps.append(Step(own, draw(cameras), lambda image: (image * weights).sum()))
     peaks = [_peak_bytes(step, cuda) for step in steps]
-    first = steps[0].kept()
-    differences = [{}, *(_differences(first, step.kept()) for step in steps[1:])]
+    first = steps[0].image_and_gradients()
+    differences = [{}, *(_differences(first, step.image_and_gradients()) for step in steps[1:])]
     for step in steps:
         step.release()
     del first
@@ -206,3 +241,34 @@ def _comparisons(found: list[dict[str, Any]]) -> list[str]:
             f"{backward:.2f} times{memory}"
         )
     return lines
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.add_argument(
+        "--gaussians",
+        type=whole_numbers(1, 100_000_000),
+        metavar="N",
+        help=f"how many, several with commas (default: {_listed(COUNTS['cuda'])}, on the CPU {_listed(COUNTS['cpu'])})",
+    )
+    parser.add_argument(
+        "--size",
+        type=whole_numbers(16, 16_384, "x", 2),
+        metavar="WxH",
+        help=f"of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
+        f"{_listed(SIZES_PX['cpu'], 'x')})",
+    )
+    options.add_repeats(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every number of Gaussians, gsplat's too where it can be had on CUDA, and their text."""
+    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
+    counts, size = args.gaussians or COUNTS[args.device], args.size or SIZES_PX[args.device]
+    found = rows(counts, size, args.device, args.repeats)
+    return {"rows": found}, table(found)
+
+
+def _listed(values: tuple[int, ...], separator: str = ",") -> str:
+    return separator.join(map(str, values))

@@ -6,16 +6,29 @@ memory; errors are those of the very image that was timed, against the float64 o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import argparse
+import statistics
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import torch
+from torch import Tensor
 
-from lightfield_gs.bench.measure import measure
-from lightfield_gs.bench.oracle import ORACLE_SAMPLES, oracle_samples
-from lightfield_gs.bench.scenes import benchmark_rig, load_scene
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import METHODS, Method
+from lightfield_gs.bench import options
+from lightfield_gs.bench.benchmarks import load_from_checkout
+from lightfield_gs.bench.report import aligned, in_ms, megabytes, or_dash
+from lightfield_gs.bench.scenes import NAMED_CONES, ORACLE_SAMPLES, benchmark_rig, load_scene, oracle_samples
+from lightfield_gs.bench.timing import timed
+from lightfield_gs.commands.options.parser import byte_size
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 
 COUNTERS = (
     "stages_ms",
@@ -50,17 +63,16 @@ def bench_case(
     threads: int | None = None,
     memory_budget: int | None = None,
     samples: int = ORACLE_SAMPLES,
-    complain: Callable[[str], None] = lambda line: None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of one case, a method each, and how the others' images compare with the first method's.
 
-    memory_budget: bytes, of the method "sorted". samples: sub-pixels of the oracle. complain: hears how far it is.
+    memory_budget: bytes, of the method "sorted". samples: sub-pixels of the oracle.
     Raises InputError.
     """
-    complain(f"{case.scene}: making or reading the scene")
+    options.progress(f"{case.scene}: making or reading the scene")
     gaussians = load_scene(case.scene, case.sh_degree).to(device)
     panel, rig = case.panel, benchmark_rig(case.scene, gaussians, case.panel, case.cone)
-    complain(f"{case.scene}: oracle, {samples} sub-pixels")
+    options.progress(f"{case.scene}: oracle, {samples} sub-pixels")
     oracle = oracle_samples(gaussians, panel, rig, samples)
     what = {
         "scene": case.scene,
@@ -76,7 +88,9 @@ def bench_case(
     for method in methods:
         budget = memory_budget if method == "sorted" else None
         measured = measure(gaussians, panel, rig, method, repeats, threads, budget)
-        complain(f"{case.scene}: {method}, {len(measured.times_ms)} runs, fastest {min(measured.times_ms):.3f} ms")
+        options.progress(
+            f"{case.scene}: {method}, {len(measured.times_ms)} runs, fastest {min(measured.times_ms):.3f} ms"
+        )
         counters = {key: measured.stats.get(key) for key in COUNTERS}
         rows.append(
             {
@@ -102,6 +116,79 @@ def bench_case(
                 }
             )
     return rows, comparisons
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as text, a line each."""
+    head = (
+        "scene",
+        "Gaussians",
+        "SH",
+        "cone",
+        "method",
+        "kernel",
+        "ms",
+        "min",
+        "max",
+        "pairs",
+        "eval/sub-px",
+        "work MB",
+        "peak MB",
+        "PSNR dB",
+        "max /255",
+        "over 1/255",
+    )
+    lines = [
+        (
+            row["scene"],
+            str(row["gaussians"]),
+            str(row["sh_degree"]),
+            _cone(row),
+            row["method"],
+            row["kernel"] or "-",
+            in_ms(row["ms_median"]),
+            in_ms(row["ms_min"]),
+            in_ms(row["ms_max"]),
+            or_dash(row["pairs"], "d"),
+            or_dash(row["evaluations_per_subpixel"], ".1f"),
+            megabytes(row["work_bytes"]),
+            megabytes(row["peak_bytes"]),
+            f"{row['psnr_db']:.1f}",
+            str(row["max_error_255"]),
+            f"{row['share_over_1']:.2g}",
+        )
+        for row in rows
+    ]
+    text = aligned([head, *lines])
+    return "\n".join([*text, *map(_stages_line, rows)])
+
+
+def _stages_line(row: dict[str, Any]) -> str:
+    stages = ", ".join(f"{stage} {in_ms(ms)}" for stage, ms in row["stages_ms"].items())
+    return f"stages of {row['scene']} {_cone(row)} SH {row['sh_degree']} {row['method']}, ms: {stages}"
+
+
+def _cone(row: dict[str, Any]) -> str:
+    named = row["cone"] in NAMED_CONES
+    return f"{row['cone']} ({row['cone_deg']:.3g})" if named else f"{row['cone_deg']:g}"
+
+
+def comparison_line(c: dict[str, Any]) -> str:
+    """How two methods' times and images compare."""
+    return (
+        f"{c['scene']} {_cone(c)} SH {c['sh_degree']}: {c['methods'][0]} is {c['times_faster']:.1f} times as fast "
+        f"as {c['methods'][1]}; of {c['subpixels']} sub-pixels {c['differing']} differ, {c['over_1']} by more than "
+        f"1/255, at most by {c['max_difference_255']}/255"
+    )
+
+
+def cost_line(c: dict[str, Any]) -> str:
+    """What harmonics cost."""
+    low, high = c["sh_degrees"]
+    return (
+        f"{c['scene']} {c['cone']} {c['method']}: SH degree {high} takes {c['times_as_long']:.2f} times as long as "
+        f"degree {low}"
+    )
 
 
 def harmonics_cost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -136,3 +223,160 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
         "differing": int((difference > 0).sum()),
         "over_1": int((difference > 1).sum()),
     }
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """An 8-bit image [H, W, 3], the times of the runs that made it (ms, in their order), and counters.
+
+    stats: as `encode` fills them; peak_bytes: most device memory held beyond the scene and the image, None on the CPU.
+    """
+
+    image: Tensor
+    times_ms: list[float]
+    stats: dict[str, Any]
+    peak_bytes: int | None = None
+
+    def summary(self) -> dict[str, float]:
+        """ms_median, ms_min, ms_max and the number of runs."""
+        return {
+            "ms_median": statistics.median(self.times_ms),
+            "ms_min": min(self.times_ms),
+            "ms_max": max(self.times_ms),
+            "runs": len(self.times_ms),
+        }
+
+
+def measure(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    method: str,
+    repeats: int | None = None,
+    threads: int | None = None,
+    memory_budget: int | None = None,
+) -> Measurement:
+    """Times a method of `encode`, or a peer, from Gaussians on their device to the 8-bit image on it.
+
+    "direct" on CUDA is an Encoder's replayed frame. repeats: runs that count; None: as many as `timed` chooses.
+    threads, memory_budget: as `encode` takes them, the latter for "sorted" alone. Raises InputError.
+    """
+    if method == GSPLAT:
+        peer = load_from_checkout("peers").GsplatClassic(gaussians, panel, rig)
+        image, times = timed(peer, True, repeats)
+        return Measurement(image, times, *_counted_on_cuda(peer.counted, image))
+    draw = partial(encode, gaussians, panel, rig, cast(Method, method), threads=threads, memory_budget=memory_budget)
+    if not gaussians.means.is_cuda:
+        return _measure_on_cpu(draw, repeats)
+
+    def counted() -> dict[str, Any]:  # apart from timing, for it makes the stages wait for each other
+        stats: dict[str, Any] = {}
+        draw(stats=stats)
+        return stats
+
+    frame = partial(Encoder(panel, rig), gaussians) if method == "direct" else draw
+    image, times = timed(frame, True, repeats)
+    return Measurement(image, times, *_counted_on_cuda(counted, image))
+
+
+def _measure_on_cpu(draw: Callable[..., Tensor], repeats: int | None) -> Measurement:
+    """Here counting costs nothing: the counters are those of the run of median time."""
+    collected: list[dict[str, Any]] = []
+
+    def counted() -> Tensor:
+        collected.append({})
+        return draw(stats=collected[-1])
+
+    image, times = timed(counted, False, repeats)
+    by_time = sorted(range(len(times)), key=times.__getitem__)
+    return Measurement(image, times, collected[by_time[(len(times) - 1) // 2]])
+
+
+def _counted_on_cuda(counted: Callable[[], dict[str, Any]], image: Tensor) -> tuple[dict[str, Any], int]:
+    """The counters, and the device memory that collecting them held at most beyond what was held before."""
+    before = torch.cuda.memory_allocated(image.device)
+    torch.cuda.reset_peak_memory_stats(image.device)
+    stats = counted()
+    return stats, torch.cuda.max_memory_allocated(image.device) - before - image.numel()
+
+
+GSPLAT = "gsplat-classic"  # a peer, by benchmarks/peers.py
+BENCH_METHODS = (*METHODS, GSPLAT)
+SCENES, USUAL_METHODS = ("sheet:128",), ("direct",)
+
+
+def add_arguments(
+    parser: argparse.ArgumentParser, scenes: Sequence[str] = SCENES, methods: Sequence[str] = USUAL_METHODS
+) -> None:
+    """Those of a light-field image; scenes, methods: what is measured where nothing is said."""
+    options.add_scene(parser, scenes)
+    options.add_panel(parser)
+    options.add_cone(parser)
+    options.add_sh_degree(parser)
+    parser.add_argument(
+        "--methods",
+        help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
+        f"gsplat is installed; default: {','.join(methods)})",
+    )
+    parser.add_argument(
+        "--memory-budget",
+        type=byte_size,
+        metavar="SIZE",
+        help="of the method sorted, for example 256MB, as `encode` takes it",
+    )
+    parser.add_argument(
+        "--oracle-samples",
+        type=int,
+        metavar="N",
+        help=f"random sub-pixels that the oracle judges the image by (default: {ORACLE_SAMPLES}; near 80 dB one in "
+        "1,500 is off by 1/255, so that these leave an uncertainty of 1 dB)",
+    )
+    options.add_repeats(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every case and method, and their text."""
+    result = measure_cases(args, SCENES, USUAL_METHODS)
+    lines = [table(result["rows"]), *map(comparison_line, result["comparisons"])]
+    return result, "\n".join([*lines, *map(cost_line, result["harmonics"])])
+
+
+def measure_cases(
+    args: argparse.Namespace, usual_scenes: Sequence[str], usual_methods: Sequence[str]
+) -> dict[str, Any]:
+    scenes = usual_scenes if args.scene is None else args.scene.split(",")
+    methods = _methods(list(usual_methods) if args.methods is None else args.methods.split(","), args.device)
+    count = options.one_thread_count(args.threads)
+    if args.memory_budget is not None and "sorted" not in methods:
+        raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
+    if args.oracle_samples is not None and args.oracle_samples < 1:
+        raise InputError(f"--oracle-samples: expected 1 or more, got {args.oracle_samples}")
+    panel, degrees = options.panel_of(args), options.sh_degrees(args.sh_degree)
+    options.check_scenes(scenes, degrees)
+    found: list[dict[str, Any]] = []
+    comparisons: list[dict[str, Any]] = []
+    for case in (
+        Case(s, panel, cone, degree) for s in scenes for cone in options.cones(args.cone) for degree in degrees
+    ):
+        new_rows, new_comparisons = bench_case(
+            case, methods, args.device, args.repeats, count, args.memory_budget, args.oracle_samples or ORACLE_SAMPLES
+        )
+        found += new_rows
+        comparisons += new_comparisons
+    costs = harmonics_cost(found)
+    return {"rows": found, "comparisons": comparisons, "harmonics": costs, "peers": _peer_versions(methods)}
+
+
+def _methods(methods: list[str], device: str) -> list[str]:
+    if unknown := sorted(set(methods) - set(BENCH_METHODS)):
+        raise InputError(f"--methods: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
+    if GSPLAT in methods:
+        if device != "cuda":
+            raise InputError(f"--methods {GSPLAT}: runs on a GPU alone, add --device cuda")
+        load_from_checkout("peers").gsplat()  # raises before any work
+    return methods
+
+
+def _peer_versions(methods: list[str]) -> dict[str, str]:
+    return {"gsplat": load_from_checkout("peers").gsplat().__version__} if GSPLAT in methods else {}

@@ -6,6 +6,8 @@ times are the shortest of the rounds. Errors are those of the 8-bit image agains
 
 from __future__ import annotations
 
+import argparse
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,14 +18,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.bench.oracle import oracle_samples
-from lightfield_gs.bench.photo import network
-from lightfield_gs.bench.scenes import benchmark_rig, cone_degrees, load_scene
-from lightfield_gs.bench.tables import aligned, in_ms, or_dash
+from lightfield_gs.bench import options
+from lightfield_gs.bench.photo import EXAMPLE, network
+from lightfield_gs.bench.report import aligned, check_plot, in_ms, new_figure, or_dash
+from lightfield_gs.bench.scenes import benchmark_rig, cone_degrees, load_scene, oracle_samples
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
+from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.load import load_photo
@@ -112,7 +116,7 @@ def _of_scene(scene: str, panel: Panel, cone: Any, device: str) -> Subject:
 def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
     """What the shipped network makes of a photo."""
     gaussians = network(None).predict(load_photo(path))
-    rig = Rig.frame(gaussians, panel, np.eye(4))
+    rig = frame_scene(gaussians, panel, np.eye(4))
     rig = replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
     return Subject(Path(path).name, gaussians.to(device), panel, rig)
 
@@ -193,3 +197,81 @@ def table(found: list[dict[str, Any]]) -> str:
         for row in found
     ]
     return "\n".join(aligned([head, *lines]))
+
+
+COLUMNS = 4
+
+
+def plot(found: list[dict[str, Any]], path: Path) -> None:
+    """Writes the picture. Raises InputError."""
+    cases: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
+    for row in found:
+        cases.setdefault((row["scene"], row["cone_deg"], row["device"]), []).append(row)
+    columns = min(COLUMNS, len(cases))
+    down = math.ceil(len(cases) / columns)
+    figure = new_figure(figsize=(3.4 * columns, 3 * down), layout="constrained")
+    axes = list(figure.subplots(down, columns, squeeze=False).flat)
+    for axis, ((scene, cone, device), rows) in zip(axes, cases.items()):
+        _draw(axis, rows)
+        axis.set_title(f"{scene}, {cone:.3g} degrees, {device}", fontsize=9)
+    for axis in axes[len(cases) :]:
+        axis.set_visible(False)
+    figure.supxlabel("ms", fontsize=9)
+    figure.supylabel("PSNR, dB", fontsize=9)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+
+
+def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
+    """The settings as dots, the named ones by name, and the front as a line."""
+    front = sorted((row for row in rows if row["front"]), key=lambda row: row["ms"])
+    axis.step(
+        [row["ms"] for row in front],
+        [row["psnr_db"] for row in front],
+        where="post",
+        color="0.6",
+        linewidth=1,
+        zorder=1,
+    )
+    for named, colour in ((False, "tab:grey"), (True, "tab:red")):
+        some = [row for row in rows if row["named"] == named]
+        axis.scatter([row["ms"] for row in some], [row["psnr_db"] for row in some], s=12, color=colour, zorder=2)
+        for row in some if named else ():
+            axis.annotate(
+                row["setting"], (row["ms"], row["psnr_db"]), xytext=(4, 3), textcoords="offset points", fontsize=8
+            )
+    axis.set_xlim(left=0)
+    axis.margins(0.12)
+    axis.grid(True, linewidth=0.3)
+    axis.tick_params(labelsize=8)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    options.add_scene(parser, SCENES)
+    options.add_photo(parser, EXAMPLE)
+    options.add_panel(parser)
+    options.add_cone(parser, "5,40")
+    options.add_plot(parser)
+    options.add_repeats(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
+    if args.plot is not None:
+        check_plot(args.plot)
+    photos = [] if args.scene and not args.photo else (args.photo or str(EXAMPLE)).split(",")
+    options.check_photos(photos)
+    scenes = SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
+    options.check_scenes(scenes)
+    found: list[dict[str, Any]] = []
+    count = options.one_thread_count(args.threads)
+    cones = CONES if args.cone is None else options.cones(args.cone)
+    for subject in subjects(scenes, photos, options.panel_of(args), cones, args.device):
+        made = subject()
+        options.progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
+        found += rows(made, settings(), args.repeats, count)
+    if args.plot is not None:
+        plot(found, args.plot)
+    return {"rows": found}, table(found)

@@ -6,6 +6,7 @@ runs of their own, in which they wait for each other. Decoding of the file is be
 
 from __future__ import annotations
 
+import argparse
 import statistics
 from functools import partial
 from pathlib import Path
@@ -14,9 +15,14 @@ from typing import Any, cast
 import numpy as np
 import torch
 
+from lightfield_gs.app.options import PhotoOptions
+from lightfield_gs.app.photo import network_detail
 from lightfield_gs.base.options import Detail
-from lightfield_gs.bench.tables import aligned, in_ms
+from lightfield_gs.bench import options
+from lightfield_gs.bench.report import aligned, in_ms
 from lightfield_gs.bench.timing import timed
+from lightfield_gs.commands.options.parser import read_options
+from lightfield_gs.commands.options.scene import add_detail
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.models.splatter_net import PRETRAINED
 from lightfield_gs.panels.panel import Panel
@@ -137,3 +143,26 @@ def table(found: list[dict[str, Any]]) -> str:
         for r in found
     ]
     return "\n".join(aligned([head, *lines]))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    options.add_photo(parser, EXAMPLE)
+    parser.add_argument(
+        "--model",
+        help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml (default: the "
+        "checkpoint inside)",
+    )
+    add_detail(parser.add_argument)
+    options.add_panel(parser)
+    options.add_repeats(parser)
+    options.add_machine(parser, several_threads=True)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every photo and number of threads, and their text."""
+    photos = [str(EXAMPLE)] if args.photo is None else args.photo.split(",")
+    options.check_photos(photos)
+    threads, detail = options.thread_counts(args.threads), network_detail(read_options(PhotoOptions, args))
+    found = rows(photos, args.model, options.panel_of(args), args.device, args.repeats, threads, detail)
+    return {"rows": found}, table(found)

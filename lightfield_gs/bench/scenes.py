@@ -9,7 +9,7 @@ width in pixels.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -19,9 +19,11 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.reference import subpixel_colours
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 ZERO_DEPTH = 2.0
 NARROW_PX = 40.0  # disparity over all views of a point at 4/5 of the zero plane's depth, cone "narrow"
@@ -128,7 +130,7 @@ def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> flo
 def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
     """The rig of a scene: that of the synthetic ones, or automatic framing of a .ply file; its cone always stated."""
     if Path(scene).suffix.lower() == ".ply":
-        rig = Rig.frame(gaussians, panel)
+        rig = frame_scene(gaussians, panel)
         return replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
     focal, centre = (panel.width_px, panel.width_px), (panel.width_px / 2, panel.height_px / 2)
     return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_degrees(cone, panel, panel.width_px))
@@ -142,4 +144,37 @@ def _gaussians(
     stored = colours.astype(np.float32)
     harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / SH_CONSTANT
     fields = (np.ascontiguousarray(field, np.float32) for field in (means, unit, scales, opacities, harmonics))
-    return of_tensors(torch.from_numpy(field) for field in fields)
+    return from_tensors(torch.from_numpy(field) for field in fields)
+
+
+ORACLE_SAMPLES = 20_000
+ORACLE_SEED = 1
+PSNR_CAP_DB = 120.0  # of images without any error
+
+
+@dataclass(frozen=True)
+class OracleSamples:
+    """Random sub-pixels (rows, columns, channels [M]) and the 8-bit values [M] that they must have."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    channels: np.ndarray
+    values: np.ndarray
+
+    def errors(self, image: torch.Tensor) -> dict[str, float]:
+        """psnr_db, max_error_255 (in 1/255) and share_over_1 (share off by more than 1/255) of an 8-bit image."""
+        shown = image[self.rows, self.columns, self.channels].cpu().numpy()
+        error = np.abs(shown.astype(np.int64) - self.values)
+        mean_square = np.mean((error / 255) ** 2)
+        psnr_db = PSNR_CAP_DB if mean_square == 0 else min(PSNR_CAP_DB, -10 * np.log10(mean_square))
+        return {"psnr_db": float(psnr_db), "max_error_255": int(error.max()), "share_over_1": float(np.mean(error > 1))}
+
+
+def oracle_samples(gaussians: Gaussians, panel: Panel, rig: Rig, count: int = ORACLE_SAMPLES) -> OracleSamples:
+    """Random sub-pixels of a panel, before a white background, by lightfield_gs.reference."""
+    random = np.random.default_rng(ORACLE_SEED)
+    rows = random.integers(0, panel.height_px, count)
+    columns = random.integers(0, panel.width_px, count)
+    channels = random.integers(0, 3, count)
+    colours = subpixel_colours(gaussians, panel, rig, rows, columns, channels)
+    return OracleSamples(rows, columns, channels, np.rint(255 * np.clip(colours, 0, 1)).astype(np.int64))

@@ -6,29 +6,31 @@ row's note says what was changed. Where there is none such, the row has no time,
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from lightfield_gs.bench import options
 from lightfield_gs.bench.pareto import Subject, drawing
-from lightfield_gs.bench.scenes import with_harmonics
-from lightfield_gs.bench.tables import aligned, in_ms, or_dash
+from lightfield_gs.bench.report import aligned, in_ms, or_dash
+from lightfield_gs.bench.scenes import benchmark_rig, load_scene, with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encode import draw_direct, encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import Frames
-from lightfield_gs.rasterizer.lens import draw_lens
-from lightfield_gs.rasterizer.lens_job import COLOUR_ORDER, LensJob
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.rasterizer.scene import background_tensor
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 SCENES = ("cloud:65536",)
 OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error
@@ -159,7 +161,7 @@ def _culling(subject: Subject, skipped: dict[str, Any]) -> Skip:
     forward = scene.means.new_tensor(axis)
     depths = scene.means @ forward + shift
     behind = replace(scene, means=scene.means - (depths + depths.abs() + 1)[:, None] * forward)
-    both = of_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values()))
+    both = from_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values()))
     return Skip(
         "culling",
         ", ".join(f"{n} {why}" for why, n in skipped["gaussians"].items()),
@@ -186,7 +188,7 @@ def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
         scene.means.new_full((1,), 1.1 / 255),
         torch.zeros_like(scene.sh[:1]),
     )
-    veiled = of_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), veil))
+    veiled = from_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), veil))
     empty = skipped.get("tiles", {}).get("empty")
     return Skip(
         "empty tiles",
@@ -218,12 +220,12 @@ def _colour_orders(subject: Subject) -> Skip:
 def _colours(subject: Subject, quality: Quality) -> Draw:
     """Draws with polynomials up to one order, and exactly where their error is beyond what the quality allows."""
     background = background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
-    job = LensJob(subject.gaussians.fields().values(), background, lens_view(subject.panel, subject.rig))
+    job = DirectRender(subject.gaussians.fields().values(), background, lenticular_camera(subject.panel, subject.rig))
     if subject.gaussians.means.is_cuda:
         frames = Frames(job, quality)
         frames.orders, frames.colour_order = (COLOUR_ORDER,), COLOUR_ORDER
         return partial(frames.draw, job, True)
-    return partial(draw_lens, job, True, quality)
+    return partial(draw_direct, job, True, quality)
 
 
 @dataclass
@@ -262,7 +264,7 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
             return encode(scene, subject.panel, rig)
 
         film, anew = (
-            _Film(of_tensors(t.clone() for t in subject.gaussians.fields().values()), subject.rig, change, draw)
+            _Film(from_tensors(t.clone() for t in subject.gaussians.fields().values()), subject.rig, change, draw)
             for draw in (repeat, draw_anew)
         )
         for _ in range(3):
@@ -271,3 +273,30 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
         film()
         spared = [stage for stage, n in encoder.stats["reused"].items() if n > before[stage]]
         yield Skip(f"reuse, {change}", ", ".join(spared) or "no stage", film, anew, note)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    options.add_scene(parser, SCENES)
+    options.add_panel(parser)
+    options.add_cone(parser)
+    options.add_sh_degree(parser)
+    options.add_repeats(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every skip, for every scene and cone, and their text."""
+    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.panel_of(args)
+    cones, count = options.cones(args.cone), options.one_thread_count(args.threads)
+    degrees, found = options.sh_degrees(args.sh_degree), []
+    options.check_scenes(scenes, degrees)
+    for scene in scenes:
+        for degree in degrees:
+            gaussians = load_scene(scene, degree).to(args.device)
+            for cone in cones:
+                rig = benchmark_rig(scene, gaussians, panel, cone)
+                subject = Subject(Path(scene).name, gaussians, panel, rig)
+                options.progress(f"{subject.name}, {rig.cone_deg:g} degrees: with and without every skip by turns")
+                found += rows(subject, args.repeats, count)
+    return {"rows": found}, table(found)

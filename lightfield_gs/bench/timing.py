@@ -130,3 +130,9 @@ def _processor() -> str:
         lines = []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()
+
+
+def machine_line(found: dict[str, Any]) -> str:
+    """Where the times were taken."""
+    gpu = f"{found['gpu']}, CUDA {found['cuda']}, " if "gpu" in found else ""
+    return f"{gpu}{found['processor']}, {found['cores']} cores, torch {found['torch']}"

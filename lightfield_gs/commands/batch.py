@@ -9,12 +9,13 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.provenance import package_versions
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import named
 from lightfield_gs.commands.options.encoding import add_encoding
-from lightfield_gs.commands.options.parser import whole
+from lightfield_gs.commands.options.parser import read_options, whole
 from lightfield_gs.io.atomic import check_folder, remove_left_over
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def _setup(args: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
 
     usual = {name: value for name, value in defaults("encode").items() if name not in ("input", "output", "threads")}
     given = {name: vars(args)[name] for name in usual if hasattr(args, name) and vars(args)[name] != usual[name]}
-    panel = load_panel(args).to_dict()
+    panel = load_panel(read_options(PanelOptions, args)).to_dict()
     with named("--fit-options"):
         fit = split(args.fit_options)
     with named("--video-options"):

@@ -12,7 +12,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, Views, of_other_methods
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.first_derivatives import refuse_tangents
+from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -104,7 +104,7 @@ def check_together(
     for name, its in of_other_methods(method, memory_budget=memory_budget, **given):
         raise InputError(f"{name}= is for method {its!r}, not {method!r}{_WHY_NOT[name]}")
     if method != "sorted" and rig is None:
-        raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
+        raise InputError(f"method {method!r} needs a rig (frame_scene makes one)")
     if memory_budget is not None and views == "continuous":
         raise InputError(
             "memory_budget goes with integer views: cameras for all distinct places within a lens have no "

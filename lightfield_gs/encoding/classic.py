@@ -1,22 +1,80 @@
-"""The method `classic`: one dense image per view, interlaced; the usual way, and the cross-check of the others."""
+"""Ordinary images of the cameras of a rig, and the method `classic`, which interlaces one for each view."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import to_bytes
+from lightfield_gs.base.arrays import Colour, to_bytes, to_tensor
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.arguments import check_view_filter
 from lightfield_gs.encoding.sorted_plan import views_shown
-from lightfield_gs.encoding.views import draw_cameras
+from lightfield_gs.panels.lens import view_aperture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.dense_job import Aperture
+from lightfield_gs.rasterizer.image_render import Aperture, draw_in_chunks
 from lightfield_gs.rasterizer.images import render
+from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
+
+
+@torch.no_grad()
+def render_views(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    x: Sequence[float] | np.ndarray,
+    *,
+    background: Colour = (1.0, 1.0, 1.0),
+    antialiased: bool = False,
+    view_filter: float = 0.0,
+) -> Tensor:
+    """Pictures [K, H, W, 3] of the cameras at the view coordinates x [K] of a panel, of its size, without
+    gradients. antialiased, view_filter: see `encode`. Raises InputError."""
+    expect("gaussians", gaussians, Gaussians)
+    expect("antialiased", antialiased, bool)
+    gaussians.validate_layout()
+    if not gaussians.means.is_cuda:
+        gaussians.validate()  # on CUDA looking at values would wait for the device
+    aperture = view_aperture(panel, rig, check_view_filter(view_filter))
+    colour = background_tensor(background, gaussians.means)
+    return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0]
+
+
+def draw_cameras(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    background: Tensor,
+    antialiased: bool,
+    aperture: Aperture,
+    stats: Stats | None = None,
+    threads: int | None = None,
+) -> Tensor:
+    """Image [1, K, H, W, 3] of one scene before cameras [K], unchecked and without gradients. background: what
+    broadcasts to [1, K, 3]."""
+    means, cameras = recentre(gaussians.means, cameras)
+    cameras = cameras.to(gaussians.means)
+    _, *others = gaussians.fields().values()
+    return draw_in_chunks(
+        [field.unsqueeze(0) for field in (means, *others)],
+        background.expand(1, cameras.count, 3),
+        [t[None] for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())],
+        cast(int, cameras.width_px),
+        cast(int, cameras.height_px),
+        antialiased,
+        stats=stats,
+        threads=threads,
+        aperture=aperture,
+    ).image
+
 
 _PIXELS = 4_000_000  # that are rendered at a time, so that small images go in batches
 
@@ -61,7 +119,9 @@ def classic_with_gradients(
     order, taken = [], []
     for first in range(0, len(x), chunk := _views_at_a_time(panel)):
         cameras = rig.cameras_at(panel, x[first : first + chunk])
-        images = render(gaussians, cameras, background=background, antialiased=antialiased).view(cameras.count, -1)
+        images = render(gaussians, cameras, background=background, antialiased=antialiased).image.view(
+            cameras.count, -1
+        )
         mine = _shown_by(places, first, cameras.count)
         order.append(mine)
         taken.append(images[places[mine].to(torch.int64) - first, mine])
@@ -91,3 +151,18 @@ def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple
     """What views_shown returns, with the places on the device."""
     places, x = views_shown(panel, continuous)
     return torch.from_numpy(places).to(device), x
+
+
+def interlace(views: Tensor, panel: Panel) -> Tensor:
+    """Takes every sub-pixel of a panel from the view that it belongs to: views [N, H, W, 3] -> [H, W, 3], same dtype.
+
+    N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
+    tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
+    """
+    views = to_tensor("views", views)
+    expect("panel", panel, Panel)
+    expected = (panel.views, panel.height_px, panel.width_px, 3)
+    if tuple(views.shape) != expected:
+        raise InputError(f"views must be {list(expected)} for this panel, got {list(views.shape)}")
+    numbers = torch.from_numpy(panel.view_map()).to(device=views.device, dtype=torch.int64)
+    return views.gather(0, numbers.unsqueeze(0)).squeeze(0)

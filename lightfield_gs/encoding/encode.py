@@ -9,9 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, to_tensor
-from lightfield_gs.base.checks import expect
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.options import Method, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import (
     DTYPES,
@@ -25,19 +23,72 @@ from lightfield_gs.encoding.arguments import (
     wants_gradients,
 )
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
-from lightfield_gs.encoding.direct import encode_direct
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
-from lightfield_gs.panels.lens import lens_view, view_aperture
+from lightfield_gs.panels.lens import lenticular_camera, view_aperture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer import skips
-from lightfield_gs.rasterizer.background import background_tensor
-from lightfield_gs.rasterizer.dense_job import PINHOLE
-from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.rasterizer.direct import DirectRender
+from lightfield_gs.rasterizer.frame_cuda import frames_of
+from lightfield_gs.rasterizer.image_render import PINHOLE
+from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
+from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.scene import background_tensor
+from lightfield_gs.rasterizer.stats import Stats, count_culled
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
+
+
+def encode_direct(
+    gaussians: Gaussians,
+    camera: LenticularCamera,
+    background: Tensor,
+    output: Output,
+    quality: Quality,
+    threads: int | None,
+    stats: Stats | None,
+    out: Tensor | None,
+    antialiased: bool,
+) -> Tensor:
+    """The image [H, W, 3], by the operator that has a reverse where gradients are wanted. See encode.
+
+    Raises InputError for arguments that this operator does not have.
+    """
+    fields = list(gaussians.fields().values())
+    if wants_gradients(gaussians, background, output):
+        refuse_with_gradients(
+            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
+        )
+        return torch.ops.lightfield_gs.render_direct(*fields, background, *camera.numbers(), antialiased)
+    stats = stats or Stats()
+    with torch.no_grad():
+        with stats.stage("plan"):
+            job = DirectRender(fields, background, camera, antialiased)
+        return draw_direct(job, output == "uint8", quality, stats, threads, out)
+
+
+def draw_direct(
+    job: DirectRender,
+    as_bytes: bool = False,
+    quality: Quality = EXACT,
+    stats: Stats | None = None,
+    threads: int | None = None,
+    out: Tensor | None = None,
+) -> Tensor:
+    """The image [H, W, 3] without gradients. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`, and `out`
+    where it is given: an image of that size and type, which the caller has checked.
+
+    On CUDA the fast kernels of a frame draw it: within 1/255, except where a sample lies on a threshold, such as the
+    alpha from which on a splat counts.
+    """
+    stats, threads = stats or Stats(), threads or torch.get_num_threads()
+    if job.scene.device.type == "cuda":
+        return frames_of(job, quality).draw(job, as_bytes, stats, out)
+    work = job.workspace(stats, threads, quality)
+    with stats.stage("composite"):
+        out = job.new_image(as_bytes) if out is None else out
+        work.composite_direct(job.native, quality, job.background, out)
+    return out
 
 
 def encode(
@@ -107,9 +158,9 @@ def encode(
         refuse_gradients("method 'sorted'")
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "direct":
-        view = lens_view(panel, cast(Rig, rig), continuous, view_filter)
+        camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
         counted = None if stats is None else counters
-        image = encode_direct(gaussians, view, colour, output, quality, threads, counted, out, antialiased)
+        image = encode_direct(gaussians, camera, colour, output, quality, threads, counted, out, antialiased)
     elif method == "classic" and follows:
         refuse_with_gradients(threads=threads is not None, stats=stats is not None, view_filter=view_filter > 0)
         return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
@@ -129,7 +180,7 @@ def encode(
     else:
         with counters.stage("plan"):
             seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)
-        means, seen = about_cameras(gaussians.means, seen)
+        means, seen = recentre(gaussians.means, seen)
         gaussians = replace(gaussians, means=means)
         aperture = PINHOLE if rig is None else view_aperture(panel, rig, view_filter)
         image = encode_sorted(
@@ -139,21 +190,6 @@ def encode(
         stats.update(counters.report(gaussians.count, image.numel()))
         if method == "direct":
             drawn = gaussians.count - stats["gaussians_culled"]
-            culled = skips.culled(gaussians, cast(Rig, rig).world_to_camera, drawn, counters.pruned)
+            culled = count_culled(gaussians, cast(Rig, rig).world_to_camera, drawn, counters.pruned)
             stats["skipped"] = {"gaussians": culled, **counters.skipped}
     return image
-
-
-def interlace(views: Tensor, panel: Panel) -> Tensor:
-    """Takes every sub-pixel of a panel from the view that it belongs to: views [N, H, W, 3] -> [H, W, 3], same dtype.
-
-    N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
-    tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
-    """
-    views = to_tensor("views", views)
-    expect("panel", panel, Panel)
-    expected = (panel.views, panel.height_px, panel.width_px, 3)
-    if tuple(views.shape) != expected:
-        raise InputError(f"views must be {list(expected)} for this panel, got {list(views.shape)}")
-    numbers = torch.from_numpy(panel.view_map()).to(device=views.device, dtype=torch.int64)
-    return views.gather(0, numbers.unsqueeze(0)).squeeze(0)

@@ -14,7 +14,7 @@ from lightfield_gs.base.options import Output
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import Gaussians, mapped, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors, map_fields
 
 
 def prune(
@@ -41,7 +41,7 @@ def prune(
     contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     weights = contributions(gaussians, panel, rig, antialiased, view_filter)
     kept = ~left_out(weights, panel, contribution_cut)
-    return mapped(gaussians, lambda field: field[kept])
+    return map_fields(gaussians, lambda field: field[kept])
 
 
 def left_out(weights: Tensor, panel: Panel, contribution_cut: float) -> Tensor:
@@ -72,7 +72,7 @@ def contributions(
     grey = torch.zeros(gaussians.count, 1, 3, dtype=means.dtype, device=means.device)
     with torch.inference_mode(False), torch.enable_grad():
         means, *shape, grey = (t.clone() if t.is_inference() else t for t in (means, *shape, grey))
-        scene = of_tensors((means, *shape, grey.requires_grad_()))
+        scene = from_tensors((means, *shape, grey.requires_grad_()))
         output = cast(Output, str(means.dtype).removeprefix("torch."))
         image = encode(scene, panel, rig, output=output, antialiased=antialiased, view_filter=view_filter)
         (gradient,) = torch.autograd.grad(image, grey, torch.ones_like(image))

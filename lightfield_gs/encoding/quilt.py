@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -9,7 +11,7 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour, to_bytes
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.encoding.views import render_views
+from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig
@@ -82,15 +84,14 @@ def rgbd(
     --depth-range near,far gives the depths back. Raises InputError where the camera sees nothing.
     """
     cameras = rig.cameras_at(panel, [panel.views / 2])
-    image, alpha, depth = render(
-        gaussians, cameras, background=background, alpha=True, depth=True, antialiased=antialiased
-    )
-    covered = (alpha[0] >= _COVERED) & (depth[0] > 0)
+    images = render(gaussians, cameras, background=background, alpha=True, depth=True, antialiased=antialiased)
+    alpha, depth = cast(Tensor, images.alpha)[0], cast(Tensor, images.depth)[0]
+    covered = (alpha >= _COVERED) & (depth > 0)
     if not bool(covered.any()):
         raise InputError("RGB-D: the centre camera sees nothing; look at the pose of the rig")
-    near, far = float(depth[0][covered].min()), float(depth[0][covered].max())
+    near, far = float(depth[covered].min()), float(depth[covered].max())
     # A flat scene is all near
     far = max(far, near * (1 + 1e-6))
-    grey = torch.where(covered, (1 / depth[0] - 1 / far) / (1 / near - 1 / far), torch.zeros_like(depth[0]))
-    halves = torch.cat([image[0], grey[..., None].expand(-1, -1, 3)], 1)
+    grey = torch.where(covered, (1 / depth - 1 / far) / (1 / near - 1 / far), torch.zeros_like(depth))
+    halves = torch.cat([images.image[0], grey[..., None].expand(-1, -1, 3)], 1)
     return to_bytes(halves), (near, far)

@@ -1,12 +1,10 @@
-"""The method `sorted`: a light-field image from any cameras and any view map (Shi et al. 2025, sections 3.1 and 3.3).
-
-Views go in chunks whose buffers are used again, as large as a memory budget allows; each view is projected, ordered and
-binned like an ordinary image, and only its own sub-pixels are drawn, straight into the panel's image.
-"""
+"""The method `sorted`."""
 
 from __future__ import annotations
 
+import struct
 from bisect import bisect_right
+from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
@@ -16,16 +14,93 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.encoding.sorted_cuda import CudaStages
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture
-from lightfield_gs.rasterizer.scene import Scene, check, floats_or_bytes
+from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
+from lightfield_gs.rasterizer.scene import SceneTensors, check, float_and_byte_addresses
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace_cpu import CpuWorkspace
+from lightfield_gs.rasterizer.workspace import CpuWorkspace
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
+
+_MOST_VIEWS, _MOST_NUMBERED = 4096, (1 << 31) - 1  # of a chunk: views; splats, and lists
+# Bytes of a chunk: for a splat (a footprint of 32, a colour of 16, a depth), for a pair, and for a list of pairs; and
+# what the parts may begin later than the one before ends, with the state
+_SPLAT_BYTES, _PAIR_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
+_STATE = struct.Struct("<Q4xI")  # SortedState: pairs, the long lists, and splats drawn
+
+
+class CudaStages:
+    """What the stages of a chunk take, in bytes, and the stages themselves. See _CpuStages in sorted.py."""
+
+    default_work = 1 << 30
+    reserve = 256  # 1 / reserve of the budget is left, for torch rounds every buffer up
+
+    def __init__(self, scene: SceneTensors, plan: SortedPlan):
+        self.scene, self.plan = scene, plan
+        self.most_views = max(1, min(_MOST_VIEWS, _MOST_NUMBERED // max(scene.count, plan.tiles)))
+
+    def geometry_bytes(self, views: int) -> int:
+        return views * self.scene.count * _SPLAT_BYTES
+
+    def binning_bytes(self, views: int, counts: tuple[int, int]) -> int:
+        return _PAIR_BYTES * counts[0] + _LIST_BYTES * views * self.plan.tiles + _GAPS
+
+    def workspace(self, scene: SceneTensors, views: int, stats: Stats) -> Any:
+        return SortedWorkspace(scene, self.plan, views, stats)
+
+    def counts(self, work: Any) -> tuple[int, int]:
+        return work.intersection_count, 0
+
+    def composite(
+        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+    ) -> None:
+        native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
+        _core.cuda.composite_sorted(
+            work.native, native, background.data_ptr(), *float_and_byte_addresses(out), work.stream
+        )
+
+
+class SortedWorkspace:
+    """A chunk in the making, with the stages of workspace.Workspace that it takes. Its memory is one buffer, and one
+    more for the lists once the host knows how many pairs there are, for which it waits."""
+
+    def __init__(self, scene: SceneTensors, plan: SortedPlan, views: int, stats: Stats):
+        self.scene, self.views, self.stats, self.intersection_count = scene, views, stats, 0
+        self.native = _core.cuda.SortedChunk(
+            views=views, gaussians=scene.count, width_px=plan.width_px, height_px=plan.height_px, tile=plan.tile
+        )
+        self.work = scene.new(self.native.bytes(), dtype=torch.uint8)
+        self.native.place(self.work.data_ptr())
+        self.stream = torch.cuda.current_stream(scene.device).cuda_stream
+
+    def project_images(self, cameras: _core._Stages.Cameras) -> None:
+        _core.cuda.project_sorted(self.native, self.scene.native(), cameras, self.stream)
+
+    def order_and_bin(self, admit: Callable[[], bool]) -> bool:
+        """admit: see workspace.Workspace."""
+        cuda, stats = _core.cuda, self.stats
+        with stats.stage("bin"):
+            cuda.count_sorted(self.native, self.stream)
+            # The state lies first in the work memory: the number of pairs, and that of splats drawn
+            state = self.work[: cuda.SORTED_STATE_BYTES].to("cpu", non_blocking=True)
+            counted = torch.cuda.Event()
+            counted.record()
+            counted.synchronize()
+            self.intersection_count, drawn = _STATE.unpack(bytes(state.numpy()))
+            if not admit():
+                return False
+            self.ids = self.scene.new(self.intersection_count, dtype=torch.int32)
+            self.native.place_ids(self.ids.data_ptr())
+            cuda.fill_sorted(self.native, self.stream)
+        with stats.stage("order"):
+            cuda.order_sorted(self.native, self.stream)
+        stats.pairs += self.intersection_count
+        stats.images += self.views
+        stats.gaussians_drawn += drawn
+        return True
+
 
 _MOST_PAIRS = (1 << 31) - 1
 _PROBE = 65536  # Gaussians whose pairs are counted at a time, where even one view does not fit the budget
@@ -91,7 +166,7 @@ class _CpuStages:
     reserve = 16  # 1 / reserve of the budget is left for pages used in part and for what the C library needs itself
     most_views = 4096  # in a chunk
 
-    def __init__(self, scene: Scene, plan: SortedPlan, threads: int):
+    def __init__(self, scene: SceneTensors, plan: SortedPlan, threads: int):
         self.scene, self.plan, self.threads = scene, plan, threads
         self.number = scene.tensors[0].element_size()
         self.bands = _core.band_count(plan.height_px)
@@ -110,12 +185,12 @@ class _CpuStages:
         tile_lists = 24 * self.bands + self.threads * (32768 + 3 * (most * (8 + 4 * tiles) + 16 * (tiles + 1)))
         return lists + max(order, bins, tile_lists)
 
-    def workspace(self, scene: Scene, views: int, stats: Stats) -> CpuWorkspace:
+    def workspace(self, scene: SceneTensors, views: int, stats: Stats) -> CpuWorkspace:
         return CpuWorkspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, self.threads)
 
     def counts(self, work: CpuWorkspace) -> Counts:
         per_band = work.band_offsets.diff()
-        return work.pair_count, int(per_band.max()) if per_band.numel() else 0
+        return work.intersection_count, int(per_band.max()) if per_band.numel() else 0
 
     def composite(
         self,
@@ -133,7 +208,7 @@ class _CpuStages:
                 cameras,
                 native,
                 background.data_ptr(),
-                *floats_or_bytes(out),
+                *float_and_byte_addresses(out),
                 self.threads,
             )
         )
@@ -160,7 +235,7 @@ def encode_sorted(
     the states of Table 3 of the paper, image being the sorted sub-pixels. Raises InputError when not even one
     view fits the budget. aperture: of all cameras.
     """
-    scene = Scene(*(field.unsqueeze(0) for field in gaussians.fields().values()))
+    scene = SceneTensors(*(field.unsqueeze(0) for field in gaussians.fields().values()))
     device = scene.device
     if plan.device_type != device.type:
         raise InputError(
@@ -177,7 +252,7 @@ def encode_sorted(
     return out
 
 
-def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: Scene) -> list[Tensor]:
+def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: SceneTensors) -> list[Tensor]:
     """Poses, intrinsics and limits of the cameras of all views shown, as the core takes them. They go to the device at
     once, for a copy from the host waits until the device has nothing else to do; and in one copy."""
     if scene.dtype == torch.float64:
@@ -194,7 +269,7 @@ class _Encoding:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: SceneTensors,
         cameras: Cameras,
         plan: SortedPlan,
         budget: int | None,
@@ -265,7 +340,7 @@ class _Encoding:
         cameras = self._native_cameras(first, views)
         with stats.stage("project"):
             work = self.stages.workspace(self.scene, views, stats)
-            work.project_dense(cameras)
+            work.project_images(cameras)
         if not work.order_and_bin(lambda: self._admit(work, first, views) or fits):
             return False
         with stats.stage("composite"):
@@ -317,9 +392,9 @@ class _Encoding:
         cameras = self._native_cameras(place, 1)
         pairs = most = 0
         for first in range(0, self.scene.count, _PROBE):
-            some = Scene(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
+            some = SceneTensors(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
             work = self.stages.workspace(some, 1, Stats())
-            work.project_dense(cameras)
+            work.project_images(cameras)
             work.order_and_bin(lambda: False)
             counts = self.stages.counts(work)
             pairs, most = pairs + counts[0], most + counts[1]

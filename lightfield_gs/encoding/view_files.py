@@ -11,9 +11,8 @@ import torch
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.encoding.sorted_plan import checked_view_map
 from lightfield_gs.io.captures.camera_files import is_camera_file
-from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.npy import open_array
-from lightfield_gs.io.yaml_file import check_keys
+from lightfield_gs.io.text_files import check_keys, read_json
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.scene.cameras import Cameras
 

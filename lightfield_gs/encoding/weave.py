@@ -20,10 +20,8 @@ from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
 from lightfield_gs.encoding.sorted_plan import checked_view_map
-from lightfield_gs.encoding.weave_fan import Fan
-from lightfield_gs.encoding.weave_passes import Held, NativePasses, TorchPasses, full_scale, stored
-from lightfield_gs.encoding.weave_places import Fit, Window, window_of
-from lightfield_gs.encoding.weave_samples import reduced_picture
+from lightfield_gs.encoding.weave_geometry import Fan, Fit, Window, window_of
+from lightfield_gs.encoding.weave_sampling import Held, NativePasses, TorchPasses, full_scale, reduced_picture, stored
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
 Interpolation = Literal["linear", "nearest"]

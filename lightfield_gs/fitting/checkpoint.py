@@ -26,7 +26,7 @@ from lightfield_gs.fitting.settings import FORMER_NAMES, FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import atomic_path, remove_file
 from lightfield_gs.io.captures.capture import Capture
-from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.text_files import parse_json
 
 FILE = "checkpoint.safetensors"
 _KEY, _VERSION = "lightfield-gs fit", 1

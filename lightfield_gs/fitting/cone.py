@@ -21,7 +21,7 @@ from lightfield_gs.fitting.evaluate import ConeAngles
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.pinhole import nearest_rotation
-from lightfield_gs.panels.own_camera import framing_comment
+from lightfield_gs.panels.framing import framing_comment
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.rig import Rig
 

@@ -15,8 +15,8 @@ from lightfield_gs.fitting.image_optimizers import PoseOptimizer
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.settings import FitSettings
-from lightfield_gs.rasterizer.dense_job import DenseImages
-from lightfield_gs.rasterizer.workspace import Wanted
+from lightfield_gs.rasterizer.image_render import ImageBuffers
+from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -178,7 +178,7 @@ def _align_pose(
         loss, g_image = photo_loss_and_gradient(rendered.image[0], photos, weights, settings.ssim_lambda)
         better = loss < least
         best, least = torch.where(better, poses.world_to_camera, best), torch.where(better, loss, least)
-        gradients = job.backward(rendered, DenseImages(g_image[None], None, None), Wanted(cameras=True))
+        gradients = job.backward(rendered, ImageBuffers(g_image[None], None, None), GradientRequest(cameras=True))
         poses.update(poses.sum_gradients(gradients.cameras, first), first + step, kept)
     return best
 

@@ -34,10 +34,9 @@ from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import make_folder, remove_left_over
 from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
-from lightfield_gs.io.scenes.doubts import float_step, usual_size
-from lightfield_gs.io.scenes.render_mode import ANTIALIASED
+from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
+from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene.fitted import fit_comment
 from lightfield_gs.scene.gaussians import Gaussians
 
 _ORIGIN_STEP = 1e-3  # the largest rounding to float32 of a position, as a fraction of the usual Gaussian's size
@@ -293,6 +292,6 @@ def _describe_dropout(settings: FitSettings, photographs: int) -> str | None:
 def _remove_origin(gaussians: Gaussians) -> Gaussians:
     """Return the scene with an origin of zero if float32 is fine enough: not every program reads doubles."""
     exact = gaussians.means.double().numpy() + gaussians.origin
-    if float_step(np.median(exact, 0)) > _ORIGIN_STEP * usual_size(gaussians.scales.numpy()):
+    if float32_step(np.median(exact, 0)) > _ORIGIN_STEP * typical_size(gaussians.scales.numpy()):
         return gaussians
     return replace(gaussians, means=torch.from_numpy(exact.astype(np.float32)), origin=(0.0, 0.0, 0.0))

@@ -25,9 +25,9 @@ from lightfield_gs.fitting.cone import Display
 from lightfield_gs.fitting.evaluate import Scores
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.run import Run
-from lightfield_gs.rasterizer.dense_job import DenseImages
-from lightfield_gs.rasterizer.workspace import Wanted
-from lightfield_gs.scene.gaussians import Gaussians, mapped
+from lightfield_gs.rasterizer.image_render import ImageBuffers
+from lightfield_gs.rasterizer.scene import GradientRequest
+from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
 # The mean error of colours 0..1 by pruning: 1/39 of a step of 8 bits, a third of what `prune` allows, since here nobody
 # asked for a smaller scene.
@@ -122,7 +122,7 @@ def prune_run(
     pruning = prune_for_panel(gaussians, normalization, display, trainer.images, contribution_cut, settings.antialiased)
     for line in pruning.messages():
         run.say(line)
-    left = mapped(gaussians, lambda tensor: tensor[pruning.kept])
+    left = map_fields(gaussians, lambda tensor: tensor[pruning.kept])
     scores = _score_window(run, PanelWindow.locate(display, normalization), display, gaussians, left)
     if scores is None:
         run.write_scores(pruned=pruning.to_dict())
@@ -202,7 +202,9 @@ def photo_visibility(gaussians: Gaussians, images: PosedImages, antialiased: boo
         job = images.render_job(grey, chosen, images.world_to_camera, black, antialiased)
         rendered = job.draw()
         counts = images.pixel_weights(index)[None, None, ..., None].expand_as(rendered.image)
-        gradients = job.backward(rendered, DenseImages(counts.contiguous(), None, None), Wanted(cameras=False))
+        gradients = job.backward(
+            rendered, ImageBuffers(counts.contiguous(), None, None), GradientRequest(cameras=False)
+        )
         total += gradients.fields[-1][0].double().sum((1, 2)) / SH_CONSTANT / 3
     return total
 

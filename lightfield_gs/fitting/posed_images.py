@@ -16,7 +16,7 @@ from torch import Tensor
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.fitting.settings import Masks
 from lightfield_gs.io.captures.capture import Capture
-from lightfield_gs.rasterizer.dense_job import DenseJob
+from lightfield_gs.rasterizer.image_render import ImageArguments, ImageRender
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -119,7 +119,7 @@ class PosedImages:
         opacity = np.full_like(weights if masks == "alpha" else weights[:0], 255)
         for row, (index, (w, h)) in enumerate(zip(progress, sizes)):
             photos[row, :h, :w] = capture.image(index)
-            counts = capture.frame(index) if masks == "alpha" else capture.mask(index)
+            counts = capture.valid_area(index) if masks == "alpha" else capture.mask(index)
             weights[row, :h, :w] = 255 if counts is None else counts
             opaque = capture.opacity(index) if masks == "alpha" else None
             if opaque is not None:
@@ -199,7 +199,7 @@ class PosedImages:
         *,
         capacity: int | None = None,
         size_px: tuple[int, int] | None = None,
-    ) -> DenseJob:
+    ) -> ImageRender:
         """Return the job that draws the scene from the cameras of some photographs, without autograd.
 
         Args:
@@ -216,7 +216,7 @@ class PosedImages:
             tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, self.intrinsics, self.limits)
         )
         means, quaternions, scales, opacities, sh = (tensor[None] for tensor in gaussians.fields().values())
-        return DenseJob.of(
+        arguments = ImageArguments(
             means,
             quaternions,
             scales,
@@ -229,8 +229,8 @@ class PosedImages:
             width,
             height,
             antialiased,
-            room=capacity,
         )
+        return ImageRender.from_arguments(arguments, capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
         """Return [H,W] float32, the weights 0..1 of a photograph's pixels."""

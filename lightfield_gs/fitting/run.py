@@ -16,7 +16,7 @@ from lightfield_gs.fitting.evaluate import ConeAngles, Scores, align_poses, desc
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.progress import Progress, write_pictures
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.io.json_file import write_json
+from lightfield_gs.io.text_files import write_json
 from lightfield_gs.scene.gaussians import Gaussians
 
 _CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # seconds and steps between two looks whether to stop

@@ -23,8 +23,8 @@ from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.random import dropout
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import FitSettings
-from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
-from lightfield_gs.rasterizer.workspace import Wanted
+from lightfield_gs.rasterizer.image_render import ImageBuffers, ImageRender
+from lightfield_gs.rasterizer.scene import GradientRequest
 
 
 @dataclass
@@ -134,8 +134,8 @@ class Step:
         job = images.render_job(gaussians, chosen, world_to_camera, background, antialiased, capacity=self.capacity)
         rendered = job.draw()
         loss, g_image, g_exposure = self._compare(rendered.image[0], chosen, background)
-        wanted = Wanted(self.statistics.screen_numbers, cameras=poses is not None)
-        gradients = job.backward(rendered, DenseImages(g_image[None], None, None), wanted)
+        request = GradientRequest(self.statistics.screen_numbers, cameras=poses is not None)
+        gradients = job.backward(rendered, ImageBuffers(g_image[None], None, None), request)
         self._count_intersections(job)
         g_gaussians = Gradients(*(g[0] for g in gradients.fields))
         if factors is not None:
@@ -172,9 +172,9 @@ class Step:
             return loss, gradient, loss.new_zeros(0)
         return loss, *exposure.backward(image, gradient, chosen)
 
-    def _count_intersections(self, job: DenseJob) -> None:
+    def _count_intersections(self, job: ImageRender) -> None:
         """Count intersections, and set `overflow` if they exceed the capacity in any process: all stop together."""
-        counters, intersections = self.counters, job.pairs_on_device
+        counters, intersections = self.counters, job.intersections_on_device
         self.group.max_(intersections)
         torch.maximum(counters.intersections, intersections, out=counters.intersections)
         if self.capacity is not None:

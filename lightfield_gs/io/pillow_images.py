@@ -1,14 +1,18 @@
-"""What Pillow tells of image files: how many pictures they hold; and pictures that lie inside other files."""
+"""Images through Pillow: several pictures in one file, pictures in memory, and AVIF and HEIC.
+
+OpenImageIO's packages read neither AVIF nor HEIC. HEIC needs the optional package pi-heif.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -18,10 +22,10 @@ if TYPE_CHECKING:
     from PIL import Image
 
 _STARTS = (b"GIF8", b"RIFF", b"\x89PNG", b"II*\0", b"MM\0*", b"\xff\xd8\xff")
-_FORMATS = ("GIF", "WEBP", "PNG", "TIFF", "JPEG")  # the reader of JPEG finds out what is MPO
-_MOST_PIXELS = 1 << 26  # of a picture inside another
+_FORMATS = ("GIF", "WEBP", "PNG", "TIFF", "JPEG")  # the reader of JPEG recognizes MPO
+_MOST_PIXELS = 1 << 26  # of a picture in memory
 _SECOND_EYES = ("Multi-Frame Image (Disparity)", "Multi-Frame Image (Multi-Angle)")
-# What Pillow and its plugins raise of damaged files, beside its DecompressionBombError
+# Errors that Pillow and its plugins raise for damaged files, beside its DecompressionBombError
 _RAISED = (
     OSError,
     SyntaxError,
@@ -36,17 +40,50 @@ _RAISED = (
     struct.error,
 )
 _MP_ENTRIES = 0xB002  # of the MP Index IFD (CIPA DC-007, Multi-Picture Format)
+_AVIF_BRANDS = (b"avif", b"avis")
+# ISO/IEC 23008-12, annex B, and MIAF; files of other brands are films or something else
+_BRANDS = (*_AVIF_BRANDS, b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2")
+_MOST_BYTES = 1 << 28
+_BRAND_BYTES = 128  # read for the brands: they hold a dozen and more
+_PACKAGES = ("pi_heif", "pillow_heif")  # one reader; the former lacks the encoder, which is under the GPL
+_ORIENTATION_TAG = 0x0112
 
 
-def pictures_in(path: Path) -> tuple[int, bool]:
-    """How many pictures of one size a file holds, in a row or a page each, and whether they are those of two eyes.
+@contextlib.contextmanager
+def pillow_errors(words: str) -> Iterator[None]:
+    """Turn all errors of Pillow for damaged files into InputErrors that begin with `words`; hide its warnings."""
+    from PIL import Image
 
-    Of an image without, and of a file that Pillow does not read, 1: what reads it says what is wrong.
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of size and of damaged metadata
+            yield
+    except InputError:
+        raise
+    except (*_RAISED, Image.DecompressionBombError) as error:
+        raise InputError(f"{words}: {' '.join(str(error).split())[:200] or type(error).__name__}") from error
+
+
+@contextlib.contextmanager
+def _open(source: Path | io.BytesIO, name: str) -> Iterator[Image.Image]:
+    """Open an image; raise InputError for whatever is wrong with it."""
+    from PIL import Image
+
+    with pillow_errors(f"{name} is not an image that can be read"), Image.open(source, formats=_FORMATS) as image:
+        yield image
+
+
+def count_pictures(path: Path) -> tuple[int, bool]:
+    """Count the pictures of one size in a file: frames or pages.
+
+    Returns:
+        The count, and whether they are two eyes' pictures of a stereo file. 1 and False for files that Pillow does not
+        read: their reader reports the error.
     """
     with open(path, "rb") as file:
         if not file.read(4).startswith(_STARTS):
             return 1, False
-    with contextlib.suppress(InputError), _opened(path, str(path)) as image:
+    with contextlib.suppress(InputError), _open(path, str(path)) as image:
         count = getattr(image, "n_frames", 1)
         if count < 2:
             return 1, False
@@ -58,19 +95,8 @@ def pictures_in(path: Path) -> tuple[int, bool]:
     return 1, False
 
 
-def decoded(name: str, data: bytes) -> np.ndarray:
-    """A PNG or JPEG in memory, uint8 or uint16 [H, W, C]; name: of what it is, for complaints. Raises InputError."""
-    with _opened(io.BytesIO(data), name) as image:
-        if image.width * image.height > _MOST_PIXELS:
-            raise InputError(f"{name}: {image.width} x {image.height} pixels; expected at most {_MOST_PIXELS}")
-        if image.mode.startswith("I"):
-            return np.asarray(image).astype(np.uint16)[..., None]
-        pixels = np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB"))
-        return pixels.reshape(*pixels.shape[:2], -1)
-
-
 def _has_second_eye(path: Path, image: Image.Image) -> bool:
-    """Whether the second picture of an MPO is another eye's, and no preview, gain map or depth map, as phones have."""
+    """Tell whether the second picture of an MPO is another eye's, not a preview, gain map or depth map of a phone."""
     entries = getattr(image, "mpinfo", {}).get(_MP_ENTRIES, ())
     kinds = [entry.get("Attribute", {}).get("MPType") for entry in entries]
     if any(kind in _SECOND_EYES for kind in kinds):
@@ -80,26 +106,86 @@ def _has_second_eye(path: Path, image: Image.Image) -> bool:
     return path.suffix.lower() == ".mpo" and image.size == size and image.mode == mode
 
 
+def decode_picture(name: str, data: bytes) -> np.ndarray:
+    """Decode a PNG or JPEG in memory, uint8 or uint16 [H, W, C]; raise InputError, which begins with `name`."""
+    with _open(io.BytesIO(data), name) as image:
+        if image.width * image.height > _MOST_PIXELS:
+            raise InputError(f"{name}: {image.width} x {image.height} pixels; expected at most {_MOST_PIXELS}")
+        if image.mode.startswith("I"):
+            return np.asarray(image).astype(np.uint16)[..., None]
+        pixels = np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB"))
+        return pixels.reshape(*pixels.shape[:2], -1)
+
+
+# AVIF and HEIC
+
+
+def is_heif(path: Path) -> bool:
+    """Tell whether a file begins as AVIF and HEIC do."""
+    return _brands(path)[:1] in ([brand] for brand in _BRANDS)
+
+
+def _brands(path: Path) -> list[bytes]:
+    """Return a file's major brand, then its compatible brands; [] for files without."""
+    with path.open("rb") as file:
+        start = file.read(_BRAND_BYTES)
+    if start[4:8] != b"ftyp" or len(start) < 12:
+        return []
+    start = start[: int.from_bytes(start[:4], "big")]
+    return [start[8:12], *(start[at : at + 4] for at in range(16, len(start), 4))]
+
+
 @contextlib.contextmanager
-def _opened(source: Path | io.BytesIO, name: str) -> Iterator[Image.Image]:
-    """An open image, of whatever is wrong with it an InputError."""
+def open_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator[Image.Image]:
+    """Open an image without decoding it; `check_size(width, height)` may raise InputError for its size."""
     from PIL import Image
 
-    with pillow_complaints(f"{name} is not an image that can be read"), Image.open(source, formats=_FORMATS) as image:
+    format_name = _register_reader(path)
+    if (size := path.stat().st_size) > _MOST_BYTES:  # it is read as a whole
+        raise InputError(f"{path}: expected an AVIF or HEIC of at most {_MOST_BYTES} bytes, got {size}; it is damaged")
+    with pillow_errors(f"{path} is not an image that can be read"):
+        image = Image.open(path, formats=[format_name])
+    with image:
+        check_size(*image.size)
         yield image
 
 
-@contextlib.contextmanager
-def pillow_complaints(words: str) -> Iterator[None]:
-    """Makes an InputError, with these words before, of all that Pillow raises of files that are damaged, and leaves out
-    its warnings."""
-    from PIL import Image
+def decode_heif(path: Path, image: Image.Image) -> tuple[np.ndarray, int, dict[str, Any]]:
+    """Decode an open image: pixels [H, W, C] uint8 as stored, Exif orientation, and colour as in images.Picture."""
+    with pillow_errors(f"{path} is damaged or cut"):
+        mode = image.mode if image.mode in ("L", "LA", "RGB", "RGBA") else "RGB"
+        pixels = np.array(image.convert(mode))
+    colour: dict[str, Any] = {"format": cast(str, image.format).lower()}  # None only for images that no file holds
+    if profile := image.info.get("icc_profile"):
+        colour["ICCProfile"] = profile
+    elif kind := image.info.get("nclx_profile"):
+        colour["CICP"] = kind["color_primaries"], kind["transfer_characteristics"]
+    return pixels.reshape(*pixels.shape[:2], -1), heif_orientation(path, image), colour
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of size and of damaged metadata
-            yield
-    except InputError:
-        raise
-    except (*_RAISED, Image.DecompressionBombError) as error:
-        raise InputError(f"{words}: {' '.join(str(error).split())[:200] or type(error).__name__}") from error
+
+def heif_orientation(path: Path, image: Image.Image) -> int:
+    """Return the Exif orientation 1..8 of the pixels of decode_heif; raise InputError for damaged files."""
+    with pillow_errors(f"{path} is damaged or cut"):
+        orientation = image.getexif().get(_ORIENTATION_TAG, 1)
+    return orientation if isinstance(orientation, int) else 1
+
+
+def _register_reader(path: Path) -> str:
+    """Register the reader of a file, and return the name of its format for Pillow; raise InputError without one."""
+    from PIL import features
+
+    if set(_brands(path)) & set(_AVIF_BRANDS):
+        if features.check("avif"):
+            return "AVIF"
+        raise InputError(
+            f"{path} is an AVIF image, which the installed Pillow does not read: pip install -U "
+            "'pillow>=11.3'; or convert it to PNG or JPEG"
+        )
+    for name in _PACKAGES:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name).register_heif_opener()
+            return "HEIF"
+    raise InputError(
+        f"{path} is a HEIC image, which takes a package to read: pip install 'lightfield-gs[heif]'; or "
+        "convert it to PNG or JPEG"
+    )

@@ -1,6 +1,8 @@
-"""Compresses images for PNG files on the CUDA device that has them: an image of 8K takes an H100 a millisecond and a
-core a tenth of a second or more, and a third or less of the bytes have to be copied to the host. csrc/cuda/png/png.h
-says how."""
+"""Compression of images for PNG files on the CUDA device that holds them; see csrc/cuda/png/png.h.
+
+An H100 compresses an 8K image in a millisecond, a CPU core in a tenth of a second or more, and at most a third of the
+bytes are copied to the host.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +16,34 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.cuda import device_guard, to_numpy
 from lightfield_gs.base.options import Compression
-from lightfield_gs.io.png_file import CompressedImage
+from lightfield_gs.io.png import CompressedImage
 
 _ZLIB_HEADER = b"\x78\x01"  # deflate with a window of 32 KB, by a fast algorithm (RFC 1950, section 2.2)
 
 
-def deflates(image: Tensor, path: Path, compression: Compression) -> bool:
-    """Whether the file of an image is to be compressed where the image is."""
+def is_deflated_on_gpu(image: Tensor, path: Path, compression: Compression) -> bool:
+    """Tell whether an image is compressed on its device for the file at `path`."""
     is_compressed = path.suffix.lower() == ".png" and compression == "fast"
     return image.is_cuda and image.dtype == torch.uint8 and is_compressed
 
 
-def fetched(image: Tensor, path: Path, compression: Compression) -> np.ndarray | CompressedImage:
-    """An image [H, W, C] on the host, as write_image takes it for this file. Waits for it."""
-    if not deflates(image, path, compression):
+def fetch_image(image: Tensor, path: Path, compression: Compression) -> np.ndarray | CompressedImage:
+    """Copy an image [H, W, C] to the host in the form that write_image takes for this file; wait for it."""
+    if not is_deflated_on_gpu(image, path, compression):
         return to_numpy(image)
-    out, facts = deflated(image)
+    out, facts = deflate(image)
     return compressed_image(tuple(image.shape), out, to_numpy(facts))
 
 
-def deflated(image: Tensor) -> tuple[Tensor, Tensor]:
-    """The deflate stream of an image's filtered rows, and facts of it, both uint8 on the image's device: what
-    `compressed_image` takes. The stream is at the start of the first, which has room for the longest.
+def deflate(image: Tensor) -> tuple[Tensor, Tensor]:
+    """Compress an image's filtered rows on its device, without waiting.
 
-    image: uint8 [H, W, C], contiguous. Nothing waits.
+    Args:
+        image: uint8 [H, W, C], contiguous, on a CUDA device.
+
+    Returns:
+        A buffer that begins with the deflate stream, and the facts that `compressed_image` needs; both uint8, on the
+        image's device.
     """
     height, width, channels = image.shape
     native = _core.cuda.PngImage(height=height, width=width, channels=channels, pixels=image.data_ptr())
@@ -49,8 +55,13 @@ def deflated(image: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def compressed_image(shape: tuple[int, ...], out: Tensor, facts: np.ndarray) -> CompressedImage:
-    """What `deflated` found of an image of this shape, as write_image takes it; `facts` are on the host already. Waits
-    for the copy of the stream alone, on the current CUDA stream."""
+    """Copy the stream of `deflate` to the host; wait for this copy alone, on the current CUDA stream.
+
+    Args:
+        shape: H, W, C of the image.
+        out: buffer of the stream, on the device.
+        facts: facts of the stream, on the host already.
+    """
     bits, adler, is_varied = struct.unpack("QII", facts.tobytes())
     stream = to_numpy(out[: (bits + 7) // 8])
     return CompressedImage(shape, (_ZLIB_HEADER, stream.data, struct.pack(">I", adler)), not is_varied)

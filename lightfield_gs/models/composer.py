@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.initializer import Pixels
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. A line of
 # sight outside the mask meets nothing at all, so its Gaussians start below the visible 1/255 and cost nothing.
@@ -89,7 +89,7 @@ class DeltaComposer(nn.Module):
             # The share of the disparity range shrinks from layer to layer: each lies behind the one before.
             nearness = nearness * torch.sigmoid(values["depth"] + (self.base_logit if index == 0 else 0.0))
             parts.append(self._layer(values, 1 / (self.far_disparity + self.disparity_range * nearness), pixels, index))
-        return of_tensors(torch.cat(fields, dim=1) for fields in zip(*parts))
+        return from_tensors(torch.cat(fields, dim=1) for fields in zip(*parts))
 
     def _layer(self, values: dict[str, Tensor], depth: Tensor, pixels: Pixels, index: int) -> tuple[Tensor, ...]:
         """Means, quaternions, scales, opacities and harmonics of one layer at depth [B,1,H,W]."""

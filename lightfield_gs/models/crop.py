@@ -1,10 +1,8 @@
-"""Cropping a picture to its object, alike for training views and photos: the network sees one kind of input.
-
-lightfield_gs/models/crop_cuda.py does the same on CUDA where nothing may wait for the device.
-"""
+"""Crop a picture to its object, for training and inference alike: the network sees one kind of input."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -12,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 
 # Room left round the object's bounding box, as a share of its longer side (on each side).
@@ -19,7 +18,6 @@ MARGIN = 0.08
 # A pixel belongs to the object from this opacity on; fainter ones are shadows and the haze of automatic cut-outs.
 _OBJECT_ALPHA = 0.2
 _STRIP_PIXELS = 1 << 20
-
 Number = TypeVar("Number")
 
 
@@ -115,3 +113,33 @@ def _resized(image: Tensor, size: tuple[int, int]) -> Tensor:
     if tuple(image.shape[1:]) == size:
         return image
     return F.interpolate(image[None], size=size, mode="bilinear", antialias=True)[0]
+
+
+def crop_on_device(photo: Tensor, sizes_px: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
+    """crop_resize_premultiplied of photo [H,W,4], uint8 or float32, contiguous on CUDA, to the square round its object
+    at each of these sizes, [4,S,S]. First come two numbers [2] that are 0 where its values are not in 0..1, and where
+    there is no object; of such photos the crops mean nothing. All sizes are made by kernels that a graph can hold.
+    """
+    height, width = photo.shape[:2]
+    found = torch.empty(_core.cuda.FOUND_NUMBERS, dtype=torch.int32, device=photo.device)
+    checks = torch.empty(2, device=photo.device)
+    is_bytes = photo.dtype == torch.uint8
+    job = _core.cuda.Photo(
+        height=height,
+        width=width,
+        bytes=photo.data_ptr() if is_bytes else 0,
+        floats=0 if is_bytes else photo.data_ptr(),
+        opaque=least_opaque(photo.dtype),
+        margin=MARGIN,
+        found=found.data_ptr(),
+        checks=checks.data_ptr(),
+    )
+    crops = []
+    with torch.cuda.device_of(photo):
+        stream = torch.cuda.current_stream().cuda_stream
+        _core.cuda.find_object(job, stream)
+        for size in sizes_px:
+            narrow, out = (torch.empty(shape, device=photo.device) for shape in ((height, size, 4), (4, size, size)))
+            _core.cuda.crop_object(job, size, narrow.data_ptr(), out.data_ptr(), stream)
+            crops.append(out)
+    return checks, crops

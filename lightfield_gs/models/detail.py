@@ -1,18 +1,19 @@
-"""Appearance at the photo's resolution on geometry at the network's: a sheet of small Gaussians over what is seen.
+"""Add the photo's resolution to the network's Gaussians: a sheet of small Gaussians over the visible surface.
 
 The network's Gaussians are a translucent cloud some pixels deep, whose mean is a good surface and whose picture is
-soft. A sheet is laid along that surface: for each pixel of the network's grid factor x factor texels, Gaussians of
-their own, whose colours and opacities are the photo's. What the cloud has in front of the sheet fades, since the photo
-shows it already; what it has behind stays, and shows where other views look past the sheet.
+soft. A sheet lies along that surface: factor x factor texels for each pixel of the network's grid, Gaussians with the
+photo's colours and opacities. The cloud in front of the sheet fades, since the photo shows it already. The cloud behind
+the sheet stays, and shows where other views look past the sheet.
 
 Everything is done on the grid of pixels, without a rasterizer: shapes depend on no values, so that CUDA can capture it
-as a graph, and everything has gradients. For inference lightfield_gs/models/sheet.py makes the same texels natively.
+as a graph, and everything has gradients. For inference models/sheet.py makes the same texels natively.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -22,8 +23,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models.initializer import Pixels
-from lightfield_gs.models.upsample import SAME_SURFACE, along_surface, blurred, minmod
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
 _WIDENING = 0.3
@@ -42,6 +42,21 @@ _HAZE, _OBJECT = 0.1, 0.3
 _AVERAGED = 2.0
 _SOFTNESS = 1.5  # depth over which the cloud before the sheet fades, footprints
 _STEEPEST = 3.0  # footprints of depth from texel to texel up to which the sheet closes
+# Neighbours up to this many footprints nearer or farther are of the same surface; from twice as many on, of another.
+SAME_SURFACE = 3.0
+
+
+@dataclass(frozen=True)
+class DetailLevel:
+    """Resolution of the sheet that with_detail lays over the network's Gaussians.
+
+    Attributes:
+        factor: texels per side of each pixel of the network's grid.
+        texel_px: width of a texel where it is displayed, in pixels.
+    """
+
+    factor: int
+    texel_px: float = 1.0
 
 
 def with_detail(
@@ -59,7 +74,7 @@ def with_detail(
     if harmonics.shape[1]:
         rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
-    return of_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, faded.fields().values()))
+    return from_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, faded.fields().values()))
 
 
 class SheetSurface(NamedTuple):
@@ -230,3 +245,64 @@ def _quaternions(first: Tensor, second: Tensor, third: Tensor) -> Tensor:
 def _flat(channels: Tensor) -> Tensor:
     """[B,C,H,W] to [B,H*W,C]."""
     return channels.flatten(2).transpose(1, 2)
+
+
+def blurred(channels: Tensor, deviation: float) -> Tensor:
+    """channels [B,C,H,W] convolved with a Gaussian of this standard deviation in pixels, zeros beyond the edges."""
+    reach = math.ceil(3 * deviation)
+    places = torch.arange(-reach, reach + 1, dtype=channels.dtype, device=channels.device)
+    weights = torch.exp(-0.5 * (places / deviation).square())
+    weights = (weights / weights.sum()).view(1, 1, 1, -1)
+    each = channels.flatten(0, 1)[:, None]
+    each = F.conv2d(each, weights, padding=(0, reach))
+    each = F.conv2d(each, weights.transpose(2, 3), padding=(reach, 0))
+    return each[:, 0].view_as(channels)
+
+
+def minmod(one: Tensor, other: Tensor) -> Tensor:
+    """The smaller of two steps where both go the same way, else 0."""
+    return torch.where(one * other > 0, torch.where(one.abs() < other.abs(), one, other), 0.0)
+
+
+def along_surface(channels: Tensor, disparity: Tensor, footprint: Tensor, factor: int) -> Tensor:
+    """channels [B,C,H,W] at [B,C,factor*H,factor*W]: bilinear between pixels of one surface.
+
+    disparity [B,1,H,W] and footprint [B,1,1,1] (width of a pixel at depth 1) tell which pixels are of one surface:
+    neighbours whose depths differ by three footprints at most count in full, from six on not at all.
+    """
+    if factor == 1:
+        return channels
+    fields = torch.cat([channels, disparity.log() / footprint], 1)
+    around = {at: _shifted(fields, *at) for at in itertools.product((-1, 0, 1), repeat=2)}
+    middle = fields[:, -1:]
+    near = {at: (2 - (field[:, -1:] - middle).abs() / SAME_SURFACE).clamp(0, 1) for at, field in around.items()}
+    rows = []
+    for row in range(factor):
+        # Every texel lies between its own pixel and three others, towards its corner of the pixel
+        side_y, part_y = _between(row, factor)
+        texels = []
+        for column in range(factor):
+            side_x, part_x = _between(column, factor)
+            weights = {
+                (y, x): share_y * share_x * near[y, x]
+                for y, share_y in ((0, 1 - part_y), (side_y, part_y))
+                for x, share_x in ((0, 1 - part_x), (side_x, part_x))
+            }
+            shares = torch.stack(list(weights.values()))
+            values = torch.stack([around[at][:, :-1] for at in weights])
+            texels.append((shares * values).sum(0) / shares.sum(0))
+        rows.append(torch.stack(texels, -1))
+    return torch.stack(rows, 3).flatten(4, 5).flatten(2, 3)
+
+
+def _between(index: int, factor: int) -> tuple[int, float]:
+    """For a texel of a pixel: towards which neighbour it lies, -1 or 1, and that neighbour's share."""
+    place = (index + 0.5) / factor - 0.5
+    return (1 if place > 0 else -1), abs(place)
+
+
+def _shifted(fields: Tensor, down: int, right: int) -> Tensor:
+    """fields [B,C,H,W] of the pixels so far down and to the right, 1 at most; beyond the edges those of the edge."""
+    height, width = fields.shape[2:]
+    padded = F.pad(fields, (1, 1, 1, 1), mode="replicate")
+    return padded[:, :, 1 + down : 1 + down + height, 1 + right : 1 + right + width]

@@ -8,18 +8,19 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.cuda import capture_graph
-from lightfield_gs.base.options import Detail
-from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
+from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, checked_photo, seen
-from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_GRAPHS = 4  # each keeps the memory of what it computes
 
 
 class ReplayedNet:
-    """SplatterNet.predict of a network that does not change: the same kernels in the same precision, so that all comes
-    out the same. A level of detail gets its graph the second time that it is met."""
+    """SplatterNet.predict for photo after photo; on CUDA as a graph, since launches take longer than the device.
+
+    The kernels and their precision are the same, and so are the results. A level of detail gets its graph the second
+    time that it is met. The network must not change.
+    """
 
     def __init__(self, net: SplatterNet) -> None:
         self.net, self.config = net, net.config
@@ -27,16 +28,9 @@ class ReplayedNet:
         self._graphs: dict[DetailLevel | None, _Graph] = {}
 
     @torch.no_grad()
-    def predict(
-        self,
-        rgba: np.ndarray | Tensor,
-        detail: Detail | None = None,
-        panel: Panel | None = None,
-        budget: int = DEFAULT_BUDGET,
-    ) -> Gaussians:
-        """What SplatterNet.predict returns. Raises InputError as it does."""
+    def predict(self, rgba: np.ndarray | Tensor, level: DetailLevel | None = None) -> Gaussians:
+        """Return the Gaussians of SplatterNet.predict. Raises InputError as it does."""
         photo = checked_photo(rgba)
-        level = detail_level(detail, self.config, max(photo.shape[:2]), panel, budget)
         cropped, fine = self.net.crops(photo, level)
         if not cropped.is_cuda or not self._is_repeated(level):
             return self.net.seen_gaussians(cropped, fine, level)

@@ -9,10 +9,9 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
-from lightfield_gs.models.detail import SheetSurface, sheet_look, surface_look
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel, SheetSurface, sheet_look, surface_look
 from lightfield_gs.models.initializer import Pixels
-from lightfield_gs.scene.gaussians import Gaussians, mapped
+from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
 _SCRATCH = 6  # numbers that the stage keeps of each texel
 
@@ -40,8 +39,8 @@ def lay_sheet(
         both[:, texels:] = field
         return both
 
-    gaussians = mapped(cloud, with_room)
-    under = mapped(gaussians, lambda field: field[:, texels:])
+    gaussians = map_fields(cloud, with_room)
+    under = map_fields(gaussians, lambda field: field[:, texels:])
     surface = find_surface(under, pixels.mask, intrinsics, layers)
     lay_texels(surface, fine, intrinsics, level, gaussians)
     return gaussians

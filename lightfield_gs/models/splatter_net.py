@@ -1,12 +1,16 @@
 """The network: one picture of an object in, 3D Gaussians out.
 
 Source: Szymanowicz et al., "Splatter Image", CVPR 2024: an image-to-image network whose output pixels are Gaussians.
-Three stages: the initializer describes each pixel, the decoder (U-Net and heads) predicts raw numbers, the composer
+Three stages: the initializer describes each pixel, the decoder (U-Net and heads) predicts raw channels, the composer
 turns them into Gaussians.
+
+A checkpoint holds float16 weights as safetensors, with the configuration as JSON in the metadata.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
 
@@ -19,23 +23,23 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Detail
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.file_kinds import refuse_stand_in
+from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.models import crop
-from lightfield_gs.models.checkpoint import read_weights, save_weights
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
-from lightfield_gs.models.crop_cuda import crop_on_device
-from lightfield_gs.models.detail import with_detail
-from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
+from lightfield_gs.models.crop import crop_on_device
+from lightfield_gs.models.detail import DetailLevel, with_detail
 from lightfield_gs.models.initializer import Pixels, describe_pixels, mirror_image, network_input
 from lightfield_gs.models.sheet import is_native, lay_sheet
 from lightfield_gs.models.unet import UNet
-from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
+_CONFIG_KEY = "lightfield_gs.model_config"
 
 
 class SplatterNet(nn.Module):
@@ -103,26 +107,25 @@ class SplatterNet(nn.Module):
             return F.pixel_shuffle(self.head(features.to(self.head.weight.dtype)), self.config.patch_px)
 
     @torch.no_grad()
-    def predict(
-        self,
-        rgba: np.ndarray | Tensor,
-        detail: Detail | None = None,
-        panel: Panel | None = None,
-        budget: int = DEFAULT_BUDGET,
-    ) -> Gaussians:
-        """Gaussians of the object in a photo, in its camera's axes (at the origin, z forward; object near z = 1.3).
+    def predict(self, rgba: np.ndarray | Tensor, level: DetailLevel | None = None) -> Gaussians:
+        """Predict the Gaussians of the object in a photo. PhotoEncoder goes on to the image of a panel, faster on CUDA.
 
-        rgba: [H,W,4] float in 0..1 or uint8, colours not premultiplied, any size and aspect. The photo is cropped to
-        the object as in training; its camera is taken to look at the middle of that crop with the focal length
-        config.photo_focal. Gaussians that cannot be seen are left out.
-        detail: lays the photo over them at 1, 2 or 4 times the network's resolution, or at what the panel shows, in at
-        most `budget` Gaussians, "auto"; None leaves it at the network's own. panel: where it will be shown.
-        Raises InputError for other shapes, types or values, or an empty mask. PhotoEncoder goes on to the image of a
-        panel, and faster on CUDA.
+        The photo is cropped to the object as in training. Its camera looks at the middle of that crop with the focal
+        length config.photo_focal. Gaussians too faint to be seen are left out.
+
+        Args:
+            rgba: [H,W,4] float in 0..1 or uint8, colours not premultiplied, any size and aspect.
+            level: lays the photo over the Gaussians at a multiple of the network's resolution; photo.detail_level
+                chooses it for a panel and a budget. None: the network's own Gaussians alone.
+
+        Returns:
+            Gaussians in the axes of the photo's camera (at the origin, z forward; the object is near z = 1.3).
+
+        Raises:
+            InputError: for other shapes, types or values, and for an empty mask.
         """
         photo = checked_photo(rgba)
-        expect("panel", panel, Panel, type(None))
-        level = detail_level(detail, self.config, max(photo.shape[:2]), panel, budget)
+        expect("level", level, DetailLevel, type(None))
         return self.seen_gaussians(*self.crops(photo, level), level)
 
     def crop_photo(self, photo: Tensor) -> Tensor:
@@ -180,7 +183,7 @@ class SplatterNet(nn.Module):
             self.train(was_training)
         own = batch.quaternions[:, -self.config.layers * cropped.shape[1] * cropped.shape[2] :]
         own.copy_(F.normalize(own, dim=-1))  # those of texels are of length 1
-        return of_tensors(field[0].contiguous() for field in batch.fields().values())
+        return from_tensors(field[0].contiguous() for field in batch.fields().values())
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""
@@ -202,7 +205,7 @@ class SplatterNet(nn.Module):
 def seen(gaussians: Gaussians) -> Gaussians:
     """Those that are not too faint to be drawn. Waits for the device, once."""
     which = (gaussians.opacities >= OPACITY_CUT).nonzero().squeeze(1)
-    return of_tensors(field.index_select(0, which) for field in gaussians.fields().values())
+    return from_tensors(field.index_select(0, which) for field in gaussians.fields().values())
 
 
 def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
@@ -231,3 +234,34 @@ def check_values(values_in_range: float | Tensor) -> None:
     """Raises InputError unless the values of a photo are in range; see in_range."""
     if not values_in_range:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")
+
+
+def save_weights(path: Path, config: ModelConfig, state: Mapping[str, Tensor], notes: dict[str, str]) -> None:
+    """Write the weights of a network; the file appears complete or not at all. notes: further metadata."""
+    from safetensors.torch import save
+
+    weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in state.items()}
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(save(weights, notes | {_CONFIG_KEY: json.dumps(config.to_dict())}))
+
+
+def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
+    """Read configuration and float32 weights of a checkpoint. Raises InputError for a file that is none."""
+    from safetensors import SafetensorError, safe_open
+    from safetensors.torch import load
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+        # Read at once: one by one the open file would never free 64 bytes for each (safetensors 0.8)
+        weights = {name: tensor.float() for name, tensor in load(path.read_bytes()).items()}
+        config = parse_json(metadata[_CONFIG_KEY])
+    except FileNotFoundError:
+        raise InputError(f"{path}: found no such checkpoint") from None
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        refuse_stand_in(path)
+        raise InputError(
+            f"{path}: expected a SplatterNet checkpoint (safetensors with its configuration), "
+            f"but {' '.join(str(error).split())[:200]}"
+        ) from None
+    return ModelConfig.from_dict(config), weights

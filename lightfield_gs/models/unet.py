@@ -3,6 +3,7 @@
 The layout is that of Song et al., "Score-Based Generative Modeling through Stochastic Differential Equations", ICLR
 2021 (DDPM++), without noise conditioning: residual blocks that also resample, one skip connection per block, attention
 at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128 channels.
+Group normalisation is that of Wu & He, ECCV 2018.
 """
 
 from __future__ import annotations
@@ -16,11 +17,47 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from lightfield_gs import _core
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.models.group_norm import group_norm_silu
 
 MOST = 65536  # of any whole number in a configuration: more is a mistake
+
+
+def group_norm_silu(norm: nn.GroupNorm, features: Tensor) -> Tensor:
+    """silu(norm(features)), features [B,C,H,W].
+
+    Our kernel is for inference in bfloat16 on CUDA with channels last, for which PyTorch takes six kernels, two of them
+    copies to channels first and back. It rounds once, where PyTorch rounds twice.
+    """
+    if not _is_ours(norm, features):
+        return F.silu(norm(features))
+    batch, channels, height, width = features.shape
+    out = torch.empty_like(features)
+    with torch.cuda.device_of(features):
+        _core.cuda.group_norm_silu(
+            batch,
+            height * width,
+            channels,
+            norm.num_groups,
+            features.data_ptr(),
+            norm.weight.data_ptr(),
+            norm.bias.data_ptr(),
+            norm.eps,
+            out.data_ptr(),
+            torch.cuda.current_stream().cuda_stream,
+        )
+    return out
+
+
+def _is_ours(norm: nn.GroupNorm, features: Tensor) -> bool:
+    if torch.compiler.is_compiling() or torch.is_grad_enabled() or not (features.is_cuda and hasattr(_core, "cuda")):
+        return False
+    return (
+        features.dtype == norm.weight.dtype == torch.bfloat16
+        and features.is_contiguous(memory_format=torch.channels_last)
+        and norm.num_channels % (2 * norm.num_groups) == 0
+    )
 
 
 def check_field_types(config: Any, where: str) -> None:

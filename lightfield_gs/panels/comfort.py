@@ -9,7 +9,7 @@ from typing import Any
 from lightfield_gs.base.checks import expect
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.unseen import look_at, words_on_past
+from lightfield_gs.panels.visibility import background_warning, view_coverage
 from lightfield_gs.scene.gaussians import Gaussians
 
 EYE_SEPARATION_MM = 63.0  # mean of adults (Dodgson, "Variation and extrema of human interpupillary distance", 2004)
@@ -97,7 +97,7 @@ class DepthReport:
             out.append(
                 f"the depth strains the eyes: {self._angles()}; give a smaller --depth-amount{way}, or another --focus"
             )
-        if (words := words_on_past(max(self.unseen))) is not None:
+        if (words := background_warning(max(self.unseen))) is not None:
             out.append(words)
         return out
 
@@ -127,7 +127,7 @@ def depth_report(gaussians: Gaussians, panel: Panel, rig: Rig) -> DepthReport:
     """
     expect("panel", panel, Panel)
     expect("rig", rig, Rig)
-    seen = look_at(gaussians, panel, rig)
+    seen = view_coverage(gaussians, panel, rig)
     near, far = (place_of(depth, panel, rig) for depth in (seen.near, seen.far))
     comfortable = amount = None
     if near.angle_deg is not None and far.angle_deg is not None:

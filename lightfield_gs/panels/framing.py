@@ -1,9 +1,15 @@
-"""A rig for a scene that comes without one."""
+"""Rigs for scenes: automatic framing, and the camera that a file of Gaussians brings along.
+
+A stored framing is a line of the header, "lightfield-gs rig: {"rig": {...}, "width_px": ..., "height_px": ...}", in the
+file's own axes, with the size of the panel that it was made for. SHARP (Mescheder et al., 2025) writes elements of
+numbers beside the vertices: extrinsic (16, world to camera, by rows), intrinsic (9, by rows), image_size (2).
+"""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +17,23 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.checks import expect
+from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels import reach, subject, visible
+from lightfield_gs.io.captures.camera_files import FileCamera
+from lightfield_gs.io.text_files import parse_json
+from lightfield_gs.panels import subject, visibility
+from lightfield_gs.panels.extent import (
+    content_bounds,
+    content_extent,
+    content_weights,
+    hashed_subsample,
+    middle_scales,
+    select,
+    subsample,
+)
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.reach import extent
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.axes import DEFAULT_UP, upright
+from lightfield_gs.scene.axes import DEFAULT_UP, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 
 _FILL = 0.92  # share of the panel's height or width that the content fills
@@ -36,7 +52,7 @@ _FEW = 0.1
 _NOTHING_IN_FRONT = "no Gaussian lies in front of the camera; give another rig"
 
 
-def frame(
+def frame_scene(
     gaussians: Gaussians,
     panel: Panel,
     world_to_camera: np.ndarray | None = None,
@@ -62,7 +78,7 @@ def frame(
     Raises InputError on a batch, on no Gaussians, or when none lies in front of the camera.
     """
     gaussians = _checked(gaussians, panel)
-    turn = upright(up)
+    turn = upright_rotation(up)
     if world_to_camera is not None:
         world_to_camera = Rig(world_to_camera, (1.0, 1.0), (0.0, 0.0), 1.0).world_to_camera  # checks the matrix
     found = _subject(gaussians)
@@ -70,7 +86,7 @@ def frame(
     if world_to_camera is None:
         rig = _in_front(content, rest, panel, turn)
     else:
-        whole = fit(extent(gaussians, _tensor(world_to_camera, gaussians)).tolist(), panel, world_to_camera)
+        whole = fit_rig(content_extent(gaussians, _tensor(world_to_camera, gaussians)).tolist(), panel, world_to_camera)
         if found.left_out > _FEW and _is_narrow(whole, panel) or not _is_seen(content, world_to_camera):
             content, found = gaussians, subject.Subject()
         rig = _with_something_at_zero(_bounded(content, panel, world_to_camera), gaussians, panel)
@@ -84,18 +100,18 @@ def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
 
     Raises InputError as `frame`.
     """
-    return fit(photo_extent(_checked(gaussians, panel)).tolist(), panel, np.eye(4))
+    return fit_rig(photo_extent(_checked(gaussians, panel)).tolist(), panel, np.eye(4))
 
 
 def photo_extent(gaussians: Gaussians) -> Tensor:
     """What `fit` needs to know of a photo's Gaussians, see `extent`; of a million an eighth shows it well enough."""
-    return extent(reach.spread(gaussians))
+    return content_extent(hashed_subsample(gaussians))
 
 
 def on_subject(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
     """The rig with its zero plane in the subject, what is nearest of what is seen in the middle of the picture; as it
     is where nothing is seen there."""
-    found = visible.subject_depth(gaussians.detach(), panel, rig)
+    found = visibility.subject_depth(gaussians.detach(), panel, rig)
     return rig if found is None else replace(rig, zero_depth=found)
 
 
@@ -110,9 +126,9 @@ def look_from(
     is seen in the middle of the picture. Raises InputError, also where no Gaussian lies in front of the camera."""
     gaussians = _checked(gaussians, panel)
     rig = Rig(world_to_camera, focal_px, principal_point_px, 1.0)
-    if (found := visible.subject_depth(gaussians, panel, rig)) is not None:
+    if (found := visibility.subject_depth(gaussians, panel, rig)) is not None:
         return replace(rig, zero_depth=found)
-    near, far, weight = extent(gaussians, _tensor(rig.world_to_camera, gaussians)).tolist()[4:]
+    near, far, weight = content_extent(gaussians, _tensor(rig.world_to_camera, gaussians)).tolist()[4:]
     if not weight > 0:
         raise InputError(_NOTHING_IN_FRONT)
     return replace(rig, zero_depth=2 / (1 / near + 1 / far))
@@ -131,9 +147,9 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
 
 def _subject(gaussians: Gaussians) -> subject.Subject:
     """What the scene is about, by panels/subject.py."""
-    low, high = reach.bounds_of(reach.some(gaussians)).unbind(1)
+    low, high = content_bounds(subsample(gaussians)).unbind(1)
     return subject.find(
-        gaussians.means, reach.sizes_of(gaussians), reach.weights_of(gaussians), float((high - low).max())
+        gaussians.means, middle_scales(gaussians), content_weights(gaussians), float((high - low).max())
     )
 
 
@@ -141,7 +157,7 @@ def _parted(gaussians: Gaussians, found: subject.Subject) -> tuple[Gaussians, Ga
     """What is to be framed, and the rest of the scene."""
     if found.inside is None:
         return gaussians, None
-    return reach.part(gaussians, found.inside), reach.part(gaussians, ~found.inside)
+    return select(gaussians, found.inside), select(gaussians, ~found.inside)
 
 
 def _is_seen(gaussians: Gaussians, pose: np.ndarray) -> bool:
@@ -158,16 +174,16 @@ def _within(gaussians: Gaussians, pose: np.ndarray, tan_x: float, tan_y: float) 
 
 def _bounded(gaussians: Gaussians, panel: Panel, pose: np.ndarray) -> Rig:
     """The rig that fits the content, the panel's longer side taking 90 degrees at most: what is beyond is left out."""
-    rig = fit(extent(gaussians, _tensor(pose, gaussians)).tolist(), panel, pose)
+    rig = fit_rig(content_extent(gaussians, _tensor(pose, gaussians)).tolist(), panel, pose)
     if _is_narrow(rig, panel):
         return rig
     widest = max(panel.width_px, panel.height_px) / 2 / _WIDEST_TAN
     kept = _within(gaussians, pose, panel.width_px / 2 / widest, panel.height_px / 2 / widest)
     if bool(kept.any()):
-        seen = reach.part(gaussians, kept)
-        numbers = extent(seen, _tensor(pose, seen)).tolist()
+        seen = select(gaussians, kept)
+        numbers = content_extent(seen, _tensor(pose, seen)).tolist()
         if numbers[-1] > 0:
-            rig = fit(numbers, panel, pose)
+            rig = fit_rig(numbers, panel, pose)
     if _is_narrow(rig, panel):
         return rig
     return replace(rig, focal_px=(widest, widest), principal_point_px=(panel.width_px / 2, panel.height_px / 2))
@@ -183,7 +199,7 @@ def _is_narrow(rig: Rig, panel: Panel) -> bool:
 
 def _with_something_at_zero(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
     """The rig, its zero plane moved to the subject if it lies in a wide gap between near and far."""
-    found = visible.depth_beside_a_gap(gaussians, panel, rig)
+    found = visibility.depth_beside_a_gap(gaussians, panel, rig)
     return rig if found is None else replace(rig, zero_depth=found)
 
 
@@ -191,7 +207,7 @@ def _tensor(pose: np.ndarray, like: Gaussians) -> Tensor:
     return torch.from_numpy(pose).to(like.means)
 
 
-def fit(extent: Sequence[float], panel: Panel, world_to_camera: np.ndarray) -> Rig:
+def fit_rig(extent: Sequence[float], panel: Panel, world_to_camera: np.ndarray) -> Rig:
     """The rig at this camera that shows the content of this `extent`. Raises InputError when there is none."""
     left, right, top, bottom, near, far, weight = extent
     if not weight > 0:
@@ -210,11 +226,11 @@ def _in_front(content: Gaussians, rest: Gaussians | None, panel: Panel, turn: np
 def _clear_distance(content: Gaussians, rest: Gaussians, panel: Panel, turn: np.ndarray) -> float:
     """The share of its usual distance from where the camera sees enough of the content past the rest of the scene."""
     depths = torch.from_numpy(turn[2]).to(content.means)
-    before = reach.part(rest, rest.means @ depths < (content.means @ depths).max())
-    few, chosen, best = reach.some(content), 1.0, -_WORTH
+    before = select(rest, rest.means @ depths < (content.means @ depths).max())
+    few, chosen, best = subsample(content), 1.0, -_WORTH
     for nearer in (1.0, *_NEARER):
         rig = _bounded(few, panel, _camera_in_front(few, panel, turn, nearer))
-        seen = visible.share(content, before, panel, rig) * _share_in_frame(few, panel, rig)
+        seen = visibility.visible_fraction(content, before, panel, rig) * _share_in_frame(few, panel, rig)
         if seen > best + _WORTH:
             chosen, best = nearer, seen
         if best >= _SEEN:
@@ -237,7 +253,7 @@ def _share_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
 def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, share: float) -> np.ndarray:
     """The pose of a camera with this rotation, at this share of its usual distance from the front of the content."""
     axes = torch.from_numpy(turn).to(gaussians.means)
-    bounds = reach.bounds_of(gaussians, axes).cpu().double().numpy()
+    bounds = content_bounds(gaussians, axes).cpu().double().numpy()
     width, height, depth = bounds[:, 1] - bounds[:, 0]
     height = max(height, width * panel.height_px / panel.width_px, 1e-6)
     distance = share * height / _FILL / 2 / math.tan(_field_of_view_rad(panel) / 2)
@@ -254,3 +270,79 @@ def _field_of_view_rad(panel: Panel) -> float:
         return math.radians(_UNKNOWN_FIELD_OF_VIEW_DEG)
     angle = 2 * math.atan(panel.height_px * panel.pixel_pitch_mm / 2 / panel.viewing_distance_mm)
     return min(max(angle, math.radians(_FIELD_OF_VIEW_DEG[0])), math.radians(_FIELD_OF_VIEW_DEG[1]))
+
+
+_KEY = "lightfield-gs rig:"
+_PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and how many numbers each has
+
+_WAY_OUT = "give --up, --camera or --rig, which go before it"
+
+
+def framing_comment(rig: Rig, panel: Panel) -> str:
+    """The line of a header that keeps the framing; rig: in the file's coordinates."""
+    return f"{_KEY} " + json.dumps({"rig": rig.to_dict(), "width_px": panel.width_px, "height_px": panel.height_px})
+
+
+def stored_framing(comments: Iterable[str], panel: Panel) -> tuple[Rig, str] | None:
+    """The framing that the header keeps, fitted to the panel, and what to say of it; None where there is none.
+
+    Raises InputError where it cannot be read.
+    """
+    if (stored := _stored(comments)) is None:
+        return None
+    rig, (width, height) = stored
+    if (width, height) == (panel.width_px, panel.height_px):
+        return rig, "the framing stored in the file"
+    camera = FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)
+    focal, centre = camera.fitted(panel.width_px, panel.height_px)
+    return (
+        replace(rig, focal_px=focal, principal_point_px=centre),
+        f"the framing stored in the file, made for {width} x {height}",
+    )
+
+
+def stored_size(comments: Iterable[str]) -> tuple[int, int] | None:
+    """Width and height of the panel that a stored framing was made for; None where there is none. Raises InputError."""
+    stored = _stored(comments)
+    return None if stored is None else stored[1]
+
+
+def _stored(comments: Iterable[str]) -> tuple[Rig, tuple[int, int]] | None:
+    lines = [comment.strip() for comment in comments if comment.strip().startswith(_KEY)]
+    if not lines:
+        return None
+    try:
+        data = parse_json(lines[-1][len(_KEY) :])
+        width, height = (whole_number(f"{_KEY} {name}", data[name], 1, 1 << 20) for name in ("width_px", "height_px"))
+        return Rig(**data["rig"]), (width, height)
+    except (InputError, ValueError, TypeError, KeyError) as error:
+        raise InputError(f"its stored framing is none ({' '.join(str(error).split())[:100]}); {_WAY_OUT}") from None
+
+
+def photo_camera(elements: Mapping[str, np.ndarray]) -> FileCamera | None:
+    """The camera of the photo that the Gaussians were made from; None where the file has none.
+
+    Raises InputError where it is no pinhole camera.
+    """
+    if not all(name in elements for name in _PHOTO):
+        return None
+    numbers = {}
+    for name, count in _PHOTO.items():
+        array = elements[name]
+        numbers[name] = np.concatenate([np.ravel(array[field]) for field in array.dtype.names or ()] or [np.empty(0)])
+        if len(numbers[name]) != count or not np.isfinite(numbers[name].astype(np.float64)).all():
+            raise InputError(
+                f"its element {name} is none of a camera: expected {count} finite numbers, got "
+                f"{len(numbers[name])}; {_WAY_OUT}"
+            )
+    pose, k = (
+        numbers[name].astype(np.float64).reshape(size, size) for name, size in (("extrinsic", 4), ("intrinsic", 3))
+    )
+    try:
+        width, height = (real_number("image_size", float(side), 1, 1 << 20) for side in numbers["image_size"])
+        rig = Rig(pose, (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2]), 1.0)
+    except InputError as error:
+        raise InputError(
+            f"its elements extrinsic, intrinsic and image_size are no camera ({error}); {_WAY_OUT}"
+        ) from None
+    return FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)

@@ -3,14 +3,43 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from lightfield_gs.panels.cells import LENS_WIDTH, cell_table
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import LENS_WIDTH, Panel, subpixel_offsets, subpixel_phases
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture
-from lightfield_gs.rasterizer.lens_view import Lens, LensView
+from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
+from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
+
+
+class CellTable(NamedTuple):
+    """What the native lens takes, each [PERIOD, PERIOD, 3] by row, column and place k (left to right in D).
+
+    phases: 2^-64 lens widths, uint64: beyond those of the stripe k of a lens that begins `shift` (2^-64 lens widths)
+    or `shift_subpixels` later, which is the middle of what the sub-pixels need. channels: int64, image channel at k.
+    """
+
+    phases: np.ndarray
+    channels: np.ndarray
+    shift: int
+    shift_subpixels: float
+
+
+@lru_cache(maxsize=64)
+def cell_table(panel: Panel) -> CellTable:
+    """What the native lens takes of a panel with cells."""
+    offsets = subpixel_offsets(panel)
+    channels = np.argsort(offsets.astype(np.float64), axis=-1, kind="stable")
+    beyond = np.take_along_axis(offsets, channels, -1) - np.arange(3)  # the stripe at the same place
+    shift = (beyond.min() + beyond.max()) / 2
+    whole = round(shift * LENS_WIDTH / Fraction(panel.line_number)) % LENS_WIDTH
+    step = panel.phase_steps()[1]
+    stripes = np.array([(k * step + whole) % LENS_WIDTH for k in range(3)], np.uint64)
+    phases = np.take_along_axis(subpixel_phases(panel), channels, -1) - stripes
+    return CellTable(phases, channels, whole, float(shift))
 
 
 def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
@@ -44,7 +73,7 @@ def view_aperture(panel: Panel, rig: Rig, view_filter: float) -> Aperture:
     return Aperture(view_filter * step / math.sqrt(12), float(rig.zero_depth)) if view_filter > 0 else PINHOLE
 
 
-def lens_view(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LensView:
+def lenticular_camera(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LenticularCamera:
     """What the sub-pixels of a panel see of a scene by a rig; continuous: see Lens; view_filter: see encode."""
     start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
     pose = np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist()
@@ -52,7 +81,7 @@ def lens_view(panel: Panel, rig: Rig, continuous: bool = False, view_filter: flo
     limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
     lens = lens_of(panel, continuous, start, (end - start) / panel.views)
     aperture = view_aperture(panel, rig, view_filter).deviation
-    return LensView(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
+    return LenticularCamera(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
 
 
 def slow_way(panel: Panel, lattices_on_cuda: bool) -> str | None:

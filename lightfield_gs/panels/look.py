@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.point_depth import depth_at
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.visibility import depth_at
 from lightfield_gs.scene.gaussians import Gaussians
 
 MOST_AMOUNT = 2.0  # of depth, in depths of the rig

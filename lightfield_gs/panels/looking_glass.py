@@ -1,16 +1,248 @@
-"""The calibration file of a Looking Glass display, visual.json."""
+"""Looking Glass calibrations: visual.json, and the answers of Looking Glass Bridge and its predecessors.
+
+A display keeps its calibration in visual.json, a flat mapping. Programs that ask Bridge for the displays store its
+answer, in which each display has a calibration, as a mapping or as JSON within a string, beside other things.
+"""
 
 from __future__ import annotations
 
+import json
 import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.json_file import read_json
-from lightfield_gs.panels.calibration_file import find_calibration
+from lightfield_gs.base.options import DEFAULT_CONE_DEG
+from lightfield_gs.io.text_files import parse_json, read_json
 from lightfield_gs.panels.cells import PATTERNS
+
+_MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
+_SERIALS = ("serial", "hwid")  # the key of a calibration, and that of the display that it belongs to
+_NUMBERS = (
+    "pitch",
+    "slope",
+    "center",
+    "DPI",
+    "screenW",
+    "screenH",
+    "viewCone",
+    "invView",
+    "verticalAngle",
+    "fringe",
+    "flipImageX",
+    "flipImageY",
+    "flipSubp",
+    "CellPatternMode",
+)
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_USUAL_NAMES = {key.casefold(): key for key in (*_NUMBERS, "subpixelCells")}
+_DEEPEST = 16
+_MOST_LISTED = 8
+
+
+@dataclass
+class _Found:
+    """A calibration; serials: what its display is called, none where nothing says it; place: keys that lead to it."""
+
+    data: dict[str, Any]
+    serials: tuple[str, ...]
+    place: tuple[Any, ...]
+
+    @property
+    def name(self) -> str:
+        return _short(self.serials[0]) if self.serials else f"{_path(self.place)} (without a serial)"
+
+
+def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[str, Any]:
+    """The one calibration in `data`, flat: {"pitch": 47.0, ...}; strings that hold numbers are numbers in it.
+
+    data: a calibration, whose values may be plain or {"value": v}; or mappings and lists of any kind that hold some, of
+    which `serial` chooses one, by the serial of the calibration or the display. where: for messages. Without a cone
+    the result has no viewCone, and the default is assumed. Raises InputError that names the file and the key.
+    """
+    try:
+        found = _chosen(_distinct(_calibrations(data)), where, serial)
+    except RecursionError:
+        raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
+    if found.place:
+        where = f"{where}: {_path(found.place)}"
+    flat = {
+        key: _parsed_number(value, key, where) if key in _NUMBERS else value
+        for key, value in _named(found.data, where).items()
+    }
+    if isinstance(flat.get("subpixelCells"), list):
+        flat["subpixelCells"] = [
+            _parsed_cell(cell, f"{where}: subpixelCells[{number}]") for number, cell in enumerate(flat["subpixelCells"])
+        ]
+    cone = flat.get("viewCone")
+    if cone is None or type(cone) in (int, float) and cone == 0:
+        flat.pop("viewCone", None)
+        given = "not given" if cone is None else 0
+        assume(
+            f"a viewing cone of {DEFAULT_CONE_DEG:g} degrees, {where}: viewCone is {given}; on a display of "
+            "another cone there is more depth than it can show, or less"
+        )
+    return flat
+
+
+def _chosen(found: list[_Found], where: str, serial: str | None) -> _Found:
+    if not found:
+        raise InputError(
+            f"{where}: expected a Looking Glass calibration with pitch, slope, center, DPI, screenW and "
+            "screenH, found none"
+        )
+    names = ", ".join(one.name for one in found[:_MOST_LISTED]) + ", ..." * (len(found) > _MOST_LISTED)
+    if serial is None:
+        if len(found) > 1:
+            raise InputError(
+                f"{where} has calibrations of {len(found)} displays: {names}; say which with "
+                "--device-serial SERIAL (serial= in Python)"
+            )
+        return found[0]
+    expect("serial", serial, str)
+    named = [one for one in found if serial.strip().casefold() in map(str.casefold, one.serials)]
+    if len(named) != 1:
+        count = "no calibration" if not named else f"{len(named)} different calibrations"
+        raise InputError(f"{where} has {count} of a display with serial {shown(serial)}; it has {names}")
+    return named[0]
+
+
+def with_values(data: Any, where: str, serial: str | None, values: dict[str, float]) -> Any:
+    """A copy of `data` in which the calibration that find_calibration takes has these values, all else as it was.
+
+    Values stay what they were: plain or {"value": v}, numbers or strings, and JSON within strings stays such. Where
+    the same calibration comes several times, all are changed. Raises InputError as find_calibration does.
+    """
+    try:
+        found = list(_calibrations(data))
+        chosen = repr(_chosen(_distinct(iter(found)), where, serial).data)
+        places = [one.place for one in found if repr(one.data) == chosen]
+    except RecursionError:
+        raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
+    for place in places:
+        data = _replaced(data, place, values)
+    return data
+
+
+def _replaced(node: Any, place: tuple[Any, ...], values: dict[str, float]) -> Any:
+    if isinstance(node, str):
+        return json.dumps(_replaced(_parsed(node), place, values))
+    if not place:
+        return {key: _as_before(old, values.get(_usual_name(key))) for key, old in node.items()}
+    copy = node.copy()
+    copy[place[0]] = _replaced(node[place[0]], place[1:], values)
+    return copy
+
+
+def _as_before(old: Any, new: float | None) -> Any:
+    """The new value in the form of the old one; None: the old one."""
+    if new is None:
+        return old
+    if isinstance(old, dict):
+        return {**old, "value": _as_before(old["value"], new)}
+    return repr(new) if isinstance(old, str) else new
+
+
+def _distinct(found: Iterator[_Found]) -> list[_Found]:
+    """One for each calibration that is different, with all names that its display has."""
+    out: dict[str, _Found] = {}
+    for one in found:
+        first = out.setdefault(repr(one.data), one)
+        first.serials = tuple(dict.fromkeys((*first.serials, *one.serials)))
+    return list(out.values())
+
+
+def _calibrations(data: Any) -> Iterator[_Found]:
+    """All calibrations, in the order of the file."""
+    pending: list[tuple[Any, tuple[Any, ...], tuple[str, ...]]] = [(data, (), ())]
+    seen: dict[int, Any] = {}  # by identity, in case one holds itself; kept alive, so that no identity comes twice
+    while pending:
+        value, place, serials = pending.pop()
+        if isinstance(value, str):
+            value = _parsed(value)
+        if not isinstance(value, (dict, list)) or len(place) > _DEEPEST:
+            continue
+        if isinstance(value, dict):
+            plain = {key: _plain(part) for key, part in value.items()}
+            own = _serials(plain)
+            if len(_MARKS & {_usual_name(key) for key in plain}) > 1:
+                yield _Found(plain, (*own, *serials), place)
+                continue
+            serials = own or serials
+        if id(value) in seen:
+            continue
+        seen[id(value)] = value
+        parts = value.items() if isinstance(value, dict) else enumerate(value)
+        pending += reversed([(part, (*place, key), serials) for key, part in parts])
+
+
+def _serials(mapping: dict[Any, Any]) -> tuple[str, ...]:
+    return tuple(
+        str(mapping[key]).strip()
+        for key in _SERIALS
+        if type(mapping.get(key)) in (str, int) and str(mapping[key]).strip()
+    )
+
+
+def _path(place: tuple[Any, ...]) -> str:
+    """For example "devices.0.calibration"."""
+    return ".".join(_short(key) for key in place) or "the whole"
+
+
+def _short(word: Any) -> str:
+    return " ".join(str(word).split())[:40]
+
+
+def _parsed(text: str) -> Any:
+    """What a string holds that is JSON itself; None where it is none."""
+    if not text.lstrip().startswith(("{", "[")):
+        return None
+    try:
+        return parse_json(text)
+    except ValueError:
+        return None
+
+
+def _plain(value: Any) -> Any:
+    return value["value"] if isinstance(value, dict) and "value" in value else value
+
+
+def _named(data: dict[Any, Any], where: str) -> dict[Any, Any]:
+    """The mapping with known keys as they are usually written, or a cellPatternMode would be overlooked."""
+    named = {_usual_name(key): value for key, value in data.items()}
+    if len(named) < len(data):
+        raise InputError(f"{where}: expected each key once, got some that differ in capitals only")
+    return named
+
+
+def _usual_name(key: Any) -> Any:
+    return _USUAL_NAMES.get(key.casefold(), key) if isinstance(key, str) else key
+
+
+def _parsed_cell(cell: Any, where: str) -> Any:
+    """A cell with its numbers, which are all that it has; anything else as it is."""
+    return (
+        {key: _parsed_number(_plain(value), key, where) for key, value in cell.items()}
+        if isinstance(cell, dict)
+        else cell
+    )
+
+
+def _parsed_number(value: Any, key: str, where: str) -> Any:
+    """A string as the number in it; anything else as it is."""
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    if not _NUMBER.fullmatch(text):
+        hint = "; write it with a point" if _NUMBER.fullmatch(text.replace(",", ".", 1)) else ""
+        raise InputError(f"{where}: {key} must be a number, got {shown(value)}{hint}")
+    return float(text)
+
 
 LIMIT_BYTES = 1 << 20
 
@@ -34,7 +266,7 @@ def panel_fields(
         where, given = str(source), read_json(source, LIMIT_BYTES)
     data = find_calibration(given, where, serial)
     pitch, slope, center, dpi, width, height = (
-        _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH")
+        _required_number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH")
     )
     if pitch <= 0 or dpi <= 0 or abs(slope) < 0.1:
         raise InputError(f"{where}: expected pitch > 0, DPI > 0 and |slope| >= 0.1, got {pitch}, {dpi}, {slope}")
@@ -73,9 +305,9 @@ def panel_fields(
         fields["phase"] -= 2 if mirrored else 0  # places count down from 0: -c is (2 - c) - 2
         fields["subpixel_order"] = "BGR" if mirrored != blue_first else "RGB"
     if "viewCone" in data:
-        fields["cone_deg"] = _number(data, "viewCone", where)
+        fields["cone_deg"] = _required_number(data, "viewCone", where)
     if "invView" in data:  # 1 on every display as shipped: their view value is N - x
-        fields["invert_views"] = _number(data, "invView", where) == 0
+        fields["invert_views"] = _required_number(data, "invView", where) == 0
     return fields
 
 
@@ -89,7 +321,7 @@ def calibration_values(
     """
     if slant_tan == 0:
         raise InputError(f"{where}: slant_tan 0 has no slope; keep the panel in a .yaml")
-    dpi, height, before = (_number(data, key, where) for key in ("DPI", "screenH", "center"))
+    dpi, height, before = (_required_number(data, key, where) for key in ("DPI", "screenH", "center"))
     mirrored = _is_set(data, "flipImageX", where)
     slope = (1 if mirrored else -1) / slant_tan
     start = 1.5 - 3 * (height - 0.5) * slant_tan - (2 if mirrored and not data.get("subpixelCells") else 0)
@@ -106,7 +338,7 @@ def _cells(data: dict[str, Any], where: str) -> dict[str, Any]:
     cells = data.get("subpixelCells")
     if cells is not None and not is_row(cells):
         raise InputError(f"{where}: subpixelCells must be a list, got {shown(cells)}")
-    pattern = _number(data, "CellPatternMode", where) if "CellPatternMode" in data else 0
+    pattern = _required_number(data, "CellPatternMode", where) if "CellPatternMode" in data else 0
     if pattern not in PATTERNS:
         raise InputError(f"{where}: CellPatternMode {pattern:g} is not known; known: {', '.join(map(str, PATTERNS))}")
     if not cells:
@@ -117,22 +349,24 @@ def _cells(data: dict[str, Any], where: str) -> dict[str, Any]:
             )
         return {}
     return {
-        "subpixel_cells": [_cell(cell, f"{where}: subpixelCells[{number}]") for number, cell in enumerate(cells)],
+        "subpixel_cells": [
+            _cell_offsets(cell, f"{where}: subpixelCells[{number}]") for number, cell in enumerate(cells)
+        ],
         "cell_pattern": int(pattern),
     }
 
 
-def _cell(cell: Any, where: str) -> list[list[float]]:
+def _cell_offsets(cell: Any, where: str) -> list[list[float]]:
     if not isinstance(cell, dict):
         raise InputError(f"{where} must be an object with ROffsetX, ROffsetY and so on, got {shown(cell)}")
-    return [[_number(cell, f"{colour}Offset{axis}", where) for axis in "XY"] for colour in "RGB"]
+    return [[_required_number(cell, f"{colour}Offset{axis}", where) for axis in "XY"] for colour in "RGB"]
 
 
 def _is_set(data: dict[str, Any], key: str, where: str) -> bool:
-    return key in data and _number(data, key, where) != 0
+    return key in data and _required_number(data, key, where) != 0
 
 
-def _number(data: dict[str, Any], key: str, where: str) -> float:
+def _required_number(data: dict[str, Any], key: str, where: str) -> float:
     if key not in data:
         raise InputError(
             f"{where}: missing {key}; a visual.json has pitch, slope, center, DPI, screenW, screenH, and "

@@ -22,22 +22,31 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.base.options import DEFAULT_CONE_DEG, SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
+from lightfield_gs.base.options import (
+    CELL_ROWS,
+    CELL_RULES,
+    DEFAULT_CONE_DEG,
+    SUBPIXEL_ORDERS,
+    CellRows,
+    CellRule,
+    SubpixelOrder,
+)
 from lightfield_gs.base.paths import config_path
-from lightfield_gs.io.yaml_file import read_mapping, write_mapping
-from lightfield_gs.panels import cells
+from lightfield_gs.io.text_files import read_mapping, write_mapping
+from lightfield_gs.panels.cells import PATTERNS, PERIOD, Cell, cell_numbers, checked_cells
 from lightfield_gs.panels.looking_glass import panel_fields
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
 DEFAULT_PANEL = "65in-8k-96v"
+LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 
 
 @lru_cache(maxsize=64)  # asked for in every frame
 def _phase_steps(line_number: float, slant_tan: float, phase: float) -> tuple[int, int, int]:
     lens, down, start = Fraction(line_number), 3 * Fraction(slant_tan), Fraction(phase)
     steps = (start, Fraction(1), down)
-    first, across, below = (math.ceil(cells.LENS_WIDTH * step / lens) % cells.LENS_WIDTH for step in steps)
+    first, across, below = (math.ceil(LENS_WIDTH * step / lens) % LENS_WIDTH for step in steps)
     return first, across, below
 
 
@@ -77,7 +86,7 @@ class Panel:
     viewing_distance_mm: float | None = None
     pixel_pitch_mm: float | None = None
     name: str = "panel"
-    subpixel_cells: tuple[cells.Cell, ...] = ()
+    subpixel_cells: tuple[Cell, ...] = ()
     cell_pattern: int = 0
     cell_rule: CellRule = "unity"
     cell_rows: CellRows = "bottom"
@@ -102,11 +111,37 @@ class Panel:
         if not isinstance(self.invert_views, bool):
             raise InputError(f"panel: invert_views must be true or false, got {shown(self.invert_views)}")
         self._set("name", str(self.name))
-        self._set("subpixel_cells", cells.checked_cells(self.subpixel_cells))
-        cells.check_pattern(self)
+        self._set("subpixel_cells", checked_cells(self.subpixel_cells))
+        self._check_cells()
 
     def _set(self, key: str, value: Any) -> None:
         object.__setattr__(self, key, value)
+
+    def _check_cells(self) -> None:
+        """Raise InputError for an unknown pattern, rule or origin of rows, or for too few cells."""
+        for name, value, known in (
+            ("cell_pattern", self.cell_pattern, PATTERNS),
+            ("cell_rule", self.cell_rule, CELL_RULES),
+            ("cell_rows", self.cell_rows, CELL_ROWS),
+        ):
+            if isinstance(value, bool) or not isinstance(value, (int, str)) or value not in known:
+                raise InputError(f"panel: {name} must be one of {', '.join(map(str, known))}, got {shown(value)}")
+        pattern = self.cell_pattern, self.cell_rule, self.cell_rows
+        if not self.subpixel_cells:
+            if pattern != (0, CELL_RULES[0], CELL_ROWS[0]):
+                raise InputError(
+                    f"panel: cell_pattern {', '.join(map(str, pattern))} without subpixel_cells; give the cells, or "
+                    "leave the pattern out"
+                )
+            return
+        if self.subpixel_order != "RGB":
+            raise InputError("panel: subpixel_cells say where each colour lies; leave subpixel_order out")
+        wanted = int(cell_numbers(*pattern, self.height_px).max()) + 1
+        if wanted > len(self.subpixel_cells):
+            raise InputError(
+                f"panel: cell_pattern {self.cell_pattern} ({self.cell_rule}) needs {wanted} subpixel_cells, "
+                f"got {len(self.subpixel_cells)}"
+            )
 
     # Where panels come from
 
@@ -229,7 +264,7 @@ class Panel:
     def phase_steps(self) -> tuple[int, int, int]:
         """(s0, sx, sy), integers mod 2^64: the phase of sub-pixel (i, j, k) is s0 + sx (3 j + k) + sy i mod 2^64.
 
-        On a panel with cells s0 + 3 sx j + sy i is the phase of a pixel, and cells.subpixel_phases says what each of
+        On a panel with cells s0 + 3 sx j + sy i is the phase of a pixel, and subpixel_phases says what each of
         its sub-pixels adds.
 
         The unit is 2^-64 lens widths; steps are computed exactly and rounded up. So a sub-pixel that lies exactly on
@@ -245,12 +280,12 @@ class Panel:
     def phase_rows(self, rows_per_chunk: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
         """Chunks of rows and their lens phases uint64 [rows, W, 3], indexed by image channel."""
         s0, sx, sy = (np.uint64(step) for step in self.phase_steps())
-        columns, within = np.arange(self.width_px, dtype=np.uint64), cells.subpixel_phases(self)
-        across = sx * (3 * columns[:, None]) + within[:, np.arange(self.width_px) % cells.PERIOD]
+        columns, within = np.arange(self.width_px, dtype=np.uint64), subpixel_phases(self)
+        across = sx * (3 * columns[:, None]) + within[:, np.arange(self.width_px) % PERIOD]
         for first in range(0, self.height_px, rows_per_chunk):
             numbers = np.arange(first, min(first + rows_per_chunk, self.height_px))
             down = s0 + sy * numbers.astype(np.uint64)
-            yield slice(first, first + len(numbers)), down[:, None, None] + across[numbers % cells.PERIOD]
+            yield slice(first, first + len(numbers)), down[:, None, None] + across[numbers % PERIOD]
 
     def view_map(self, continuous: bool = False) -> np.ndarray:
         """The view of every sub-pixel, [H, W, 3] by image channel: n int32 in 0..N-1, or x float64 in [0, N)."""
@@ -269,3 +304,31 @@ class Panel:
         """Continuous views x in [0, N), float64, of lens phases uint64."""
         # The upper 53 bits convert exactly, so x cannot round up to N.
         return (phase >> np.uint64(11)).astype(np.float64) * (2.0**-53 * self.views)
+
+
+def subpixel_offsets(panel: Panel) -> np.ndarray:
+    """Return D of sub-pixels less that of the first stripe, Fractions [PERIOD, PERIOD, 3] by row, column, channel."""
+    if not panel.subpixel_cells:
+        stripes = [Fraction(panel.place(channel)) for channel in range(3)]
+        return np.broadcast_to(np.array(stripes, object), (PERIOD, PERIOD, 3))
+    slant = Fraction(panel.slant_tan)
+    offsets = np.array(
+        [[3 * Fraction(x) - 3 * slant * Fraction(y) for x, y in cell] for cell in panel.subpixel_cells], object
+    )
+    return offsets[cell_numbers(panel.cell_pattern, panel.cell_rule, panel.cell_rows, panel.height_px)]
+
+
+@lru_cache(maxsize=64)  # asked for in every frame
+def subpixel_phases(panel: Panel) -> np.ndarray:
+    """Return `subpixel_offsets` in 2^-64 lens widths, uint64, wrapping.
+
+    Stripes have whole multiples of the step sx of Panel.phase_steps.
+    """
+    if not panel.subpixel_cells:
+        step = panel.phase_steps()[1]
+        phases = [panel.place(channel) * step % LENS_WIDTH for channel in range(3)]
+        return np.array(phases, np.uint64) + np.zeros((PERIOD, PERIOD, 1), np.uint64)
+    per_subpixel = LENS_WIDTH / Fraction(panel.line_number)
+    # Rounded up, as all phases are
+    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % LENS_WIDTH, 1, 1)
+    return exact(subpixel_offsets(panel)).astype(np.uint64)

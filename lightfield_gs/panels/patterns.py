@@ -1,21 +1,63 @@
-"""Native images that show how well a profile fits its panel: an eye before them sees which view reaches it.
+"""Test patterns that show how well a profile fits its panel: an eye before the panel sees which view reaches it.
 
-All are uint8 [H, W, 3], drawn for the sub-pixels that `panel` says show a view. Those whose parameter varies over
-bands are in lightfield_gs.panels.pattern_fans.
+All are uint8 [H, W, 3], drawn for the sub-pixels that show a view by `panel`. `fan` and `depth_ramp` draw labelled
+bands, each under another value of one parameter, or at another depth: the band that looks right has the value on its
+label, which `lightfield-gs calibrate nudge` takes.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
 from lightfield_gs.base.arrays import encode_srgb
-from lightfield_gs.base.checks import expect, whole_number
-from lightfield_gs.panels.cells import PERIOD, subpixel_phases
-from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.pattern_text import HEIGHT_DOTS, text_dots, width_dots
+from lightfield_gs.base.checks import expect, real_number, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.cells import PERIOD
+from lightfield_gs.panels.lens_change import LensChange, changed
+from lightfield_gs.panels.panel import Panel, subpixel_phases
+
+# Three dots wide and five high, row by row
+_GLYPHS = {
+    "0": "### #.# #.# #.# ###",
+    "1": ".#. ##. .#. .#. ###",
+    "2": "### ..# ### #.. ###",
+    "3": "### ..# .## ..# ###",
+    "4": "#.# #.# ### ..# ..#",
+    "5": "### #.. ### ..# ###",
+    "6": "### #.. ### #.# ###",
+    "7": "### ..# ..# .#. .#.",
+    "8": "### #.# ### #.# ###",
+    "9": "### #.# ### ..# ###",
+    "+": "... .#. ### .#. ...",
+    "-": "... ... ### ... ...",
+    ".": "... ... ... ... .#.",
+    " ": "... ... ... ... ...",
+}
+_DOTS = {letter: np.array([[dot == "#" for dot in row] for row in rows.split()]) for letter, rows in _GLYPHS.items()}
+HEIGHT_DOTS = 7  # of a line of text, with a dot of margin on either side
+
+
+def width_dots(characters: int) -> int:
+    """Width of so many characters, with a dot between them and a margin of one dot on either side."""
+    return 4 * characters + 1
+
+
+def text_dots(text: str) -> np.ndarray:
+    """Which dots of a text are lit: bool [HEIGHT_DOTS, width_dots(len(text))]; text: of digits, + - . and spaces."""
+    out = np.zeros((HEIGHT_DOTS, width_dots(len(text))), bool)
+    for place, letter in enumerate(text):
+        out[1:6, 4 * place + 1 : 4 * place + 4] = _DOTS[letter]
+    return out
+
+
+def text_pixels(text: str, dot_px: int) -> np.ndarray:
+    """The text with dots of dot_px x dot_px pixels: bool [HEIGHT_DOTS dot_px, width_dots(len(text)) dot_px]."""
+    return text_dots(text).repeat(dot_px, 0).repeat(dot_px, 1)
+
 
 _ROWS_PER_CHUNK = 64
 # A lens lights about one sub-pixel; a number that is right on so many of them covers five sixths of what an eye sees.
@@ -153,3 +195,107 @@ def bars(panel: Panel, shift: int | None = None) -> np.ndarray:
         return encode_srgb(BAR_MEAN + BAR_AMPLITUDE * np.cos(turn * (x / panel.views - shifts / 3)))
 
     return draw(panel, shade)
+
+
+Fan = Literal["pitch", "slope", "centre"]
+_SPANS: dict[Fan, float] = {"pitch": 0.5, "slope": 2.5, "centre": 0.5}
+_MOST_BANDS = 11
+_LENSES_PER_LABEL_DOT = 1.5  # for which there is room in every band
+_LARGEST_DOT_LENSES = 4
+_LABEL_CHARACTERS = 6
+_MIDDLE_SHARE = 1 / 8  # of the views on either side of the middle one that are white in the fan of the centre
+_STRIPE_LENSES = 8  # period of the stripes of the depth ramp
+_MOST_PX = 1e5
+_RAMP_LENSES = 6.0  # how far they move over the cone, at the ends
+
+
+def fan(panel: Panel, parameter: Fan, span: float | None = None, bands: int | None = None) -> np.ndarray:
+    """uint8 [H, W, 3] in bands, each drawn for the panel with `parameter` changed by the number it is labelled with.
+
+    pitch: rows of the hues of `sweep`, changed by -span..span percent (default 0.5): of an eye at the viewing distance
+    the right one has one colour from left to right. slope: the same in columns (default 2.5 percent), even from top to
+    bottom. centre: rows that are white in the middle quarter of the views, changed by lens widths (default 0.5, that
+    is all of them): straight in front the right one is the brightest. The panel's middle stays where it is, as in
+    LensChange. bands: an odd number, 3..99; None: as many as leave room for labels, at most 11. Raises InputError.
+    """
+    if parameter not in _SPANS:
+        raise InputError(f"fan: expected one of {', '.join(_SPANS)}, got {parameter!r}")
+    span = real_number("span", _SPANS[parameter] if span is None else span, 1e-6, 50)
+    upright = parameter == "slope"
+    count = _band_count(panel, bands, upright)
+    borders = np.linspace(0, panel.width_px if upright else panel.height_px, count + 1).round().astype(int)
+    out = np.empty((panel.height_px, panel.width_px, 3), np.uint8)
+    for value, first, last in zip(np.linspace(-span, span, count), borders, borders[1:]):
+        band = changed(panel, _change(parameter, float(value)))
+        rows, columns = slice(0, panel.height_px), slice(int(first), int(last))
+        if not upright:
+            rows, columns = columns, slice(0, panel.width_px)
+        out[rows, columns] = draw(band, lambda x, _: _content(parameter, x / panel.views), rows, columns)
+        _label(out[rows, columns], _written(float(value), span), panel)
+    return out
+
+
+def _change(parameter: Fan, value: float) -> LensChange:
+    if parameter == "centre":
+        return LensChange(centre=value)
+    return LensChange(pitch_percent=value) if parameter == "pitch" else LensChange(slope_percent=value)
+
+
+def _content(parameter: Fan, share: np.ndarray) -> np.ndarray:
+    return np.abs(share - 0.5) < _MIDDLE_SHARE if parameter == "centre" else hues(share)
+
+
+def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = None) -> np.ndarray:
+    """uint8 [H, W, 3]: upright stripes in rows of different depth, each labelled with its disparity.
+
+    That is how far the stripes of the right-most view lie to the left of those of the left-most, in pixels: positive
+    in front of the panel, 0 in it, negative behind it. The rows whose stripes are sharp say how much depth the panel
+    shows. most_px: at the top row, its negative at the bottom; None: 6 lens widths. bands: see fan. Raises InputError.
+    """
+    lens_px = panel.line_number / 3
+    most = real_number("most_px", min(_RAMP_LENSES * lens_px, _MOST_PX) if most_px is None else most_px, 0, _MOST_PX)
+    count = _band_count(panel, bands, False)
+    borders = np.linspace(0, panel.height_px, count + 1).round().astype(int)
+    period, to_right = _STRIPE_LENSES * lens_px, -1 if panel.invert_views else 1
+    out = np.empty((panel.height_px, panel.width_px, 3), np.uint8)
+    columns = np.arange(panel.width_px)[:, None] + 0.5
+    for disparity, first, last in zip(np.linspace(most, -most, count), borders, borders[1:]):
+
+        def shade(x: np.ndarray, _: slice, disparity: float = float(disparity)) -> np.ndarray:
+            place = columns + disparity * to_right * (0.5 - x / panel.views)
+            return np.mod(place / period, 1) < 0.5
+
+        out[first:last] = draw(panel, shade, slice(int(first), int(last)))
+        _label(out[first:last], _written(float(disparity), most), panel)
+    return out
+
+
+def _written(value: float, largest: float) -> str:
+    """The number with its sign, to three digits of the largest one, without an exponent."""
+    decimals = max(0, 2 - math.floor(math.log10(largest))) if largest > 0 else 0
+    text = f"{value:+.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def _dot_px(panel: Panel) -> int:
+    return math.ceil(_LENSES_PER_LABEL_DOT * panel.line_number / 3)
+
+
+def _band_count(panel: Panel, bands: int | None, upright: bool) -> int:
+    if bands is not None:
+        count = whole_number("bands", bands, 3, 99)
+        if count % 2 == 0:
+            raise InputError(f"bands: expected an odd number, so that one is unchanged, got {count}")
+        return count
+    room = panel.width_px // width_dots(_LABEL_CHARACTERS) if upright else panel.height_px // HEIGHT_DOTS
+    fitting = min(_MOST_BANDS, room // _dot_px(panel))
+    return max(3, fitting - (fitting + 1) % 2)
+
+
+def _label(band: np.ndarray, text: str, panel: Panel) -> None:
+    """Writes into the band's upper left corner, the same for all views, as large as fits up to 4 lenses a dot."""
+    room = min(band.shape[0] // HEIGHT_DOTS, band.shape[1] // width_dots(len(text)))
+    mask = text_pixels(text, max(1, min(room, math.ceil(_LARGEST_DOT_LENSES * panel.line_number / 3))))[
+        : band.shape[0], : band.shape[1]
+    ]
+    band[: mask.shape[0], : mask.shape[1]] = 255 * mask[..., None]

@@ -12,13 +12,11 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.io.text_files import read_mapping, write_mapping
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene.axes import DEFAULT_UP
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras
-    from lightfield_gs.scene.gaussians import Gaussians
 
 _MARGIN = 0.15  # share of the image beyond each edge that the limits allow: the "frustum + 30 %" of Gaussian splatting
 
@@ -72,26 +70,6 @@ class Rig:
     def to_yaml(self, path: str | Path) -> None:
         """Writes the rig as from_yaml reads it, every digit kept, atomically."""
         write_mapping(path, self.to_dict())
-
-    @staticmethod
-    def frame(
-        gaussians: Gaussians,
-        panel: Panel,
-        world_to_camera: np.ndarray | None = None,
-        *,
-        up: str = DEFAULT_UP,
-        notes: list[str] | None = None,
-    ) -> Rig:
-        """A rig that fits the scene to the panel's height (or width, where that is met first), in 90 degrees at most.
-
-        The zero plane is at the harmonic mean of robust near and far depths. With `world_to_camera` the camera stays
-        where it is, otherwise it looks at the scene from in front, upright by `up`, the axis that points up: "x", "y",
-        "z", "-x", "-y" or "-z". With -y, as in OpenCV axes, it looks along +z. What was left out of a scene that
-        surrounds what it is about is said in `notes`, a list to append to. See lightfield_gs.panels.framing.frame.
-        """
-        from lightfield_gs.panels.framing import frame
-
-        return frame(gaussians, panel, world_to_camera, up=up, notes=notes)
 
     def relative_to(self, origin: Sequence[float]) -> Rig:
         """The same cameras for coordinates that are given from `origin`, three numbers in scene units.

@@ -12,7 +12,7 @@ import numpy as np
 from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import Picture, as_floats
-from lightfield_gs.photo.strips import strips
+from lightfield_gs.photo.image_filters import row_strips
 
 _LINEAR_FORMATS = ("openexr", "hdr")
 _SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1  # a gamma that differs by less from that of sRGB is taken for it
@@ -155,7 +155,7 @@ def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
     probe = _probe(mode)
     if np.abs(converted(probe, transforms[0]).astype(int) - probe).max() <= _SAME_LEVELS:
         return Colours(rgb)
-    pixels, rows = np.empty((*rgb.shape[:2], 3), np.uint8), list(strips(rgb.shape[0], rgb.shape[1], _STRIP_PIXELS))
+    pixels, rows = np.empty((*rgb.shape[:2], 3), np.uint8), list(row_strips(rgb.shape[0], rgb.shape[1], _STRIP_PIXELS))
 
     def convert(thread: int) -> None:
         for top, bottom in rows[thread :: len(transforms)]:
@@ -178,7 +178,7 @@ def _bytes(values: np.ndarray) -> np.ndarray:
     if values.dtype == np.uint8:
         return values
     rounded = np.empty(values.shape, np.uint8)
-    for top, bottom in strips(values.shape[0], values.shape[1], _STRIP_PIXELS):
+    for top, bottom in row_strips(values.shape[0], values.shape[1], _STRIP_PIXELS):
         rounded[top:bottom] = np.rint(np.clip(as_floats(values[top:bottom]), 0, 1) * 255)
     return rounded
 

@@ -1,12 +1,17 @@
-"""Where a depth map is torn: slopes that do not cross edges, and mixed pixels.
+"""Edges of depth maps, and alpha mattes along them.
 
 All depth maps here are [H, W], view-space z in scene units, NaN where nothing was measured.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
+from torch.nn import functional
+
+from lightfield_gs.photo.image_filters import max_filter
 
 # Neighbours belong to one surface up to this slope, depth per sideways length: tan 85 degrees. A steeper step is an
 # edge between two surfaces, which opens by some 4 pixels over a cone of 40 degrees.
@@ -70,3 +75,116 @@ def _snap_columns(depth: Tensor, focal_px: float) -> Tensor:
     snapped = depth.clone()
     snapped[:, 1:-1] = torch.where(mixed, neighbour, depth[:, 1:-1])
     return snapped
+
+
+_RIM = 3  # pixels on either side of an edge whose colours may be mixed
+_WINDOW = 6  # pixels to each side from which the colours of both surfaces are taken
+_SPREAD = 3.0  # standard deviation of the weights in it, pixels
+_CHUNK = 1 << 12  # pixels whose windows are gathered at a time: 16 MB
+_STEP = 1.03  # ratio of disparities from which on two pixels stand one before the other
+_NOISE = 2e-4  # variance of a colour, 0..1, that is no difference
+_TRACE = 0.04  # coverage that is not seen
+
+
+@dataclass(frozen=True)
+class Matte:
+    """Of the M pixels beside edges: rows, columns [M] int64; is_near bool [M], whether the depth map has the near
+    surface there; alpha [M], coverage by the near surface, 0..1; near, far [M, 3], the colours of both; depth [M],
+    z of the near surface."""
+
+    rows: Tensor
+    columns: Tensor
+    is_near: Tensor
+    alpha: Tensor
+    near: Tensor
+    far: Tensor
+    depth: Tensor
+
+
+def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
+    """The matte of the pixels beside the edges of a photo [H, W, 3] with depths z [H, W]; torn: bool [H, W], the pixels
+    that have an edge to a neighbour.
+
+    A mixed pixel is I = a F + (1 - a) B. F and B are the mean colours of the two surfaces close by, out of the band
+    of mixed pixels, and a = (I - B).(F - B) / |F - B|^2. Where these colours are no farther apart than each of them
+    varies, colour says nothing, and the pixel is what the depth map says: a is drawn to 0 or 1 by the ratio of the two.
+    """
+    disparity = (1 / depth).nan_to_num(0)
+    most, least = max_filter(disparity, _RIM), -max_filter(-torch.where(disparity > 0, disparity, 1e30), _RIM)
+    band = max_filter(torn, _RIM - 1)
+    band &= torch.isfinite(depth) & (most > _STEP * least)
+    rows, columns = band.nonzero().unbind(1)
+    middle = ((most + least) / 2)[rows, columns]
+    is_near = disparity[rows, columns] > middle
+    near, far = _surroundings(image, disparity, ~band, rows, columns, middle)
+    known = (near.weight > 0) & (far.weight > 0)
+    rows, columns, is_near = rows[known], columns[known], is_near[known]
+    colour = image[rows, columns]
+    f, b = near.mean[known], far.mean[known]
+    apart = ((f - b) ** 2).sum(1)
+    alpha = (((colour - b) * (f - b)).sum(1) / apart.clamp_min(1e-9)).clamp(0, 1)
+    sure = apart / (apart + 4 * torch.where(is_near, near.variance[known], far.variance[known]) + _NOISE)
+    hard = is_near.float()
+    alpha = sure * alpha + (1 - sure) * hard
+    alpha = torch.where((alpha - hard).abs() < _TRACE, hard, alpha)
+    # Of each surface as much as is seen is the pixel's own, so that both together are the pixel again
+    rest = (colour - alpha[:, None] * f - (1 - alpha[:, None]) * b) / (alpha**2 + (1 - alpha) ** 2)[:, None]
+    own_near, own_far = (f + alpha[:, None] * rest).clamp(0, 1), (b + (1 - alpha[:, None]) * rest).clamp(0, 1)
+    return Matte(rows, columns, is_near, alpha, own_near, own_far, 1 / near.disparity[known].clamp_min(1e-30))
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Of one of the two surfaces by each pixel: weight [M], mean [M, 3] and variance [M] of its colours, disparity."""
+
+    weight: Tensor
+    mean: Tensor
+    variance: Tensor
+    disparity: Tensor
+
+
+def _surroundings(
+    image: Tensor, disparity: Tensor, clean: Tensor, rows: Tensor, columns: Tensor, middle: Tensor
+) -> tuple[_Surface, _Surface]:
+    """The near and the far surface close to these pixels, by its pixels that are not mixed."""
+    padding, width = (_WINDOW,) * 4, disparity.shape[1] + 2 * _WINDOW
+    channels = torch.cat(
+        [image.movedim(2, 0), (image**2).sum(2)[None], disparity[None], torch.ones_like(disparity)[None]]
+    )
+    values = functional.pad(channels, padding).movedim(0, 2).reshape(-1, 6)
+    usable = torch.where(clean & (disparity > 0), disparity, torch.nan)
+    usable = functional.pad(usable, padding, value=torch.nan).flatten()
+    reach = torch.arange(-_WINDOW, _WINDOW + 1, device=image.device)
+    shares = torch.exp(-(reach[:, None] ** 2 + reach**2) / 2 / _SPREAD**2).flatten()
+    window = ((reach[:, None] + _WINDOW) * width + reach + _WINDOW).flatten()
+    sums = image.new_zeros(2, len(rows), 6)
+    for start in range(0, len(rows), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        at = (rows[part] * width + columns[part])[:, None] + window
+        there, level = usable[at], middle[part, None]
+        weights = torch.stack([there > level, there <= level], 1) * shares
+        sums[:, part] = (weights @ values[at]).movedim(1, 0)
+    surfaces = []
+    for total in sums:
+        weight = total[:, 5]
+        mean = total[:, :5] / weight.clamp_min(1e-12)[:, None]
+        variance = (mean[:, 3] - (mean[:, :3] ** 2).sum(1)).clamp_min(0)
+        surfaces.append(_Surface(weight, mean[:, :3], variance, mean[:, 4]))
+    return surfaces[0], surfaces[1]
+
+
+def opacity_of_coverage(alpha: Tensor, spread_px: float, most: float) -> Tensor:
+    """The opacity of Gaussians, one per pixel with this standard deviation, that together cover a share alpha, 0..1.
+
+    Where all have the opacity o, light passes the product of 1 - o exp(-d^2 / 2 spread^2) over the pixels at distances
+    d; this is solved for o, up to `most`.
+    """
+    steps = torch.linspace(0, most, 257, dtype=torch.float64)
+    offsets = torch.arange(-4, 5, dtype=torch.float64)
+    squares = (offsets[:, None] ** 2 + offsets**2).flatten()
+    covered = 1 - (1 - steps[:, None] * torch.exp(-squares / 2 / spread_px**2)).prod(1)
+    covered = covered / covered[-1]
+    above = torch.searchsorted(covered.contiguous(), alpha.double().contiguous()).clamp(1, 256)
+    low, high = covered[above - 1], covered[above]
+    share = ((alpha.double() - low) / (high - low)).clamp(0, 1)
+    return (steps[above - 1] + share * (steps[1] - steps[0])).to(alpha)

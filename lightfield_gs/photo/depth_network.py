@@ -19,8 +19,7 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_MODEL, DEVICES, DepthKind, Device
 from lightfield_gs.photo.depth import DepthMap
-from lightfield_gs.photo.estimated_depth import z_of_disparities, z_of_distances
-from lightfield_gs.photo.joint_upsampling import upsampled
+from lightfield_gs.photo.joint_upsampling import upsampled, z_of_disparities, z_of_distances
 
 _ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
 _INSTALL = "pip install 'lightfield-gs[depth]'"

@@ -17,28 +17,29 @@ from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.models import crop
-from lightfield_gs.models.crop_cuda import crop_on_device
-from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
+from lightfield_gs.models.crop import crop_on_device
+from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
 from lightfield_gs.panels import framing
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
+from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import Frames
-from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 
 
 class PhotoEncoder:
-    """Draws what a panel shows of the object in a photo: SplatterNet.predict, Rig.frame and `encode`, without detours.
+    """Draw the object in a photo for a panel: SplatterNet.predict, frame_scene and `encode`, without detours.
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
     ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
-    framing of each photo; it may be set between photos. detail, budget: those of SplatterNet.predict. On CUDA the U-Net
+    framing of each photo; it may be set between photos. detail, budget: those of detail_level. On CUDA the U-Net
     runs in bfloat16, crop, network and framing are CUDA graphs, captured for the first photo of each size, and the host
     waits for the device once a photo, to learn where the object is. Raises InputError.
     """
@@ -119,14 +120,14 @@ class PhotoEncoder:
         with torch.cuda.device(self.net.device):
             if self._captured is None or not self._captured.takes(photo):
                 self._captured = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
-            capture_graph = self._captured
+            graphs = self._captured
             with stats.stage("crop"):
-                capture_graph.crop(photo)
+                graphs.crop(photo)
             with stats.stage("network"):
-                capture_graph.network()
+                graphs.network()
             with stats.stage("framing"):
-                self.gaussians = capture_graph.gaussians
-                self.rig = self._looked(capture_graph.rig(self.panel), self.gaussians)
+                self.gaussians = graphs.gaussians
+                self.rig = self._looked(graphs.rig(self.panel), self.gaussians)
             with stats.stage("encode"):
                 return self._draw_frame(self.gaussians, self.rig)
 
@@ -136,8 +137,8 @@ class PhotoEncoder:
     def _draw_frame(self, gaussians: Gaussians, rig: Rig) -> Tensor:
         """The frame's kernels as ordinary launches: the rig, another for each photo, is part of their arguments."""
         background = background_tensor(self.background, gaussians.means).reshape(-1)
-        view = lens_view(self.panel, rig, self.views == "continuous")
-        job = LensJob(gaussians.fields().values(), background, view)
+        view = lenticular_camera(self.panel, rig, self.views == "continuous")
+        job = DirectRender(gaussians.fields().values(), background, view)
         if self._frames is None:
             self._frames = Frames(job, self.quality)
         return self._frames.draw(job, self.output == "uint8")
@@ -181,7 +182,7 @@ class _Capture:
         values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)
         crop.check_object(has_object)
-        return framing.fit(extent, panel, np.eye(4))
+        return framing.fit_rig(extent, panel, np.eye(4))
 
     def _cropped(self) -> tuple[Tensor, Tensor | None, Tensor]:
         size = self.net.config.image_size_px

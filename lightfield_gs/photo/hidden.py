@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.photo.depth_edges import joined
-from lightfield_gs.photo.exemplar import complete
-from lightfield_gs.photo.membrane import solve_membrane
-from lightfield_gs.photo.windows import largest, total
+from lightfield_gs.photo.image_filters import box_sum, max_filter
+from lightfield_gs.photo.inpainting import complete, solve_membrane
 
 FRINGE = 3  # pixels of the far side next to an edge that may have colours of the near one: they are made anew as well
 _WIDEST_TAN = 0.58  # tan 30 degrees: half of the widest cone whose cameras look behind the edges without a hole
@@ -76,7 +75,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
     # In the fringe the depths may be mixed as the colours are: the farthest close by is that of the far surface
     far = torch.where(hole & ~fringe, bent, torch.where(disparity > 0, disparity, torch.inf))
-    far = -largest(-far, FRINGE)
+    far = -max_filter(-far, FRINGE)
     nearest = torch.where(covered, _BEHIND * disparity, torch.where(fringe, far, torch.inf))
     bent = torch.minimum(bent.clamp(guess * (1 - _BENT), guess * (1 + _BENT)), nearest)
     known = disparity[disparity > 0]
@@ -129,7 +128,7 @@ def _behind(depth: Tensor, focal_px: float) -> _Run:
 
 def _beside(covered: Tensor, depth: Tensor) -> Tensor:
     """The pixels that are FRINGE or fewer pixels off one that covers another, and farther than that one."""
-    return 1 / depth < 0.97 * largest(torch.where(covered, 1 / depth, 0), FRINGE)
+    return 1 / depth < 0.97 * max_filter(torch.where(covered, 1 / depth, 0), FRINGE)
 
 
 def _continued(
@@ -173,7 +172,7 @@ def _slope(disparity: Tensor, depth: Tensor, dim: int, focal_px: float) -> Tenso
     padding = (0, 0, 0, 1) if dim == 0 else (0, 1)
     radius = _SLOPE_WINDOW // 2
     steps, count = (
-        total(torch.nn.functional.pad(part, padding), radius) for part in (differences, whole.to(differences))
+        box_sum(torch.nn.functional.pad(part, padding), radius) for part in (differences, whole.to(differences))
     )
     return steps / count.clamp_min(1)
 

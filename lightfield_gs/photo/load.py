@@ -1,7 +1,8 @@
-"""A photo as RGBA: one object cut out, whatever way the cut-out is given, or the whole picture."""
+"""Photos as RGBA: one object cut out, or the whole picture."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -9,13 +10,85 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.images import Picture, as_floats, read_picture
-from lightfield_gs.photo.background import background_removed
+from lightfield_gs.base.options import MAP_ORIENTATIONS
+from lightfield_gs.io.images import Picture, apply_orientation, as_floats, read_picture
 from lightfield_gs.photo.colour import check_finite, in_srgb
-from lightfield_gs.photo.orientation import turned_with_photo
-from lightfield_gs.photo.pieces import object_pieces
-from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, plain_background_mask
-from lightfield_gs.photo.strips import strips
+from lightfield_gs.photo.image_filters import row_strips
+from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_components, plain_background_mask
+
+_SAME_SHAPE = 0.03  # how far ratios of height and width may be apart: networks round sides to multiples of 14 or 32
+
+
+def is_alike(shape: Sequence[int], other: Sequence[int]) -> bool:
+    """Whether two sizes, height and width, are those of the same picture, reduced or not."""
+    ratio = shape[0] * other[1] / (shape[1] * other[0])
+    return abs(ratio - 1) <= _SAME_SHAPE
+
+
+def turned_with_photo(
+    name: str,
+    values: np.ndarray,
+    own: int,
+    photo: tuple[int, int],
+    orientation: int,
+    choice: str | None = None,
+    *,
+    any_size: bool = False,
+) -> tuple[np.ndarray, bool]:
+    """values [H, W, ...] of a map, upright as its photo is, and whether they had to be turned.
+
+    name: of the map's file. own: the Exif orientation that this file had itself: where it had one, or the photo had
+    none, there is nothing to do. photo: height and width of the upright photo, and the Exif `orientation` by which it
+    was turned. The map is turned likewise where only the size before fits it. Where both do, `choice` has to say what
+    it is: "stored", as the photo's file has its pixels, or "upright". any_size: the map may be another size, of the
+    same shape. Raises InputError.
+    """
+    if choice is not None and choice not in MAP_ORIENTATIONS:
+        raise InputError(f"map orientation: expected {' or '.join(MAP_ORIENTATIONS)}, got {choice!r}")
+    if orientation not in range(2, 9) or own != 1:
+        return values, False
+    stored = photo[::-1] if orientation >= 5 else photo
+    fits = is_alike if any_size else lambda shape, size: tuple(shape) == tuple(size)
+    fits_stored, fits_upright = (fits(values.shape[:2], size) for size in (stored, photo))
+    if choice is None and fits_stored and fits_upright:
+        raise InputError(
+            f"{name}: the photo is turned by its Exif orientation {orientation}, and the map may be of "
+            "either; say which with --map-orientation: stored (as the photo's file has its pixels) or "
+            "upright"
+        )
+    turned = choice == "stored" or choice is None and fits_stored
+    return apply_orientation(values, orientation) if turned else values, turned
+
+
+_INSTALL = "pip install 'lightfield-gs[rembg]'"
+# The model is named here, for rembg's own choice has changed between versions, once to weights that may not be used
+# commercially.
+# U^2-Net: Qin et al., "U^2-Net: Going deeper with nested U-structure for salient object detection", 2020; Apache-2.0.
+_MODEL = "u2net"
+
+
+def background_removed(rgb: np.ndarray) -> np.ndarray:
+    """Alpha [H, W], float32 in 0..1, of the object that stands out in a photo, rgb [H, W, 3] in 0..1.
+
+    The weights (176 MB) are downloaded by rembg at first use. Raises InputError without the package or its weights.
+    """
+    try:
+        import rembg
+    except (ImportError, SystemExit) as error:  # without onnxruntime it exits
+        raise InputError(
+            f"rembg, which removes backgrounds, could not be imported ({error}): {_INSTALL}; or give a "
+            "cut-out with --mask FILE"
+        ) from None
+    try:
+        session = rembg.new_session(_MODEL)
+        mask = rembg.remove(np.round(rgb * 255).astype(np.uint8), session=session, only_mask=True)
+    except Exception as error:  # of the download, its file, or the inference: it may be anything
+        raise InputError(
+            f"rembg could not remove the background: {' '.join(str(error).split())[:200]}; its model "
+            f"{_MODEL} is downloaded at first use; or give a cut-out with --mask FILE"
+        ) from None
+    return mask.astype(np.float32) / 255
+
 
 __all__ = ["NoCutOut", "Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
@@ -140,7 +213,7 @@ def _shares(alpha: np.ndarray) -> np.ndarray:
 def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
     rgba = np.empty((*alpha.shape, 4), rgb.dtype)
-    for top, bottom in strips(alpha.shape[0], alpha.shape[1], _STRIP_PIXELS):
+    for top, bottom in row_strips(alpha.shape[0], alpha.shape[1], _STRIP_PIXELS):
         rgba[top:bottom, :, :3] = rgb[top:bottom]
         rgba[top:bottom, :, 3] = alpha[top:bottom] if rgb.dtype == np.float32 else np.rint(255 * alpha[top:bottom])
     return rgba
@@ -207,7 +280,7 @@ def _inverted(name: str, alpha: np.ndarray) -> list[str]:
 
 def _without_specks(alpha: np.ndarray) -> str:
     """Clears specks beside the object, in place; words for what is left."""
-    kept, pieces, specks = object_pieces(alpha, _OPAQUE)
+    kept, pieces, specks = object_components(alpha, _OPAQUE)
     alpha[(alpha >= _OPAQUE) & ~kept] = 0
     rows, columns = np.flatnonzero(kept.any(1)), np.flatnonzero(kept.any(0))
     words = (

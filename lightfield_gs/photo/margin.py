@@ -14,7 +14,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import FITS
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.photo.exemplar import complete
+from lightfield_gs.photo.inpainting import complete
 
 _TAIL = 0.05  # share of the pixels that lies before the near depth of the zero plane, and behind the far one
 _MORE = 4  # pixels beyond what the outermost views look past the photo

@@ -1,4 +1,4 @@
-"""What stands out from a plain background, by colour and connection; and whether that can be trusted."""
+"""Objects cut out from a plain background, by colour and connected components; and whether to trust the cut-out."""
 
 from __future__ import annotations
 
@@ -8,47 +8,150 @@ from typing import cast
 
 import numpy as np
 
-from lightfield_gs.photo.pieces import Pieces, object_pieces
-from lightfield_gs.photo.strips import strips
-
-# The border, which has to be plain. Distances of colours are Euclidean, of channels in 0..1.
-_BORDER_SHARE = 0.02  # its width as a share of the shorter side, at least one pixel
-_PLAIN_STD = 0.04  # largest spread of its colour, but for outliers
-_PLAIN_SHARE = 0.9  # share of its pixels that must be near the background's colour
-_BAND_LINES = 16  # of its lines, so many are looked at, and at most twice as many
-_LEAST_SLOPE = 0.02  # least change of a background's colour, from the middle to an edge, that is taken for one
-
-# The mask
-_NEAR, _FAR = 0.06, 0.14  # colour distances between which it rises from 0 to 1
-# An enclosed patch is the background, seen through a hole, if its colour is as close as _SAME and a square of
-# _PATCH_SHARE of the shorter side fits in it. Smaller ones are highlights.
-_SAME, _PATCH_SHARE = 0.02, 0.025
-
-# Noise
-_WINDOWS_PX = (1, 3, 5, 7, 9)  # sides of the squares over which means are taken where noise is too strong
-_USUAL_SHARE = 0.98  # share of the border that has nothing but noise
-_NOISE_REACH = 3.4  # deviations of noise in a channel that a colour exceeds by chance once in a hundred times
-
-# What is lost: parts of an object that hardly differ from the background
-_LEAST_DIFFERENCE = 0.012  # what differs by a smaller colour distance from a background without noise is part of it
-# An edge is that of a body, and not of a shadow, if _EDGE_PX inside it colours differ _CLEARLY times as much as they
-# have to, on _SHARP_SHARE of its length.
-_EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5
-_BLOCK_PX = 16  # how far from a strong edge JPEG makes up colours
-_SHARE_SAMPLES = 1500  # pixels along the longer side that are looked at
+from lightfield_gs.photo.image_filters import row_strips
 
 # Memory
-_MOST_PIXELS = 1 << 24  # of a photo whose pixels are looked at one by one: a display shows no more
+_MOST_PIXELS = 1 << 24  # larger photos are cut out by the means of blocks: a display shows no more pixels
 _STRIP_PIXELS = 1 << 19  # in floating point at a time: eight bytes times all pixels would be more than a photo itself
+
+
+@dataclass(frozen=True)
+class PlainPhotoConstants:
+    """Thresholds of the cut-out. Distances of colours are Euclidean, channels in 0..1.
+
+    All are chosen by hand and not tuned on a data set, unless a comment says otherwise; tests/photo/test_photos.py has
+    the pictures that they must tell apart.
+    """
+
+    # The border, which has to be plain
+    border_fraction: float = 0.02  # width of the border by the image's shorter side, at least one pixel
+    plain_std: float = 0.04  # largest standard deviation of the border's colour, without outliers
+    plain_fraction: float = 0.9  # least fraction of the border's pixels that are near the background's colour
+    band_lines: int = 16  # lines of a band of the border that are read, at least; twice as many at most
+    least_slope: float = 0.02  # least change of the background's colour from middle to edge that counts as a gradient
+    fit_quantile: float = 0.995  # quantile of the border's distances from its fitted colour, for `least_difference`
+    fit_margin: float = 1.2  # factor of this quantile from which on a colour differs
+
+    # The mask
+    near: float = 0.06  # colour distance up to which alpha is 0
+    far: float = 0.14  # colour distance from which on alpha is 1
+    same: float = 0.02  # colour distance up to which an enclosed patch may be the background, seen through a hole
+    hole_side: float = 0.025  # side by the image's shorter one of a square that fits in a hole; less is a highlight
+
+    # Noise
+    windows_px: tuple[int, ...] = (1, 3, 5, 7, 9)  # sides of the squares of means, the first that calms the noise
+    noise_quantile: float = 0.98  # fraction of the border's differences that count as noise: the rest are specks
+    noise_factor: float = 5.0  # standard deviations of noise that must stay within `near`
+    noise_reach: float = 3.4  # standard deviations per channel that a colour exceeds by chance once in a hundred times
+
+    # Loss: parts of an object that hardly differ from the background
+    least_difference: float = 0.012  # colour distance below which a pixel is of a background without noise
+    edge_px: int = 3  # distance inside an edge at which a body, unlike a shadow, differs clearly
+    clearly: float = 2.0  # factor of the least difference that is clear
+    sharp_fraction: float = 0.5  # fraction of an edge's length on which it differs clearly
+    block_px: int = 16  # distance from a strong edge within which JPEG makes up colours: the side of its blocks
+    loss_samples: int = 1500  # pixels of the longer side that are read to measure loss
+
+    # Components of an object, by mass, the sum of alpha, as a fraction of the largest component's
+    dust_mass: float = 1e-4  # a smaller component is never part of the object
+    bead_mass: float = 0.001  # a larger one is, if it is near: within `bead_reach` times the root of its mass
+    bead_reach: float = 2.0
+    most_beads: int = 64  # more candidates than these are noise
+    part_mass: float = 0.03  # a larger component is part of the object wherever it is
+
+
+_CONSTANTS = PlainPhotoConstants()
+
+
+class Components:
+    """Connected components of a mask.
+
+    Attributes:
+        labels: int32 [H, W], 0 outside the mask, 1..count within it.
+        count: Number of components.
+    """
+
+    def __init__(self, mask: np.ndarray, diagonal: bool):
+        """Label the components of a mask, bool [H, W]; diagonal: whether pixels that share a corner are neighbours."""
+        from scipy.ndimage import label
+
+        self.labels, self.count = label(mask, np.ones((3, 3)) if diagonal else None)
+
+    def touching(self, mask: np.ndarray) -> np.ndarray:
+        """Return which components, bool [count], have a pixel in the mask, bool [H, W]."""
+        found = np.zeros(self.count + 1, bool)
+        found[self.labels[mask]] = True
+        return found[1:]
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """Return the sum of values [H, W] over each component, float64 [count]."""
+        sums = np.zeros(self.count + 1)
+        for top, bottom in row_strips(*values.shape, _STRIP_PIXELS):
+            labels, weights = self.labels[top:bottom].ravel(), values[top:bottom].ravel()
+            sums += np.bincount(labels, weights, self.count + 1)
+        return sums[1:]
+
+    def boxes(self) -> np.ndarray:
+        """Return top, left, bottom and right of each component, [count, 4]; bottom and right are exclusive."""
+        from scipy.ndimage import find_objects
+
+        boxes = [(rows.start, columns.start, rows.stop, columns.stop) for rows, columns in find_objects(self.labels)]
+        return np.array(boxes, int).reshape(-1, 4)
+
+    def mask(self, chosen: np.ndarray) -> np.ndarray:
+        """Return the pixels, bool [H, W], of the components in chosen, bool [count]."""
+        return np.concatenate([[False], chosen])[self.labels]
+
+
+def object_components(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, int]:
+    """Part an object from the specks beside it.
+
+    A component of 3 % of the largest mass or more belongs to the object. One of 0.1 % does if it is near another for
+    its size, as beads are and dust is not. A smaller one does within the box of all these, down to 0.01 %.
+
+    Args:
+        alpha: float32 [H, W], 0..1.
+        opaque: Alpha from which on a pixel belongs to a component.
+
+    Returns:
+        The mask of the object, bool [H, W], the number of its components, and the number of specks.
+    """
+    c = _CONSTANTS
+    components = Components(alpha >= opaque, diagonal=True)
+    masses = components.sums(alpha)
+    relative = masses / masses.max(initial=1e-300)
+    boxes, kept = components.boxes(), relative >= c.part_mass
+    beads = np.flatnonzero(~kept & (relative >= c.bead_mass))
+    if len(beads) <= c.most_beads:
+        kept[_near(beads, boxes, np.flatnonzero(kept), c.bead_reach * np.sqrt(masses))] = True
+    if kept.any():
+        (top, left), (bottom, right) = boxes[kept, :2].min(0), boxes[kept, 2:].max(0)
+        inside = (boxes[:, :2] >= (top, left)).all(1) & (boxes[:, 2:] <= (bottom, right)).all(1)
+        kept |= inside & (relative >= c.dust_mass)
+    return components.mask(kept), int(kept.sum()), int((~kept).sum())
+
+
+def _near(candidates: np.ndarray, boxes: np.ndarray, others: np.ndarray, reaches: np.ndarray) -> np.ndarray:
+    """Return the candidates whose box is within their reach of one of the others, or of a candidate found before."""
+    found = []
+    while len(others) and len(candidates):
+        one, other = boxes[candidates][:, None], boxes[others][None]
+        gaps = np.maximum(other[..., :2] - one[..., 2:], one[..., :2] - other[..., 2:]).max(2).min(1)
+        near = gaps <= reaches[candidates]
+        found += [others := candidates[near]]
+        candidates = candidates[~near]
+    return np.concatenate(found) if found else candidates[:0]
 
 
 @dataclass(frozen=True)
 class PlainCut:
     """An object cut out from a plain background.
 
-    alpha: float32 [H, W] in 0..1, 1 on the object. faded, holes: shares 0..1 of the object and what lies between its
-    parts: what went with the background although its colour is another, as a pale body does, and where the background
-    shows through.
+    Attributes:
+        alpha: float32 [H, W] in 0..1, 1 on the object.
+        faded: Fraction 0..1 of the object, and of the gaps between its parts, that went with the background although
+            its colour differs, as of a pale body.
+        holes: Fraction of the same through which the background shows.
     """
 
     alpha: np.ndarray
@@ -57,50 +160,59 @@ class PlainCut:
 
 
 def plain_background_mask(rgb: np.ndarray) -> np.ndarray | None:
-    """Alpha [H, W] of what stands out from the plain background of `rgb` [H, W, 3], or None where it is not plain."""
+    """Return alpha [H, W] of the object on the plain background of `rgb` [H, W, 3]; None if it is not plain."""
     cut = cut_from_plain_background(rgb)
     return None if cut is None else cut.alpha
 
 
 def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
-    """What stands out from the plain background of rgb [H, W, 3], uint8 or floats in 0..1; None where it is not plain.
+    """Cut the object out of a photo with a plain background.
 
-    The background is what is near the border's colour and connected to the border, or to a patch of just that colour
-    that is large enough to be a hole of the object (a handle); smaller spots inside the object stay opaque. The edge is
-    soft, rising with the distance in colour. Where the border is noisy, colours are means over a few pixels. Photos of
-    more than 16 megapixels are cut out by the means of blocks, of 2 x 2 pixels and more.
+    The background has about the border's colour. It is connected to the border, or to a patch of just that colour that
+    is large enough to be a hole of the object, as in a handle; smaller spots inside the object stay opaque. The edge is
+    soft: alpha rises with the distance in colour. Where the border is noisy, colours are means over a few pixels.
+    Photos of more than 16 megapixels are cut out by the means of blocks of 2 x 2 pixels and more.
+
+    Args:
+        rgb: [H, W, 3], uint8 or floats in 0..1.
+
+    Returns:
+        The cut-out; None where the background is not plain.
     """
     height, width = rgb.shape[:2]
     if height * width > _MOST_PIXELS:
         factor = math.ceil(math.sqrt(height * width / _MOST_PIXELS))
         cut = cut_from_plain_background(_block_means(rgb, factor))
-        return None if cut is None else replace(cut, alpha=_enlarged(cut.alpha, factor, height, width))
+        return None if cut is None else replace(cut, alpha=_enlarge(cut.alpha, factor, height, width))
     if min(height, width) < 8:
         return None
-    ground = _ground_of(rgb)
-    if ground is None:
+    background = _fit_background(rgb)
+    if background is None:
         return None
-    distance = _distances(rgb, ground.colours, ground.window)
-    outside, holes = _background(distance)
-    if ground.window > 1:
-        raw = _distances(rgb, ground.colours, 1)
-        raw -= max(0.0, _NOISE_REACH * ground.noise - _NEAR)
-        outside, distance = _sharpened(outside, distance, raw, ground.window // 2)
-    shares = _shares_lost(outside, holes, distance, ground.differs)
-    distance -= _NEAR
-    distance /= _FAR - _NEAR
+    c, window = _CONSTANTS, background.window
+    distance = _distances(rgb, background.colours, window)
+    outside, holes = _find_background(distance)
+    if window > 1:
+        raw = _distances(rgb, background.colours, 1)
+        raw -= max(0.0, c.noise_reach * background.noise - c.near)
+        outside, distance = _without_fringe(outside, distance, raw, window // 2)
+    lost = _measure_loss(outside, holes, distance, background.differs)
+    distance -= c.near
+    distance /= c.far - c.near
     alpha = np.clip(distance, 0, 1, out=distance)
     alpha[~outside] = 1
-    return PlainCut(alpha, *shares)
+    return PlainCut(alpha, *lost)
 
 
 @dataclass(frozen=True)
-class _Ground:
+class _Background:
     """A plain background, whose colour may change evenly over the photo.
 
-    colours: [3, 3] float32; its colour at a pixel is (1, down, across) @ colours, the place in -1..1 from edge to edge.
-    noise: its standard deviation in a channel. window: side in pixels of the squares over which means make little of
-    the noise. differs: the colour distance from which on such a mean is of another colour.
+    Attributes:
+        colours: [3, 3] float32; the colour at a pixel is (1, down, across) @ colours, down and across in -1..1.
+        noise: Standard deviation of noise in a channel.
+        window: Side in pixels of the squares of means that calm the noise.
+        differs: Colour distance from which on such a mean is of another colour.
     """
 
     colours: np.ndarray
@@ -109,28 +221,29 @@ class _Ground:
     differs: float
 
 
-def _ground_of(rgb: np.ndarray) -> _Ground | None:
-    """The background of rgb [H, W, 3], from its border; None where that is not plain."""
+def _fit_background(rgb: np.ndarray) -> _Background | None:
+    """Return the background of rgb [H, W, 3], from its border; None where the border is not plain."""
+    c = _CONSTANTS
     height, width = rgb.shape[:2]
-    thick = max(1, round(_BORDER_SHARE * min(height, width)))
+    thick = max(1, round(c.border_fraction * min(height, width)))
     bands = _border(rgb, thick)
     noise = _noise(bands)
     window = _window_px(noise)
     border = np.concatenate([_means(band, window).reshape(-1, 3) for band in bands])
-    near = np.linalg.norm(border - np.median(border, 0), axis=1) < _NEAR + _PLAIN_STD
-    if near.mean() < _PLAIN_SHARE or border[near].std(0).max() > _PLAIN_STD:
+    near = np.linalg.norm(border - np.median(border, 0), axis=1) < c.near + c.plain_std
+    if near.mean() < c.plain_fraction or border[near].std(0).max() > c.plain_std:
         return None
-    places = _places(height, width, thick)[near]
-    colours = _fitted(border[near], places)
-    usual = float(np.quantile(np.linalg.norm(border[near] - places @ colours, axis=1), 0.995))
-    return _Ground(colours, noise, window, max(_LEAST_DIFFERENCE, 1.2 * usual))
+    positions = _border_positions(height, width, thick)[near]
+    colours = _fit_colours(border[near], positions)
+    usual = float(np.quantile(np.linalg.norm(border[near] - positions @ colours, axis=1), c.fit_quantile))
+    return _Background(colours, noise, window, max(c.least_difference, c.fit_margin * usual))
 
 
 def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
-    """rgb [H, W, 3] made smaller by a whole factor, of the same type; pixels left over at the far edges are dropped."""
+    """Return rgb [H, W, 3] reduced by a whole factor, of the same type; odd pixels at the far edges are dropped."""
     height, width = (size // factor for size in rgb.shape[:2])
     means = np.empty((height, width, 3), rgb.dtype)
-    for top, bottom in strips(height, width, _STRIP_PIXELS):
+    for top, bottom in row_strips(height, width, _STRIP_PIXELS):
         block = rgb[top * factor : bottom * factor, : width * factor]
         parts = (
             block[down::factor, across::factor].astype(np.float32) for down in range(factor) for across in range(factor)
@@ -141,8 +254,8 @@ def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
     return means
 
 
-def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
-    """The alpha of a picture that _block_means made smaller, as that of the picture itself, [height, width]."""
+def _enlarge(alpha: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
+    """Return the alpha of a picture that _block_means reduced at the size of the picture, [height, width]."""
     bottom, right = (size * factor for size in alpha.shape)
     enlarged = np.empty((height, width), np.float32)
     for down in range(factor):
@@ -154,144 +267,149 @@ def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.nda
 
 
 def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
-    """The four bands [lines, pixels, 3] along the edges, float32 in 0..1; of thick ones only some of the lines."""
-    each = max(1, thick // _BAND_LINES)
+    """Return the bands [lines, pixels, 3] along the four edges, float32 in 0..1; of thick bands only some lines."""
+    each = max(1, thick // _CONSTANTS.band_lines)
     middle = rgb[thick:-thick]
     bands = (rgb[:thick], rgb[-thick:], middle[:, :thick].swapaxes(0, 1), middle[:, -thick:].swapaxes(0, 1))
     return [_floats(band[::each]) for band in bands]
 
 
-def _places(height: int, width: int, thick: int) -> np.ndarray:
-    """(1, down, across) of each pixel of _border, its place in -1..1 from edge to edge: [N, 3] float32."""
+def _border_positions(height: int, width: int, thick: int) -> np.ndarray:
+    """Return (1, down, across) of each pixel of _border, down and across in -1..1 from edge to edge: float32 [N, 3]."""
     down, across = (np.linspace(-1, 1, size, dtype=np.float32) for size in (height, width))
     grids = (np.broadcast_to(values, (height, width))[..., None] for values in (np.float32(1), down[:, None], across))
     return np.stack([np.concatenate([band.ravel() for band in _border(grid, thick)]) for grid in grids], 1)
 
 
-def _fitted(colours: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """_Ground's colours, of pixels [N, 3] at their places [N, 3]. They have a slope where that is clearly seen, as on a
-    wall that is lit from the side."""
+def _fit_colours(colours: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return _Background.colours of pixels [N, 3] at their positions [N, 3].
+
+    They have a slope only where it is clear, as on a wall that is lit from the side.
+    """
     level = np.zeros((3, 3), np.float32)
     level[0] = colours.mean(0)
-    sloping = np.linalg.lstsq(places.astype(np.float64), colours.astype(np.float64), rcond=None)[0].astype(np.float32)
-    return sloping if np.abs(sloping[1:]).max() > _LEAST_SLOPE else level
+    sloping = np.linalg.lstsq(positions.astype(np.float64), colours.astype(np.float64), rcond=None)[0]
+    sloping = sloping.astype(np.float32)
+    return sloping if np.abs(sloping[1:]).max() > _CONSTANTS.least_slope else level
 
 
 def _floats(rgb: np.ndarray) -> np.ndarray:
-    """Colours as float32 in 0..1."""
+    """Return colours as float32 in 0..1."""
     return rgb.astype(np.float32) * np.float32(1 / 255) if rgb.dtype == np.uint8 else rgb.astype(np.float32)
 
 
 def _noise(bands: list[np.ndarray]) -> float:
-    """The standard deviation of noise, per channel, from pixels two apart (JPEG shares colours among neighbours): that
-    of a slow gradient is not in it."""
+    """Return the standard deviation of noise per channel, without slow gradients.
+
+    It is measured between pixels two apart, because JPEG shares colours among neighbours.
+    """
     squares = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands]) ** 2 / 2
-    usual = np.sort(squares, 0)[: max(1, round(_USUAL_SHARE * len(squares)))]  # without specks and objects
+    usual = np.sort(squares, 0)[: max(1, round(_CONSTANTS.noise_quantile * len(squares)))]
     return float(np.sqrt(usual.mean()))
 
 
 def _window_px(noise: float) -> int:
-    """Over how many pixels a side to take means, so that noise stays well below the colour distances that count."""
-    enough = [window for window in _WINDOWS_PX if 5 * noise / max(1, window - 1) <= _NEAR]
-    return enough[0] if enough else _WINDOWS_PX[-1]
+    """Return the side of the squares of means that keep noise well below the colour distances that count."""
+    c = _CONSTANTS
+    enough = [window for window in c.windows_px if c.noise_factor * noise / max(1, window - 1) <= c.near]
+    return enough[0] if enough else c.windows_px[-1]
 
 
 def _means(values: np.ndarray, window: int) -> np.ndarray:
-    """Means of values [H, W, C] over window x window pixels; beyond the edges the last pixel is repeated."""
-    reach = window // 2
-    for axis in (0, 1):
-        if reach:
-            size = values.shape[axis]
-            padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in range(3)], mode="edge")
-            parts = (padded[(slice(None),) * axis + (slice(at, at + size),)] for at in range(window))
-            values = cast(np.ndarray, sum(parts)) / np.float32(window)
-    return values
+    """Return means of values [H, W, C] over window x window pixels; beyond the edges the last pixel is repeated."""
+    from scipy.ndimage import uniform_filter
+
+    return values if window == 1 else uniform_filter(values, (window, window, 1), mode="nearest")
 
 
-def _distances(rgb: np.ndarray, ground: np.ndarray, window: int) -> np.ndarray:
-    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from the background's.
+def _distances(rgb: np.ndarray, background: np.ndarray, window: int) -> np.ndarray:
+    """Return the colour distance of each pixel from the background, float32 [H, W].
 
-    ground: _Ground.colours.
+    Args:
+        rgb: [H, W, 3], uint8 or floats in 0..1.
+        background: _Background.colours.
+        window: Side in pixels of the square whose mean colour counts.
     """
     (height, width), reach = rgb.shape[:2], window // 2
     distances = np.empty((height, width), np.float32)
-    tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - ground[0]).T ** 2
+    tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - background[0]).T ** 2
     down, across = (np.linspace(-1, 1, size, dtype=np.float32)[:, None] for size in (height, width))
-    for top, bottom in strips(height, width, _STRIP_PIXELS):
-        if window == 1 and rgb.dtype == np.uint8 and not ground[1:].any():
+    for top, bottom in row_strips(height, width, _STRIP_PIXELS):
+        if window == 1 and rgb.dtype == np.uint8 and not background[1:].any():
             squares = (tables[channel][rgb[top:bottom, :, channel]] for channel in range(3))
         else:
             first = max(0, top - reach)
-            block = _floats(rgb[first : bottom + reach]) - (ground[0] + across * ground[2])
-            block -= (down[first : bottom + reach] * ground[1])[:, None]
+            block = _floats(rgb[first : bottom + reach]) - (background[0] + across * background[2])
+            block -= (down[first : bottom + reach] * background[1])[:, None]
             block = _means(block, window)[top - first :][: bottom - top]
             squares = (block[..., channel] ** 2 for channel in range(3))
         np.sqrt(sum(squares), out=distances[top:bottom])
     return distances
 
 
-def _background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What belongs to the background, bool [H, W], and of that the holes, which are not connected to the border."""
+def _find_background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the background, bool [H, W], and its holes in the object, which are not connected to the border."""
+    c = _CONSTANTS
     height, width = distance.shape
-    thick = max(1, round(_BORDER_SHARE * min(height, width)))
-    ring = np.ones((height, width), bool)
-    ring[thick:-thick, thick:-thick] = False
-    side = max(3, round(_PATCH_SHARE * min(height, width)))
-    pieces = Pieces.of(distance < _FAR, diagonal=False)
-    from_border, from_patch = pieces.hit(ring), pieces.hit(full_squares(distance < _SAME, side))
-    return pieces.mask(from_border | from_patch), pieces.mask(from_patch & ~from_border)
+    thick = max(1, round(c.border_fraction * min(height, width)))
+    border = np.ones((height, width), bool)
+    border[thick:-thick, thick:-thick] = False
+    side = max(3, round(c.hole_side * min(height, width)))
+    components = Components(distance < c.far, diagonal=False)
+    from_border = components.touching(border)
+    from_patch = components.touching(full_squares(distance < c.same, side))
+    return components.mask(from_border | from_patch), components.mask(from_patch & ~from_border)
 
 
-def full_squares(flags: np.ndarray, side: int) -> np.ndarray:
-    """The pixels [H, W] at whose lower right a square of `side` pixels is all set."""
-    full = flags
-    for axis in (0, 1):
-        full, covered = full.swapaxes(0, axis), 1
-        while covered < side:  # each step joins two stretches of what is covered so far
-            step = min(covered, side - covered)
-            full, covered = full[:-step] & full[step:], covered + step
-        full = full.swapaxes(0, axis)
-    return np.pad(full, [(0, before - after) for before, after in zip(flags.shape, full.shape)])
+def full_squares(mask: np.ndarray, side: int) -> np.ndarray:
+    """Return the pixels, bool [H, W], about which a square of `side` pixels lies wholly in the mask."""
+    from scipy.ndimage import minimum_filter
+
+    return minimum_filter(mask, side, mode="constant")
 
 
-def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """outside and distance without the fringe round the object, where means took in some of its colour."""
-    fringe = _grown(outside, reach)
-    fringe &= raw < _FAR
+def _without_fringe(
+    outside: np.ndarray, distance: np.ndarray, raw: np.ndarray, reach: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return outside and distance without the fringe round the object, where means took in some of its colour."""
+    fringe = _dilate(outside, reach)
+    fringe &= raw < _CONSTANTS.far
     fringe |= outside
     return fringe, np.minimum(distance, raw, out=distance)
 
 
-def _grown(flags: np.ndarray, reach: int) -> np.ndarray:
-    """The pixels [H, W] that are set within a square of so many pixels to each side."""
-    grown = flags
-    for axis in (0, 1):
-        before, grown = grown, grown.copy()
-        for step in range(1, reach + 1):
-            for one, other in ((np.s_[step:], np.s_[:-step]), (np.s_[:-step], np.s_[step:])):
-                target, source = (one, other) if axis == 0 else ((slice(None), one), (slice(None), other))
-                grown[target] |= before[source]
-    return grown
+def _dilate(mask: np.ndarray, reach: int) -> np.ndarray:
+    """Return the pixels within `reach` pixels of the mask, bool [H, W], along both axes."""
+    from scipy.ndimage import maximum_filter
+
+    return maximum_filter(mask, 2 * reach + 1, mode="constant")
 
 
-def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
-    """PlainCut's faded and holes; differs: the colour distance from which on a pixel is not of the background's colour.
+def _measure_loss(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
+    """Return PlainCut.faded and PlainCut.holes.
 
-    Of a white body before white everything goes, or all but its outline: then its shades are counted as faded, and the
-    rest is taken for holes.
+    Of a white body before white everything goes, or all but its outline: its shades then count as faded, the rest as
+    holes.
+
+    Args:
+        outside: The background, bool [H, W].
+        holes: Its holes in the object, bool [H, W].
+        distance: Colour distance from the background, [H, W].
+        differs: Distance from which on a pixel has another colour than the background.
     """
-    step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture, some of the pixels will do
+    c = _CONSTANTS
+    step = max(1, round(max(distance.shape) / c.loss_samples))
     outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
-    opaque = distance > (_NEAR + _FAR) / 2
+    opaque = distance > (c.near + c.far) / 2
     opaque |= ~outside
     other = distance > differs
-    object_ = object_pieces(opaque.astype(np.float32), 1)[0]
+    object_ = object_components(opaque.astype(np.float32), 1)[0]
     other &= object_ | ~opaque  # leaves out specks
     opaque = object_
     between = _between(opaque, 0) | _between(opaque, 1)
     between &= ~opaque
     bodies = _with_sharp_edges(other & ~opaque, other, distance, differs)
-    bodies &= ~_grown(opaque, round(_BLOCK_PX / step))
+    bodies &= ~_dilate(opaque, round(c.block_px / step))
     faded = other & ~opaque & (between | bodies)
     seen_through = between & holes & ~other
     kept, gone, hollow = (int(np.count_nonzero(pixels)) for pixels in (opaque, faded, seen_through))
@@ -300,20 +418,27 @@ def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, d
 
 
 def _with_sharp_edges(pale: np.ndarray, other: np.ndarray, distance: np.ndarray, differs: float) -> np.ndarray:
-    """The pieces of `pale` [H, W], which hardly differ from the background, that end at it as a body does and not as a
-    soft shadow: a few pixels inside `other`, what is not of the background's colour, they differ from it clearly."""
-    depth, inner = np.zeros(other.shape, np.int8), other
-    for _ in range(_EDGE_PX + 1):
-        depth += inner
-        padded = np.pad(inner, 1)
-        inner = inner & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    ring = pale & (depth == _EDGE_PX)
-    pieces = Pieces.of(pale, diagonal=True)
-    sharp = pieces.masses((ring & (distance > _CLEARLY * differs)).astype(np.float32))
-    return pieces.mask(sharp > _SHARP_SHARE * np.maximum(1, pieces.masses(ring.astype(np.float32))))
+    """Return the components of `pale` with the edges of a body, not of a soft shadow, bool [H, W].
+
+    A few pixels inside its edge a body differs clearly from the background.
+
+    Args:
+        pale: Pixels that hardly differ from the background, bool [H, W].
+        other: All pixels of another colour, bool [H, W].
+        distance: Colour distance from the background, [H, W].
+        differs: Distance from which on a pixel has another colour than the background.
+    """
+    from scipy.ndimage import distance_transform_cdt
+
+    c = _CONSTANTS
+    depth = distance_transform_cdt(np.pad(other, 1), "taxicab")[1:-1, 1:-1]
+    ring = pale & (depth == c.edge_px)
+    components = Components(pale, diagonal=True)
+    sharp = components.sums((ring & (distance > c.clearly * differs)).astype(np.float32))
+    return components.mask(sharp > c.sharp_fraction * np.maximum(1, components.sums(ring.astype(np.float32))))
 
 
-def _between(flags: np.ndarray, axis: int) -> np.ndarray:
-    """Whether there is a flag on both sides of each pixel along the axis, or on it."""
-    forwards = np.maximum.accumulate(flags, axis)
-    return forwards & np.flip(np.maximum.accumulate(np.flip(flags, axis), axis), axis)
+def _between(mask: np.ndarray, axis: int) -> np.ndarray:
+    """Return the pixels that have the mask on both sides along the axis, or on them."""
+    forwards = np.maximum.accumulate(mask, axis)
+    return forwards & np.flip(np.maximum.accumulate(np.flip(mask, axis), axis), axis)

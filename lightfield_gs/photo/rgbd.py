@@ -14,13 +14,12 @@ from lightfield_gs.base.checks import expect, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.depth_edges import STEEPEST, edges, slopes, snap_mixed
+from lightfield_gs.photo.depth_edges import STEEPEST, edges, find_matte, opacity_of_coverage, slopes, snap_mixed
 from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
+from lightfield_gs.photo.image_filters import max_filter
 from lightfield_gs.photo.margin import made_up
-from lightfield_gs.photo.matting import find_matte, opacity_of_coverage
-from lightfield_gs.photo.windows import largest
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24
@@ -73,7 +72,7 @@ def from_depth(
     2002, the other way round), so that a slanted surface stays closed when seen from the side. Where a surface would
     be seen at less than 5 degrees it is torn instead, and smoothed edges of the depth map are made sharp first. Behind
     an edge the far side goes on in a second layer, its depth smoothly and its colours as a picture (photo/hidden.py,
-    photo/exemplar.py); outlines are soft where the photo's are (photo/matting.py).
+    photo/inpainting.py); outlines are soft where the photo's are (photo/depth_edges.py).
 
     Returns float32 Gaussians of SH degree 0: those of the pixels row by row, without what has no depth or no opacity,
     then those of outlines, of what is hidden, and of the margin. Raises InputError on other shapes, types or values, or
@@ -99,7 +98,7 @@ def from_depth(
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
         full = torch.full_like(z, _OPACITY)
         parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner, torn=False))
-    return of_tensors(torch.cat(fields) for fields in zip(*parts))
+    return from_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
 def _layers(
@@ -162,7 +161,7 @@ def _elements(
 
 def _rim(depth: Tensor, focal: tuple[float, float]) -> Tensor:
     """The pixels that have another surface beside them, or are next to one that has, bool [H, W]."""
-    return largest(edges(depth, focal), 1)
+    return max_filter(edges(depth, focal), 1)
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:

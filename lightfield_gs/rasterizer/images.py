@@ -3,132 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, overload
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.background import background_tensor
-from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats, render_scene
-from lightfield_gs.rasterizer.dense_job import DenseImages
-from lightfield_gs.rasterizer.dense_parts import dense_in_parts, divide_by_alpha
-from lightfield_gs.rasterizer.first_derivatives import refuse_tangents
-from lightfield_gs.rasterizer.screen import radii_px
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.rasterizer.image_operators import (
+    draw_images,
+    draw_images_and_splats,
+    render_images_and_splats,
+    render_scene,
+)
+from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
+from lightfield_gs.rasterizer.operators import refuse_tangents
+from lightfield_gs.rasterizer.scene import background_tensor
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
 
 
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[False] = ...,
-    depth: Literal[False] = ...,
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[False] = ...,
-) -> Tensor: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[True],
-    depth: Literal[False] = ...,
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[False] = ...,
-) -> tuple[Tensor, Tensor]: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[False] = ...,
-    depth: Literal[True],
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[False] = ...,
-) -> tuple[Tensor, Tensor]: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[True],
-    depth: Literal[True],
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[False] = ...,
-) -> tuple[Tensor, Tensor, Tensor]: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[False] = ...,
-    depth: Literal[False] = ...,
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[True],
-) -> tuple[Tensor, Tensor]: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[True],
-    depth: Literal[False] = ...,
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[True],
-) -> tuple[Tensor, Tensor, Tensor]: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[False] = ...,
-    depth: Literal[True],
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[True],
-) -> tuple[Tensor, Tensor, Tensor]: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: Literal[True],
-    depth: Literal[True],
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: Literal[True],
-) -> tuple[Tensor, Tensor, Tensor, Tensor]: ...
-@overload
-def render(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour = ...,
-    alpha: bool = ...,
-    depth: bool = ...,
-    antialiased: bool = ...,
-    screen: Tensor | None = ...,
-    radii: bool = ...,
-) -> Tensor | tuple[Tensor, ...]: ...
+class RenderedImages(NamedTuple):
+    """The images of `render`; None where a field was not asked for. It unpacks in this order.
+
+    image: [..., C, H, W, 3], over the background.
+    alpha: [..., C, H, W], 0..1.
+    depth: [..., C, H, W], the expected view-space z of what covers a pixel, in scene units; 0 where nothing does.
+    radii: [..., C, N], of the splats in pixels, without gradients; 0 where a Gaussian is not drawn.
+    """
+
+    image: Tensor
+    alpha: Tensor | None = None
+    depth: Tensor | None = None
+    radii: Tensor | None = None
+
+
 def render(
     gaussians: Gaussians,
     cameras: Cameras,
@@ -139,23 +50,31 @@ def render(
     antialiased: bool = False,
     screen: Tensor | None = None,
     radii: bool = False,
-) -> Tensor | tuple[Tensor, ...]:
-    """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable once in the five fields of the Gaussians, the
-    background and cameras.world_to_camera.
+) -> RenderedImages:
+    """Render ordinary images of Gaussians (Kerbl et al. 2023).
 
-    gaussians [N, ...] with cameras [C, ...]; or gaussians [B, N, ...] with cameras [B, C, ...], or with the same
-    cameras [C, ...] for every set. float32 or float64.
-    background: three numbers in 0..1, or a tensor that broadcasts to [..., C, 3], whose values need only be finite.
-    Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
-    [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is.
-    antialiased: for scenes that were trained so (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode of that name):
-    a Gaussian that 0.3 px^2 of blur spread out becomes fainter by as much, by the root of the ratio of the determinants
-    of its projected covariance.
-    screen: zeros [..., C, N, 2] that ask for gradients. The image does not depend on them, but their .grad is that of
-    the loss by the projected means (x right, y down), in 1 / pixels. [..., C, N, 4]: the last two are then sums over
-    pixels of the absolute values of what each adds to it (Ye et al., "AbsGS", 2024).
-    radii: returns, as the last of the tuple, [..., C, N] in pixels, without gradients: half the longest extent of where
-    a Gaussian's alpha is 1/255 or more; 0 where it is not drawn. Raises InputError.
+    They are differentiable once, in the five fields of the Gaussians, the background and cameras.world_to_camera.
+
+    Args:
+        gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
+            [C, ...] for every set. float32 or float64.
+        cameras: C pinhole cameras.
+        background: three numbers in 0..1, or a tensor that broadcasts to [..., C, 3], whose values need only be finite.
+        alpha: also return alpha.
+        depth: also return depth.
+        antialiased: for scenes that were trained so (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode). The
+            opacity of a Gaussian that 0.3 px^2 of blur widens is lowered by the compensation, the root of the ratio of
+            the determinants of its projected covariance.
+        screen: zeros [..., C, N, 2] that ask for gradients. The image does not depend on them. Their .grad is the
+            gradient of the loss by the projected means (x right, y down), in 1 / pixels. Of [..., C, N, 4] the last two
+            are sums over pixels of the absolute values of each pixel's part (Ye et al., "AbsGS", 2024).
+        radii: also return radii: half the longest extent of the region where a Gaussian's alpha is 1/255 or more.
+
+    Returns:
+        The named tuple (image, alpha, depth, radii).
+
+    Raises:
+        InputError: for arguments of other types, shapes, devices or values.
     """
     expect("gaussians", gaussians, Gaussians)
     expect("cameras", cameras, Cameras)
@@ -171,62 +90,60 @@ def render(
             "requires it: detach() it, or use torch.no_grad()"
         )
     like, batched = gaussians.means, gaussians.is_batched
-    together = cameras.world_to_camera.dim() == 3
-    if not together and not batched:
+    shared = cameras.world_to_camera.dim() == 3  # by all sets of a batch
+    if not shared and not batched:
         raise InputError(
             f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
             f"cameras {list(cameras.world_to_camera.shape)}"
         )
-    means, cameras = about_cameras(like, cameras)
+    means, cameras = recentre(like, cameras)
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
-    if together:
+    if shared:
         views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
     fields = (means, *tuple(gaussians.fields().values())[1:])
     options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)
-    needs_gradients = screen is not None or any(t.requires_grad for t in (*fields, colour, *views))
+    asked = screen is not None or any(t.requires_grad for t in (*fields, colour, *views))
+    with_gradients = torch.is_grad_enabled() and asked
+    if not with_gradients and not radii and not batched:
+        batch = [field.unsqueeze(0) for field in fields]
+        drawn = draw_in_chunks(batch, colour, views, *options, alpha=alpha or depth, depth=depth)
+        if drawn.depth is not None and drawn.alpha is not None:
+            divide_by_alpha(drawn.depth, drawn.alpha)
+        return _of_one_scene(RenderedImages(drawn.image, drawn.alpha if alpha else None, drawn.depth))
     splats: list[Tensor] = []
-    if not (torch.is_grad_enabled() and needs_gradients) and not radii and not batched:
-        drawn = dense_in_parts(
-            [field.unsqueeze(0) for field in fields], colour, views, *options, alpha=alpha or depth, depth=depth
-        )
-        return _asked_for(drawn, alpha)
-    if torch.is_grad_enabled() and needs_gradients and not radii and not batched:
+    if with_gradients and not radii and not batched:
         image, coverage, weighted_depth = render_scene(fields, colour, (*views,), (*options, screen))
     else:
         draw: Callable[..., tuple[Tensor, ...]]
-        if torch.is_grad_enabled() and needs_gradients:
-            draw, options = dense_with_splats if radii else torch.ops.lightfield_gs.render_dense, [*options, screen]
-        else:  # at the first call of an operator with a reverse torch spends a second on imports
-            draw = dense_forward_with_splats if radii else dense_forward
-        batch = fields if batched else [field.unsqueeze(0) for field in fields]
+        if with_gradients:
+            draw, options = (
+                render_images_and_splats if radii else torch.ops.lightfield_gs.render_images,
+                [*options, screen],
+            )
+        else:  # at the first call of an operator with a backward torch spends a second on imports
+            draw = draw_images_and_splats if radii else draw_images
+        batch = list(fields) if batched else [field.unsqueeze(0) for field in fields]
         image, coverage, weighted_depth, *splats = draw(*batch, colour, *views, *options)
-    out = [image]
-    if alpha:
-        out.append(coverage)
-    if depth:
-        out.append(weighted_depth / coverage.clamp_min(1e-10))
-    if radii:
-        out.append(radii_px(splats[0]).view(*coverage.shape[:2], gaussians.count))
-    out = [t if batched else t.squeeze(0) for t in out]
-    return tuple(out) if len(out) > 1 else out[0]
+    images = RenderedImages(
+        image,
+        coverage if alpha else None,
+        weighted_depth / coverage.clamp_min(1e-10) if depth else None,
+        splat_radii(splats[0]).view(*coverage.shape[:2], gaussians.count) if radii else None,
+    )
+    return images if batched else _of_one_scene(images)
 
 
-def _asked_for(drawn: DenseImages, alpha: bool) -> Tensor | tuple[Tensor, ...]:
-    """What render returns of one scene's images without gradients; depth has been drawn only if it was asked for."""
-    image, coverage, depth = drawn
-    out = [image.squeeze(0)]
-    if alpha and coverage is not None:
-        out.append(coverage.squeeze(0))
-    if depth is not None and coverage is not None:
-        out.append(divide_by_alpha(depth, coverage).squeeze(0))
-    return tuple(out) if len(out) > 1 else out[0]
+def _of_one_scene(images: RenderedImages) -> RenderedImages:
+    """Remove the leading dimension of a batch of one scene."""
+    image, *others = images
+    return RenderedImages(image.squeeze(0), *(None if t is None else t.squeeze(0) for t in others))
 
 
 def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tensor:
-    """The argument `screen` of render, [B, C, N, 2 or 4]. Raises InputError."""
+    """Return the argument `screen` of render as [B, C, N, 2 or 4]. Raises InputError."""
     expect("screen", screen, Tensor)
     shape = [*gaussians.means.shape[:-2], cameras, gaussians.count]
     if list(screen.shape[:-1]) != shape or screen.shape[-1] not in (2, 4):
@@ -238,3 +155,19 @@ def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tenso
     if not screen.requires_grad:
         raise InputError("screen: nothing but its gradient means anything; make it with requires_grad=True")
     return screen if gaussians.is_batched else screen.unsqueeze(0)
+
+
+def splat_radii(splats: Tensor) -> Tensor:
+    """Return half the longest extent of the region that each splat covers, [...] in pixels; 0 where it is not drawn.
+
+    The region is where its alpha is 1/255 or more. splats: [..., SPLAT_FIELDS], in conditional form
+    (csrc/math/projection.h): in units of log2 the inverse covariance is [[1/S, -c0/S], [-c0/S, tau + c0^2/S]], so the
+    covariance is [[S + c0^2/tau, c0/tau], [c0/tau, 1/tau]].
+    """
+    log2_opacity, square, tau, c0 = (splats[..., k] for k in _core.SPLAT_SHAPE_INDICES)
+    down = 1 / tau
+    across = square + c0 * c0 * down
+    middle = (across + down) / 2
+    longest = middle + torch.sqrt(((across - down) / 2).square() + (c0 * down).square())
+    radii = torch.sqrt(longest * (log2_opacity - _core.LOG2_MIN_ALPHA).clamp_min(0))
+    return torch.where(splats[..., _core.SPLAT_REACH_INDEX] >= 0, radii, torch.zeros_like(radii))

@@ -1,122 +1,288 @@
-"""The stages of a render, and their buffers, whatever device they are on."""
+"""The stages of a render and their buffers, on the CPU; workspace_cuda.py has those of CUDA."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.rasterizer.lens_view import NativeView
+from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import Scene, State
-from lightfield_gs.rasterizer.stats import Stats
-
-
-class Splats:
-    """Projected Gaussians of `images` images: what `project` writes and all later stages read."""
-
-    def __init__(
-        self, scene: Scene, images: int, colour_order: int, with_orders: bool, compensated: bool, state: State | None
-    ):
-        """Memory for them, or what a render left of them in `state`.
-
-        colour_order: highest order of the polynomials that give the colours of a light field over the rig; 0 for one
-        colour each. with_orders: whether each Gaussian may have a lower order of its own. compensated: whether they are
-        those of an anti-aliased light field, whose opacities change over the rig.
-        """
-        n, self.colour_order = scene.count, colour_order
-        if state is None:
-            self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
-        else:
-            self.splats, self.colours = state.splats, state.colours
-        self.orders = scene.new(images, n if with_orders else 0, dtype=torch.int32)
-        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
-        self.native = scene.core.Splats(
-            images,
-            n,
-            colour_order,
-            self.splats.data_ptr(),
-            self.colours.data_ptr(),
-            self.orders.data_ptr(),
-            0 if self.compensations is None else self.compensations.data_ptr(),
-        )
-
-    def buffers(self) -> list[Tensor]:
-        extra = [] if self.compensations is None else [self.compensations]
-        return [self.splats, self.colours, self.orders, *extra]
-
-
-class Wanted(NamedTuple):
-    """Which gradients of ordinary images are asked for beside those of the five fields and of the background.
-
-    screen_numbers: 0; 2 for the places of the splats, in 1 / pixels; 4 for these and the sums of absolute values.
-    """
-
-    screen_numbers: int = 0
-    cameras: bool = True
-
-    @property
-    def absolute(self) -> bool:
-        return self.screen_numbers == 4
-
-
-class DenseGradients(NamedTuple):
-    """Gradients of ordinary images: of the five fields; of the background in parts [I * parts, 3]; of the cameras
-    [I, 4, 4], or of none; and of the splats' places [I, N, screen_numbers]."""
-
-    fields: list[Tensor]
-    background_parts: Tensor
-    cameras: Tensor
-    screen: Tensor
+from lightfield_gs.rasterizer.scene import (
+    GradientRequest,
+    ImageGradients,
+    RenderState,
+    SceneTensors,
+    Splats,
+    float_and_byte_addresses,
+)
+from lightfield_gs.rasterizer.stats import Stats, direct_counts
+from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
 
 class Workspace(Protocol):
-    """A render in the making: project_dense or project_lens comes first, then order_and_bin, then a composite or its
-    reverse.
+    """The stages of one render: a projection first, then order_and_bin, then a composite or its backward.
 
-    The lists of a render hold pairs: a *pair* is a splat and a tile (on the CPU a band of rows) that it may touch.
+    The lists of a render hold intersections. An intersection is a splat and a tile (on the CPU a band of rows) that the
+    splat may touch. I: the number of images.
     """
 
     stats: Stats
     splats: Splats
-    pair_count: int
-    pairs_on_device: Tensor
+    intersection_count: int
+    intersections_on_device: Tensor
 
-    def state(self) -> State:
-        """What a reverse needs."""
+    def state(self) -> RenderState:
+        """Return the state that the backward needs."""
 
-    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
-        """Makes the splats of I images, one for each camera."""
+    def project_images(self, cameras: _core._Stages.Cameras) -> None:
+        """Project the Gaussians to the splats of I images, one for each camera."""
 
-    def project_lens(self, view: NativeView, quality: Quality) -> float:
-        """Makes the splats of one light-field image. Returns the largest estimated error of a colour, in 0..1."""
+    def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
+        """Project the Gaussians to the splats of a light-field image; return the largest colour error, 0..1."""
 
     def order_and_bin(self, admit: Callable[[], bool] = ...) -> bool:
-        """Sorts the splats by depth and lists the pairs. admit: asked, once `pair_count` is known and before memory is
-        taken for the lists, whether to go on; returns its answer."""
+        """Sort the splats by depth and list the intersections.
 
-    def composite_dense(
+        Args:
+            admit: whether to go on; called once `intersection_count` is known, before memory is made for the lists.
+
+        Returns:
+            The answer of admit.
+        """
+
+    def composite_images(
         self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
     ) -> None:
-        """background: [I, 3]; out: the core's DenseImages."""
+        """Composite I images into `out`. background: [I, 3]."""
 
-    def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
-        """background: [3]; out: [H, W, 3]."""
+    def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
+        """Composite the light-field image into `out` [H, W, 3]. background: [3]."""
 
-    def dense_backward(
+    def images_backward(
         self,
         cameras: _core._Stages.Cameras,
         background: Tensor,
         images: _core._Stages.DenseImages,
         gradients: _core._Stages.DenseImages,
-        wanted: Wanted,
-    ) -> DenseGradients:
-        """The gradients that follow from those of images."""
+        request: GradientRequest,
+    ) -> ImageGradients:
+        """Return the gradients of the inputs from `gradients`, of the images."""
 
-    def lens_backward(
-        self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
+    def direct_backward(
+        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
-        """Gradients of the five fields, and of the background in parts [parts, 3]."""
+        """Return the gradients of the five fields, and of the background in parts [parts, 3]."""
+
+
+class CpuWorkspace:
+    """The stages of one render on the CPU, in float32 or float64; see Workspace."""
+
+    def __init__(
+        self,
+        scene: SceneTensors,
+        images: int,
+        width: int,
+        height: int,
+        colour_order: int,
+        stats: Stats,
+        threads: int,
+        state: RenderState | None = None,
+        compensated: bool = False,
+    ):
+        self.scene, self.images, self.stats, self.threads = scene, images, stats, threads
+        self.width, self.height = width, height
+        self.offsets = images * _core.band_count(height) + 1  # where each band's list begins, and the end
+        if state is not None:
+            state = state.check(images, scene, colour_order, 8 * self.offsets)
+            self._use_lists(state.lists)
+        self.splats = Splats(scene, images, colour_order, True, compensated, state)
+
+    def _use_lists(self, lists: Tensor) -> None:
+        """Use lists of bytes: band offsets [I * bands + 1] int64, then the splats of the intersections, int32."""
+        self.lists, self.intersection_count = lists, (lists.numel() - 8 * self.offsets) // 4
+        self.bins = _core.Bins(lists.data_ptr(), lists.data_ptr() + 8 * self.offsets)
+
+    def state(self) -> RenderState:
+        return RenderState(self.splats.splats, self.splats.colours, self.lists)
+
+    def project_images(self, cameras: _core._Stages.Cameras) -> None:
+        self.scene.core.project_dense(self.scene.native(), cameras, self.splats.native, self.threads)
+
+    def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
+        return self.scene.core.project_lens(
+            self.scene.native(),
+            camera.rig,
+            camera.lens,
+            quality.native,
+            quality.colour_error,
+            self.splats.native,
+            self.threads,
+        )
+
+    def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        scene, core, native, threads = self.scene, self.scene.core, self.splats.native, self.threads
+        with self.stats.stage("order"):
+            # `order` [I, N] begins with the splats that are drawn, nearest first; there are `drawn` [I] of them
+            order = scene.new(self.images, scene.count, dtype=torch.int32)
+            drawn = scene.new(self.images, dtype=torch.int64)
+            core.order(native, order.data_ptr(), drawn.data_ptr(), threads)
+        with self.stats.stage("bin"):
+            self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
+            bins = _core.Bins(self.band_offsets.data_ptr(), 0)
+            self.intersection_count = core.bin_count(
+                native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads
+            )
+            if not admit():
+                return False
+            self._use_lists(scene.new(8 * self.offsets + 4 * self.intersection_count, dtype=torch.uint8))
+            self.lists[: 8 * self.offsets] = self.band_offsets.view(torch.uint8)
+            core.bin_fill(native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
+        self.intersections_on_device = torch.tensor([self.intersection_count])
+        self.stats.images += self.images
+        self.stats.gaussians_drawn += int(drawn.sum())
+        self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
+        return True
+
+    def composite_images(
+        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
+    ) -> None:
+        self.stats.count(
+            self.scene.core.composite_dense(
+                self.splats.native, self.bins, cameras, background.data_ptr(), out, self.threads
+            )
+        )
+
+    def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
+        """Composite into `out`, of the scene's dtype or uint8; see Workspace."""
+        counters = self.scene.core.composite_lens(
+            self.splats.native,
+            self.bins,
+            camera.lens,
+            quality.native,
+            background.data_ptr(),
+            *float_and_byte_addresses(out),
+            self.threads,
+        )
+        self.stats.count(counters)
+        if self.stats.device is not None:
+            splats = self.splats
+            self.stats.pruned = int((splats.splats[..., _core.SPLAT_REACH_INDEX] == _core.PRUNED).sum())
+            self.stats.skipped = direct_counts(counters, splats.orders, splats.splats, splats.colour_order)
+
+    def images_backward(
+        self,
+        cameras: _core._Stages.Cameras,
+        background: Tensor,
+        images: _core._Stages.DenseImages,
+        gradients: _core._Stages.DenseImages,
+        request: GradientRequest,
+    ) -> ImageGradients:
+        core, scene = self.scene.core, self.scene
+        first, sums, g_background = self._gradient_buffers(_core.dense_pair_gradient_size(request.absolute))
+        core.composite_dense_backward(
+            self.splats.native,
+            self.bins,
+            cameras,
+            background.data_ptr(),
+            images,
+            gradients,
+            request.absolute,
+            first.data_ptr(),
+            sums.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
+        out, native = scene.gradients(zero=True)
+        g_cameras = scene.new(self.images, 4, 4, zero=True)
+        screen = scene.new(self.images, scene.count, request.screen_numbers)
+        core.project_dense_backward(
+            scene.native(),
+            cameras,
+            self.splats.native,
+            first.data_ptr(),
+            sums.data_ptr(),
+            native,
+            screen.data_ptr() if request.screen_numbers else 0,
+            request.absolute,
+            g_cameras.data_ptr(),
+            self.threads,
+        )
+        return ImageGradients(out, g_background, g_cameras, screen)
+
+    def direct_backward(
+        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
+        core, splats = self.scene.core, self.splats
+        size = _core.pair_gradient_size(splats.colour_order, splats.compensations is not None)
+        first, sums, g_background = self._gradient_buffers(size)
+        core.composite_lens_backward(
+            self.splats.native,
+            self.bins,
+            camera.lens,
+            background.data_ptr(),
+            image.data_ptr(),
+            g_image.data_ptr(),
+            first.data_ptr(),
+            sums.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
+        out, native = self.scene.gradients(zero=True)
+        core.project_lens_backward(
+            self.scene.native(),
+            camera.rig,
+            camera.lens,
+            self.splats.native,
+            first.data_ptr(),
+            sums.data_ptr(),
+            native,
+            self.threads,
+        )
+        return out, g_background
+
+    def _gradient_buffers(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return each splat's first intersection [I, N], and gradients: [intersections, size] and [bands, 3]."""
+        first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
+        self.scene.core.first_pairs(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
+        gradients = self.scene.new(self.intersection_count, size, zero=True)
+        return first, gradients, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)
+
+
+def make_workspace(
+    scene: SceneTensors,
+    images: int,
+    width: int,
+    height: int,
+    stats: Stats,
+    threads: int,
+    *,
+    direct: bool = False,
+    colour_order: int = 0,
+    compensated: bool = False,
+    state: RenderState | None = None,
+    capacity: int | None = None,
+) -> Workspace:
+    """Return the workspace of the scene's device.
+
+    Args:
+        scene: the Gaussians.
+        images: how many images there are.
+        width: of all images, pixels.
+        height: likewise.
+        stats: filled with times and counts.
+        threads: of the CPU.
+        direct: whether the image is a light-field image.
+        colour_order: see Splats; and so are compensated and state.
+        compensated: see Splats.
+        state: see Splats.
+        capacity: see ImageRender.
+    """
+    if scene.device.type == "cuda":
+        return CudaWorkspace(
+            scene, images, width, height, colour_order, stats, direct, state, compensated=compensated, capacity=capacity
+        )
+    return CpuWorkspace(scene, images, width, height, colour_order, stats, threads, state, compensated)

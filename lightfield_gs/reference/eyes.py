@@ -10,9 +10,8 @@ import torch
 
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.psf import Psf
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.simulate import row_of_eyes, simulate, zone_width_mm
+from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate, zone_width_mm
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.reference.metrics import psnr_db, ssim
 from lightfield_gs.scene.gaussians import Gaussians
@@ -74,7 +73,7 @@ class EyeReference:
         pictures = []
         for x, eye in zip(self.views, self.eyes_mm):
             camera = rig.cameras_at(panel, np.array([x]))
-            exact = render(gaussians, camera, background=background, antialiased=antialiased)[0].clamp(0, 1)
+            exact = render(gaussians, camera, background=background, antialiased=antialiased).image[0].clamp(0, 1)
             pictures.append(self._seen(exact.cpu().numpy(), eye))
         self.pictures = np.stack(pictures)
 

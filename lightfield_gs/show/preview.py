@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from lightfield_gs.encoding.views import render_views
+from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.io.atomic import atomic_path, make_folder, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.comfort import EYE_SEPARATION_MM

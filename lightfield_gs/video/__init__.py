@@ -1,1 +1,1 @@
-"""Frames in a row for a panel: where the cameras stand in each, what is drawn, and the files that it goes to."""
+"""Frames for a panel: the rig of each frame, the rendering, and the output files."""

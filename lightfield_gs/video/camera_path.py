@@ -1,26 +1,77 @@
-"""Rigs along a smooth path through keyframes."""
+"""Rigs of frames: turntables, and smooth paths through keyframes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.json_file import read_object
-from lightfield_gs.io.yaml_file import check_keys, read_mapping
+from lightfield_gs.io.text_files import check_keys, read_mapping, read_object
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.video.turntable import pivot_of
 
+MOST_FRAMES = 1_000_000
+_FULL_TURN_DEG = 360.0
 _LIMIT_BYTES = 16 << 20
 _RIG_KEYS, _RIG_OPTIONAL = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth"), ("cone_deg",)
 _MOST_TURN_DEG = 150.0  # between neighbours: beyond, it is not clear which way round is meant
 _QUATERNION = slice(3, 7)  # of what a keyframe is written as
+
+
+def pivot_point(rig: Rig, panel: Panel) -> np.ndarray:
+    """The point [3] of the zero plane that is in the middle of the panel, in the camera's axes, scene units."""
+    (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
+    slopes = (panel.width_px / 2 - cx) / fx, (panel.height_px / 2 - cy) / fy, 1.0
+    return rig.zero_depth * np.array(slopes)
+
+
+def turned(rig: Rig, panel: Panel, degrees: float, up: np.ndarray | None = None) -> Rig:
+    """The rig, gone round what the middle of the panel shows by an angle; to the right where that is positive.
+
+    up: direction [3] of the axis, in the scene's axes; None: the camera's own vertical. The axis goes through the point
+    of the zero plane in the middle of the panel, which stays there. With Q the rotation about it (Rodrigues, 1840) and
+    P the point, [R | t] becomes [R Q^T | t + R (P - Q^T P)]: at 0 and at 360 degrees that is the rig itself, to the
+    bit. Raises InputError.
+    """
+    expect("rig", rig, Rig)
+    expect("panel", panel, Panel)
+    angle = math.radians(math.fmod(real_number("degrees", degrees, -1e9, 1e9), _FULL_TURN_DEG))
+    rotation, move = rig.world_to_camera[:3, :3], rig.world_to_camera[:3, 3]
+    x, y, z = _unit(-rotation[1] if up is None else up)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    back = np.eye(3) - math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
+    point = rotation.T @ (pivot_point(rig, panel) - move)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation @ back, move + rotation @ (point - back @ point)
+    return replace(rig, world_to_camera=matrix)
+
+
+def turntable(
+    rig: Rig, panel: Panel, frames: int, degrees: float = _FULL_TURN_DEG, up: np.ndarray | None = None
+) -> list[Rig]:
+    """The rigs of a loop that begins with the rig itself: full turns, of 360 degrees or a multiple; or else a swing by
+    `degrees` in all, to the right first, to the left and back. up: see `turned`. Raises InputError."""
+    frames = whole_number("frames", frames, 1, MOST_FRAMES)
+    degrees = real_number("degrees", degrees, -1e6, 1e6)
+    if degrees % _FULL_TURN_DEG == 0:
+        angles = [degrees * number / frames for number in range(frames)]
+    else:
+        angles = [degrees / 2 * math.sin(2 * math.pi * number / frames) for number in range(frames)]
+    return [turned(rig, panel, angle, up) for angle in angles]
+
+
+def _unit(direction: np.ndarray) -> np.ndarray:
+    vector = np.asarray(direction, np.float64)
+    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else 0.0
+    if not 1e-12 < length < math.inf:
+        raise InputError(f"up: expected three finite numbers, not all zero, got {vector.tolist()}")
+    return vector / length
 
 
 class CameraPath:
@@ -110,7 +161,7 @@ class CameraPath:
         cone = float(value[12]) if self.rigs[number].cone_deg is not None else None
         rig = Rig(np.eye(4), (fx, fy), centre, zero_depth, cone)
         matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = rotation, pivot_of(rig, self.panel) - rotation @ value[:3]
+        matrix[:3, :3], matrix[:3, 3] = rotation, pivot_point(rig, self.panel) - rotation @ value[:3]
         rig.world_to_camera = matrix
         return rig
 
@@ -147,7 +198,7 @@ def _values(rigs: list[Rig], panel: Panel) -> np.ndarray:
                 )
             quaternion = -quaternion if cosine < 0 else quaternion
         lengths = np.log([rig.zero_depth, *rig.focal_px])
-        point = rotation.T @ (pivot_of(rig, panel) - move)
+        point = rotation.T @ (pivot_point(rig, panel) - move)
         rows.append(np.concatenate([point, quaternion, lengths, rig.principal_point_px, [rig.cone_deg or 0.0]]))
     return np.array(rows)
 

@@ -18,9 +18,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression
 from lightfield_gs.io.atomic import check_folder, make_folder, remove_dead, remove_file
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.json_file import read_object, write_json
-from lightfield_gs.io.png_cuda import fetched
-from lightfield_gs.io.png_file import CompressedImage
+from lightfield_gs.io.png import CompressedImage
+from lightfield_gs.io.png_cuda import fetch_image
+from lightfield_gs.io.text_files import read_object, write_json
 
 MANIFEST = "frames.json"
 _LIMIT_BYTES = 16 << 20
@@ -82,7 +82,7 @@ class FrameFolder:
 
     def fetch(self, image: Tensor) -> np.ndarray | CompressedImage:
         """A frame, uint8 [H, W, 3], as `put` takes it: from a GPU, compressed there."""
-        return fetched(image, self.path / frame_name(0), self._compression)
+        return fetch_image(image, self.path / frame_name(0), self._compression)
 
     def put(self, number: int, image: np.ndarray | CompressedImage) -> None:
         """Hands over a frame, uint8 [H, W, 3], which must not change any more; waits while too many are on the way."""

@@ -13,11 +13,11 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.atomic import sha256
 from lightfield_gs.io.depth_names import depth_maps_beside
-from lightfield_gs.io.hashes import sha256_of
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.not_what_it_says import VIDEO_INPUTS
-from lightfield_gs.video.frames import decoded, timeline
+from lightfield_gs.video.decoding import decode, timeline
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
 _MAPS = (*PICTURES, ".npy", ".npz")
@@ -49,10 +49,10 @@ class Sequence:
             yield number, name
 
     def frames(self, numbers: Iterable[int]) -> Iterator[tuple[int, np.ndarray]]:
-        """The frames of a video of these numbers, which increase: see `decoded`. Raises InputError."""
+        """The frames of a video of these numbers, which increase: see `decode`. Raises InputError."""
         wanted = deque(numbers)
         last = wanted[-1] if wanted else 0
-        for index, pixels in enumerate(decoded(self.path, self.maps) if wanted else ()):
+        for index, pixels in enumerate(decode(self.path, self.maps) if wanted else ()):
             while wanted and self.order[wanted[0]] == index:
                 yield wanted.popleft(), pixels
             if not wanted:
@@ -62,7 +62,7 @@ class Sequence:
 
     def digest(self) -> str:
         """SHA-256 over the contents of its files."""
-        return sha256_of(*(self.files or (self.path,)))
+        return sha256(*(self.files or (self.path,)))
 
 
 def is_sequence(path: str | Path) -> bool:

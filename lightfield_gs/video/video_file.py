@@ -16,7 +16,7 @@ from torch import Tensor
 from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.video.av_library import av_library
+from lightfield_gs.video.decoding import av_library
 
 Kind = Literal["native", "quilt", "2d"]
 CodecName = Literal["ffv1", "h264-rgb", "h264", "hevc"]

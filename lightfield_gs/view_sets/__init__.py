@@ -1,2 +1,1 @@
-"""Sets of views in files, the left-most camera's first: quilts, folders, rows of light fields, and the frames of videos
-and animations."""
+"""Sets of views in files: quilts, folders, light fields and frames of videos; the left-most camera is first."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.depth_names import is_named_as_beside
+from lightfield_gs.io.depth_names import is_sidecar_name
 
 Grid = dict[tuple[int, int], Path]  # (row, column) of cameras -> picture
 
@@ -73,7 +73,7 @@ def _parsed(path: Path) -> _Name:
 def without_maps(folder: Path, pictures: list[Path]) -> list[Path]:
     """The pictures without those that are named as depth maps, masks and the like, where not all are; what is left out
     is told (Assumption)."""
-    named = [path for path in pictures if is_named_as_beside(path.name)]
+    named = [path for path in pictures if is_sidecar_name(path.name)]
     if not named or len(named) == len(pictures):
         return pictures
     assume(

@@ -20,10 +20,9 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.text_file import read_text
-from lightfield_gs.view_sets.colours import ViewColours
+from lightfield_gs.io.text_files import read_text
 from lightfield_gs.view_sets.file_names import Grid, arranged, without_maps
-from lightfield_gs.view_sets.joins import looks_like_rows
+from lightfield_gs.view_sets.pixels import ViewColours, looks_like_rows
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".bmp", ".heic", ".avif")
 _HCI = re.compile(r"input_cam(\d{1,5})", re.IGNORECASE)

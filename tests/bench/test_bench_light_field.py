@@ -8,7 +8,7 @@ import pytest
 import torch
 from bench_cases import arguments
 
-from lightfield_gs.bench import light_field, oracle
+from lightfield_gs.bench import light_field, scenes
 from lightfield_gs.commands import bench as command
 from lightfield_gs.panels.panel import Panel
 
@@ -44,7 +44,7 @@ STAGES = {"plan", "project", "order", "bin", "composite"}
 
 def test_errors_are_counted_in_steps_of_8_bits():
     zeros = np.zeros(4, np.int64)
-    expected = oracle.OracleSamples(zeros, np.arange(4), zeros, np.array([10, 20, 30, 40]))
+    expected = scenes.OracleSamples(zeros, np.arange(4), zeros, np.array([10, 20, 30, 40]))
     image = torch.tensor([[[10, 0, 0], [21, 0, 0], [27, 0, 0], [40, 0, 0]]], dtype=torch.uint8)
     errors = expected.errors(image)
     assert errors["max_error_255"] == 3 and errors["share_over_1"] == 0.25

@@ -9,8 +9,8 @@ from command_line import complaint
 
 from lightfield_gs import cli
 from lightfield_gs.io.images import write_image
+from lightfield_gs.io.scenes import files as scene_file
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene import files as scene_file
 
 
 @pytest.mark.parametrize(

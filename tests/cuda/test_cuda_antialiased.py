@@ -67,7 +67,7 @@ def test_an_encoder_a_view_and_pruning_do_the_same():
     for _ in range(2):
         assert torch.equal(encoder(there), encode(there, panel, rig(panel), antialiased=True))
     cameras = rig(panel).cameras(panel, [0, 95])
-    views = [render(s, cameras, antialiased=True).cpu() for s in (scene, there)]
+    views = [render(s, cameras, antialiased=True).image.cpu() for s in (scene, there)]
     assert ((views[0] - views[1]) ** 2).mean() < 1e-8
     counts = [prune(s, panel, rig(panel), 1e-3, antialiased=True).count for s in (scene, there)]
     assert abs(counts[0] - counts[1]) <= 0.01 * scene.count

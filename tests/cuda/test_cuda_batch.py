@@ -13,6 +13,7 @@ from lightfield_gs import Rig, _core, cli
 from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.models.replayed import ReplayedNet
 from lightfield_gs.models.splatter_net import PRETRAINED, SplatterNet
+from lightfield_gs.photo.detail_level import detail_level
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -43,7 +44,8 @@ def test_a_replayed_network_predicts_the_same(detail):
     replayed = ReplayedNet(net)
     with torch.inference_mode():
         for shape in [(40, 90), (300, 300), (40, 90), (61, 80), (300, 300)]:
-            found, expected = (each.predict(photo(*shape), detail, PANEL) for each in (replayed, net))
+            level = detail_level(detail, net.config, max(shape), PANEL)
+            found, expected = (each.predict(photo(*shape), level) for each in (replayed, net))
             for one, other in zip(found.fields().values(), expected.fields().values()):
                 assert torch.equal(one, other)
     assert replayed._graphs

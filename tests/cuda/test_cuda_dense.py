@@ -6,8 +6,8 @@ import pytest
 import torch
 from rasterizer_cases import dense_views, hard_scene, random_scene, stacked
 
+from benchmarks import training_step
 from lightfield_gs import Gaussians, _core
-from lightfield_gs.bench import training as bench_training
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -32,12 +32,12 @@ def deep_stack(count: int, opacity: float) -> Gaussians:
 
 
 def render(scenes: list[Gaussians], width: int, height: int, device: str, views: int = 2):
-    """Leaves and outputs of render_dense; float64 on the CPU."""
+    """Leaves and outputs of render_images; float64 on the CPU."""
     like = torch.empty((), device=device, dtype=torch.float64 if device == "cpu" else torch.float32)
     leaves = [t.to(like).requires_grad_() for t in stacked(scenes).fields().values()]
     poses, *fixed = (t.to(like) for t in dense_views(len(scenes), views, width, height))
     leaves += [torch.full((len(scenes), views, 3), 0.3).to(like).requires_grad_(), poses.requires_grad_()]
-    return leaves, torch.ops.lightfield_gs.render_dense(*leaves, *fixed, width, height)
+    return leaves, torch.ops.lightfield_gs.render_images(*leaves, *fixed, width, height)
 
 
 def gradients(scenes: list[Gaussians], width: int, height: int, device: str) -> list[torch.Tensor]:
@@ -91,15 +91,15 @@ def test_more_pairs_than_can_be_counted_are_refused():
     scene[2], scene[3] = torch.full_like(scene[2], 1e5), torch.ones_like(scene[3])
     views = [t.to(like) for t in dense_views(1, 1, 65536, 65536)]
     with pytest.raises(ValueError, match="pairs of tile and Gaussian"):
-        torch.ops.lightfield_gs.render_dense(*scene, like.new_zeros(1, 1, 3), *views, 65536, 65536)
+        torch.ops.lightfield_gs.render_images(*scene, like.new_zeros(1, 1, 3), *views, 65536, 65536)
 
 
 def test_the_training_step_can_be_timed(monkeypatch):
-    monkeypatch.setattr(bench_training, "SCENES", 2)
-    monkeypatch.setattr(bench_training, "SIZE_PX", 16)
-    row = bench_training.cuda_row(1)
+    monkeypatch.setattr(training_step, "SCENES", 2)
+    monkeypatch.setattr(training_step, "SIZE_PX", 16)
+    row = training_step.cuda_row(1)
     assert row["images"] == 8 and row["gaussians"] == 256 and 0 < row["ms_forward"] < row["ms_total"]
-    assert row["card"] in bench_training.table([row])
+    assert row["card"] in training_step.table([row])
 
 
 def test_more_images_than_a_launch_takes_are_refused():

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.models.crop import crop_resize_premultiplied, object_square
-from lightfield_gs.models.crop_cuda import crop_on_device
+from lightfield_gs.models.crop import crop_on_device, crop_resize_premultiplied, object_square
 
 
 class Case(NamedTuple):

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from lightfield_gs.io.images import read_image, write_image
-from lightfield_gs.io.png_cuda import compressed_image, deflated
-from lightfield_gs.io.png_file import CompressedImage
+from lightfield_gs.io.png import CompressedImage
+from lightfield_gs.io.png_cuda import compressed_image, deflate
 
 RNG = np.random.default_rng(11)
 SEGMENT, PIECE = 128, 96 * 128  # of a row, in csrc/cuda/png/deflate.cu
@@ -44,7 +44,7 @@ IMAGES = {
 
 def compressed(name: str, device: str = "cpu") -> dict[str, object]:
     """What the device makes of an image."""
-    out, facts = deflated(torch.from_numpy(IMAGES[name]).to(device))
+    out, facts = deflate(torch.from_numpy(IMAGES[name]).to(device))
     image = compressed_image(IMAGES[name].shape, out, facts.cpu().numpy())
     stream = bytearray(b"".join(bytes(part) for part in image.stream))
     return {"stream": torch.frombuffer(stream, dtype=torch.uint8), "is_plain": image.is_plain}

@@ -10,12 +10,10 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.harmonics import rotations
-from lightfield_gs.models.detail import SheetSurface, _flat, _sheet
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel, SheetSurface, _flat, _sheet, along_surface
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.sheet import lay_texels
-from lightfield_gs.models.upsample import along_surface
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 OTHERS = 5  # Gaussians behind the texels, which are nobody's business here
 
@@ -65,7 +63,7 @@ def laid(case: Case, device: str = "cpu") -> dict[str, Tensor]:
     surface, photo, camera = inputs(case)
     count, harmonics = photo.shape[2] * photo.shape[3] + OTHERS, (case.degree + 1) ** 2
     shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, harmonics, 3))
-    out = of_tensors(torch.full((case.photos, *shape), math.nan, device=device) for shape in shapes)
+    out = from_tensors(torch.full((case.photos, *shape), math.nan, device=device) for shape in shapes)
     surface = SheetSurface(*(channels.float().to(device) for channels in surface))
     level = DetailLevel(case.factor, case.texel_px)
     with torch.no_grad():
@@ -81,7 +79,7 @@ def expected(case: Case) -> Gaussians:
     fine = along_surface(channels, channels[:, :1], (1 / camera[:, 0])[:, None, None, None], case.factor)
     texels = describe_pixels(photo, case.factor * camera)
     *fields, constant = _sheet(fine[:, :1], texels, case.texel_px)
-    return of_tensors([*fields, torch.cat([constant, _flat(fine[:, 1:]).unflatten(2, (-1, 3))], 2)])
+    return from_tensors([*fields, torch.cat([constant, _flat(fine[:, 1:]).unflatten(2, (-1, 3))], 2)])
 
 
 def compare(case: Case, found: dict[str, Tensor]) -> None:
@@ -89,7 +87,7 @@ def compare(case: Case, found: dict[str, Tensor]) -> None:
     disparities between texels, divided by their footprints."""
     right = expected(case)
     assert all(field[:, -OTHERS:].isnan().all() for field in found.values())
-    mine = of_tensors(field[:, :-OTHERS].double() for field in found.values())
+    mine = from_tensors(field[:, :-OTHERS].double() for field in found.values())
     torch.testing.assert_close(mine.means, right.means, rtol=1e-6, atol=1e-6)
     torch.testing.assert_close(mine.opacities, right.opacities, rtol=1e-5, atol=2e-6)
     torch.testing.assert_close(mine.sh, right.sh, rtol=1e-5, atol=3e-5)

@@ -8,8 +8,8 @@ import torch
 from rasterizer_cases import panel, random_scene, rig, turned_pose
 
 from lightfield_gs import Encoder, Gaussians, InputError, encode
-from lightfield_gs.encoding.encoder_cpu import STAGES
-from lightfield_gs.rasterizer import skips
+from lightfield_gs.encoding.encoder_frames import STAGES
+from lightfield_gs.rasterizer.stats import skipped_lines
 
 SHOWN = panel("default lens")
 
@@ -155,6 +155,6 @@ def test_forgetting_draws_everything_again():
 def test_counters_have_lines():
     viewer = Viewer()
     viewer.draw()
-    assert skips.lines(viewer.encoder.stats, viewer.scene.count) == [
+    assert skipped_lines(viewer.encoder.stats, viewer.scene.count) == [
         "of 2 frames drawn without a stage anew: project 1, order 1, bin 1, composite 0"
     ]

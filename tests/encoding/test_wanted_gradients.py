@@ -73,7 +73,7 @@ def test_optics_that_ask_for_a_gradient_are_refused(what):
 @pytest.mark.parametrize("loss", [torch.sum, lambda image: image.square().sum()], ids=["linear", "square"])
 def test_second_derivatives_are_refused(loss):
     for draw in (
-        lambda scene: render(scene, cameras()),
+        lambda scene: render(scene, cameras()).image,
         lambda scene: encode(scene, PANEL, rig(PANEL), output="float64"),
         lambda scene: encode(scene, PANEL, rig(PANEL), "classic", output="float64"),
     ):
@@ -92,14 +92,14 @@ def test_forward_mode_is_refused():
     with torch.autograd.forward_ad.dual_level():
         dual = Gaussians(torch.autograd.forward_ad.make_dual(moving, torch.ones_like(moving)), *others)
         for draw in (
-            lambda: render(dual, cameras()),
+            lambda: render(dual, cameras()).image,
             lambda: encode(dual, PANEL, rig(PANEL), output="float64"),
             lambda: encode(dual, PANEL, rig(PANEL), "sorted", output="float64"),
             lambda: Encoder(PANEL, rig(PANEL), output="float64")(dual),
         ):
             with pytest.raises(InputError, match="no derivatives in forward mode"):
                 draw()
-        assert torch.isfinite(render(scene, cameras())).all()
+        assert torch.isfinite(render(scene, cameras()).image).all()
 
 
 def test_an_encoder_is_copied_without_the_frame_before():
@@ -113,9 +113,9 @@ def test_poses_are_as_exact_as_they_are_written_and_moved():
     """By hand with three decimals, and by checks of gradients, which move every number of the matrix."""
     cos, sin = 0.707, 0.707
     by_hand = torch.tensor([[[cos, 0, sin, 0], [0, 1, 0, 0], [-sin, 0, cos, 4], [0, 0, 0, 1]]], dtype=torch.float64)
-    assert torch.isfinite(render(random_scene(5, 1, seed=3), cameras(by_hand))).all()
+    assert torch.isfinite(render(random_scene(5, 1, seed=3), cameras(by_hand)).image).all()
     scene, pose = random_scene(5, 1, seed=3), cameras().world_to_camera.requires_grad_()
-    assert torch.autograd.gradcheck(lambda p: render(scene, cameras(p)), pose, eps=1e-6, atol=1e-5, rtol=1e-4)
+    assert torch.autograd.gradcheck(lambda p: render(scene, cameras(p)).image, pose, eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
 POSES = {

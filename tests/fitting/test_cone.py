@@ -29,7 +29,7 @@ from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.photograph import Photograph
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.io.scenes.files import read_scene
 
 MIDDLE = np.array([3.0, -2.0, 7.0])  # what the cameras of a ring look at
 RADIUS = 4.0
@@ -291,7 +291,7 @@ def test_weights_in_photographs_are_those_of_the_pictures():
     images, scene = photograph_scene(known_scene(40)), known_scene(40)
     white = replace(scene, sh=torch.zeros_like(scene.sh))  # colours of 0.5: the picture is half of all weights
     cameras = known_cameras()
-    picture = lf.render(white, cameras, background=(0.0, 0.0, 0.0))
+    picture = lf.render(white, cameras, background=(0.0, 0.0, 0.0)).image
     assert float(photo_visibility(scene, images).sum()) == pytest.approx(float(picture.sum()) / 3 / 0.5, rel=1e-4)
 
 

@@ -58,7 +58,7 @@ def test_gradients_of_a_step_are_those_of_what_it_draws():
     opacities = scene.opacities.clone().requires_grad_()
     image = render(
         replace(scene, opacities=opacities * factors), images.cameras().select(slice(1, 2)), background=(0, 0, 0)
-    )
+    ).image
     gradient = photo_loss_and_gradient(image.detach(), images.photos[1:2], None, settings.ssim_lambda)[1]
     (expected,) = torch.autograd.grad(image, opacities, gradient)
     assert expected.abs().max() > 0

@@ -18,7 +18,7 @@ def test_a_fit_draws_as_its_settings_say():
     scene = known_scene()
     scene.scales = scene.scales * 0.4
     cameras = known_cameras()
-    pictures = lf.render(scene, cameras, background=(0.0, 0.0, 0.0), antialiased=True).clamp(0, 1)
+    pictures = lf.render(scene, cameras, background=(0.0, 0.0, 0.0), antialiased=True).image.clamp(0, 1)
     images = photograph_scene(scene)
     images.photos = pictures.mul(255).round().to(torch.uint8)
     scores = {}
@@ -27,7 +27,7 @@ def test_a_fit_draws_as_its_settings_say():
         trainer = Trainer(first_state(scene, settings, 300), images, settings)
         for done in (0, settings.steps):
             trainer.advance(done)
-            image = lf.render(trainer.state.gaussians(), cameras, background=(0.0, 0.0, 0.0), antialiased=True)
+            image = lf.render(trainer.state.gaussians(), cameras, background=(0.0, 0.0, 0.0), antialiased=True).image
             scores[antialiased, done] = -10 * math.log10(float((image - pictures).square().mean()))
     assert scores[True, 200] > scores[True, 0] + 3
     assert scores[True, 200] > scores[False, 200] + 0.5

@@ -20,7 +20,7 @@ BLACK = (0.0, 0.0, 0.0)
 def test_scores_are_those_of_the_definition():
     other, images = known_scene(seed=1), photograph_scene(known_scene())
     scores = evaluate(other, images, BLACK)
-    drawn = lf.render(other, known_cameras(), background=BLACK).clamp(0, 1)
+    drawn = lf.render(other, known_cameras(), background=BLACK).image.clamp(0, 1)
     photos = images.photos / 255
     psnr = [-10 * math.log10(float((d - p).double().square().mean())) for d, p in zip(drawn, photos)]
     assert scores.psnr_db == pytest.approx(psnr, abs=1e-4)

@@ -24,7 +24,7 @@ from lightfield_gs.io.captures.capture import read_capture
 
 def cut_out(images: PosedImages, scene: lf.Gaussians) -> tuple[PosedImages, torch.Tensor]:
     """Views whose masks are the alpha of the scene, their photographs of straight colours; and that alpha."""
-    image, alpha = lf.render(scene, images.cameras(), background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha, *_ = lf.render(scene, images.cameras(), background=(0.0, 0.0, 0.0), alpha=True)
     straight = image / alpha.clamp_min(1e-3)[..., None]
     images.photos = straight.clamp(0, 1).mul(255).round().to(torch.uint8)
     images.opacity = alpha.mul(255).round().to(torch.uint8)
@@ -38,7 +38,7 @@ def test_the_scene_itself_is_the_target_over_any_background():
     everything = torch.arange(images.count)
     for background in ((0.0, 0.0, 0.0), (1.0, 0.2, 0.6)):
         target, weights = images.targets(everything, torch.tensor([background]).expand(6, 3))
-        image = lf.render(scene, images.cameras(), background=background)
+        image = lf.render(scene, images.cameras(), background=background).image
         assert weights is None and (image - target).abs().max() < 0.006
         assert photo_loss_and_gradient(image, target)[0] / images.count < 0.002
 

@@ -28,16 +28,16 @@ from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.captures.colmap_files import read_model_file
-from lightfield_gs.io.captures.objects import read_intrinsics, read_pose, read_transforms
+from lightfield_gs.io.captures.objects import read_intrinsics, read_nerf_object, read_pose
 from lightfield_gs.io.images import read_image, read_info
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.scenes.files import read_scene
+from lightfield_gs.io.text_files import read_object
 from lightfield_gs.models.config import ModelConfig
-from lightfield_gs.panels.own_camera import photo_camera, stored_framing
-from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.framing import photo_camera, stored_framing
+from lightfield_gs.panels.simulate import Psf
 from lightfield_gs.photo.depth import read_depth
-from lightfield_gs.photo.inside import facts_inside
-from lightfield_gs.scene.axes import stated_up
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.photo.embedded_depth import facts_inside
+from lightfield_gs.scene.axes import find_up
 
 CORPUS = Path(__file__).parent / "corpus"
 SMALL_PANEL = Panel(width_px=4, height_px=2, views=3, line_number=4.0, slant_tan=0.1)
@@ -50,7 +50,7 @@ def _read_transforms(path: Path) -> Any:
     image = path.with_name("view.png")
     if not image.exists():
         shutil.copyfile(CORPUS / "image" / "rgba.png", image)
-    return read_transforms(path)
+    return read_nerf_object(path)
 
 
 def _read_capture(path: Path) -> None:
@@ -79,7 +79,7 @@ def _read_record3d(path: Path) -> None:
 def _read_own_camera(path: Path) -> Any:
     """What a scene's file says of its axes and cameras."""
     scene = read_scene(path)
-    return stated_up(scene.comments), stored_framing(scene.comments, SMALL_PANEL), photo_camera(scene.elements)
+    return find_up(scene.comments), stored_framing(scene.comments, SMALL_PANEL), photo_camera(scene.elements)
 
 
 def _read_spz_inside(path: Path) -> Any:

@@ -23,10 +23,10 @@ from PIL import Image
 from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.scenes.bounded import _zstd
+from lightfield_gs.io.scenes.plausibility import import_zstd
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
-from lightfield_gs.panels.own_camera import framing_comment
+from lightfield_gs.panels.framing import framing_comment
 
 _RGB = ("red", "green", "blue")
 
@@ -83,7 +83,7 @@ def _scene_formats(folders: dict[str, Path]) -> None:
     for version in (1, 2, 3):
         (folders["spz"] / f"v{version}.spz").write_bytes(scene_formats.spz(version, 3))
         (folders["spz-inside"] / f"v{version}.bin").write_bytes(scene_formats.spz_plain(version, 3))
-    (folders["spz"] / "v4.spz").write_bytes(scene_formats.spz4(_zstd().compress))
+    (folders["spz"] / "v4.spz").write_bytes(scene_formats.spz4(import_zstd().compress))
     (folders["splat"] / "small.splat").write_bytes(scene_formats.splat())
     for level in (0, 1, 2):
         (folders["ksplat"] / f"level{level}.ksplat").write_bytes(scene_formats.ksplat(level))

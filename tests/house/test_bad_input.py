@@ -13,7 +13,9 @@ from photo_cases import photo, tiny_net
 import lightfield_gs
 from lightfield_gs import Cameras, Encoder, PhotoEncoder, Quality, SortedPlan, from_depth, load_photo, prune
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.encoding.encode import encode, interlace
+from lightfield_gs.encoding.classic import interlace
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
@@ -210,7 +212,7 @@ def entries() -> dict:
         "Cameras": (Cameras, cameras),
         "Panel": (Panel, vars(PANEL)),
         "Rig": (Rig, dict(world_to_camera=np.eye(4), focal_px=(24, 24), principal_point_px=(12, 8), zero_depth=2.0)),
-        "Rig.frame": (Rig.frame, dict(gaussians=scene(), panel=PANEL, world_to_camera=np.eye(4))),
+        "frame_scene": (frame_scene, dict(gaussians=scene(), panel=PANEL, world_to_camera=np.eye(4))),
         "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 3])),
         "Rig.cameras_at": (RIG.cameras_at, dict(panel=PANEL, x=[0.5, 3.5])),
         "Quality": (Quality, vars(Quality())),

@@ -1,4 +1,4 @@
-"""README.md, CONTRIBUTING.md and docs/: commands run, what they point at is there, and nothing is said twice.
+"""README.md and docs/: commands run, what they point at is there, and nothing is said twice.
 
 Commands run in this process, one document after the other, each in a folder of its own with stand-ins for the files
 that it names. What would take minutes is made small: the panel, the scenes and repeats of benchmarks, the steps and
@@ -31,10 +31,10 @@ from PIL import Image
 from srn_scene import write_object
 
 import lightfield_gs
+from benchmarks import training_step
 from lightfield_gs import Panel, Rig, cli
 from lightfield_gs.bench import pareto
-from lightfield_gs.bench import training as training_step
-from lightfield_gs.bench.oracle import oracle_samples
+from lightfield_gs.bench.scenes import oracle_samples
 from lightfield_gs.encoding.view_files import read_cameras
 
 # What the documents name is tested where it belongs, and under the sanitizers there

@@ -68,7 +68,7 @@ def test_it_holds_the_module_the_panels_and_no_more(wheel):
     assert any(name.startswith("lightfield_gs/configs/panels/") for name in names) or any(
         "configs/" in n for n in names
     )
-    assert not any(re.match(r"(tests|csrc|training|docs|notebooks)/|.*banana", name) for name in names)
+    assert not any(re.match(r"(tests|csrc|training|benchmarks|docs|notebooks)/|.*banana", name) for name in names)
 
 
 def test_its_size(wheel):

@@ -10,10 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+import lightfield_gs
 from installs.record import case, fields_of
 from installs.scenes import PANELS, arc, panel, rig, scene, view_map
-from lightfield_gs import Encoder, Gaussians, Quality, Rig, SortedPlan, encode, interlace, prune, render
+from lightfield_gs import Encoder, Gaussians, Quality, SortedPlan, encode, interlace, prune, render
 
+frame_scene = getattr(lightfield_gs, "frame_scene", None) or vars(lightfield_gs.Rig)["frame"]  # its name before
 Found = Iterator[tuple[str, Any]]
 _COLOUR = (0.1, 0.4, 0.8)
 
@@ -32,20 +34,27 @@ def _known(stats: dict[str, Any]) -> dict[str, Any]:
     return {"keys": sorted(stats), "stages": sorted(stats["stages_ms"]), **kept}
 
 
+def _rendered(*arguments: Any, **options: Any) -> list[Tensor]:
+    """The images that were asked for; installs of old return a tensor where that is the image alone."""
+    images = render(*arguments, **options)
+    return [images] if isinstance(images, Tensor) else [image for image in images if image is not None]
+
+
 @case
 def render_images(device: torch.device) -> Found:
     cameras = arc(3, 90, 61, device)
     for dtype, degree, antialiased in product(_precisions(device), range(4), (False, True)):
         gaussians = scene(400, degree, degree, device, dtype)
         words = f"{dtype}, degree {degree}{', antialiased' if antialiased else ''}"
-        parts = render(gaussians, cameras, background=_COLOUR, alpha=True, depth=True, antialiased=antialiased)
+        parts = _rendered(gaussians, cameras, background=_COLOUR, alpha=True, depth=True, antialiased=antialiased)
         yield from zip((f"{words}: {name}" for name in ("image", "alpha", "depth")), parts)
     for dtype in _precisions(device):
         gaussians = scene(150, 2, 7, device, dtype, batch=2)
-        yield f"batch, {dtype}", render(gaussians, cameras, background=torch.tensor([[0.2, 0.5, 0.1]], device=device))
-    yield "one pixel", render(scene(50, device=device), arc(1, 1, 1, device), background=(0, 0, 0))
-    yield "no Gaussians", render(scene(0, device=device), cameras)
-    yield "huge and tiny", render(scene(60, 3, 1, device, size=2.0), cameras, antialiased=True)
+        colour = torch.tensor([[0.2, 0.5, 0.1]], device=device)
+        yield f"batch, {dtype}", _rendered(gaussians, cameras, background=colour)[0]
+    yield "one pixel", _rendered(scene(50, device=device), arc(1, 1, 1, device), background=(0, 0, 0))[0]
+    yield "no Gaussians", _rendered(scene(0, device=device), cameras)[0]
+    yield "huge and tiny", _rendered(scene(60, 3, 1, device, size=2.0), cameras, antialiased=True)[0]
 
 
 @case
@@ -111,7 +120,7 @@ def encode_other_methods(device: torch.device) -> Found:
     plan = SortedPlan(of, table, 7, device)
     yield "plan", encode(gaussians, of, None, "sorted", cameras=cameras, view_map=plan)
     yield "plan: lists", [plan.count, plan.bytes(), plan.shown.tolist(), plan.hidden]
-    yield "interlace", interlace(render(gaussians, rig(of).cameras(of)), of)
+    yield "interlace", interlace(_rendered(gaussians, rig(of).cameras(of))[0], of)
 
 
 @case
@@ -123,7 +132,7 @@ def gradients_of_render(device: torch.device) -> Found:
         colour = torch.tensor([[0.2, 0.5, 0.1], [0.9, 0.1, 0.4]], device=device, dtype=dtype)
 
         def images(gaussians=gaussians, cameras=cameras, colour=colour, antialiased=antialiased) -> Tensor:
-            parts = render(gaussians, cameras, background=colour, alpha=True, depth=True, antialiased=antialiased)
+            parts = _rendered(gaussians, cameras, background=colour, alpha=True, depth=True, antialiased=antialiased)
             return torch.cat([part.reshape(-1) for part in parts])
 
         words = f"{dtype}{', antialiased' if antialiased else ''}"
@@ -167,7 +176,8 @@ def operators(device: torch.device) -> Found:
     tensors = [field.unsqueeze(0) for field in gaussians.fields().values()]
     views = [t.unsqueeze(0) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     colour = torch.full((1, 2, 3), 0.3, device=device)
-    call = torch.ops.lightfield_gs.render_dense
+    known = torch.ops.lightfield_gs
+    call = known.render_images if hasattr(known, "render_images") else known.render_dense  # of installs of old
     yield from zip(("image", "alpha", "depth"), call(*tensors, colour, *views, 50, 40, False))
 
 
@@ -218,7 +228,7 @@ def framing(device: torch.device) -> Found:
     gaussians = scene(500, 0, 2, device)
     for name, up in product(("stripes", "inverted"), ("-y", "z", "x")):
         notes: list[str] = []
-        yield f"{name}, {up}", Rig.frame(gaussians, panel(name), up=up, notes=notes).to_dict()
+        yield f"{name}, {up}", frame_scene(gaussians, panel(name), up=up, notes=notes).to_dict()
         yield f"{name}, {up}: notes", notes
-    yield "from a camera", Rig.frame(gaussians, panel(), np.eye(4)).to_dict()
-    yield "portrait", Rig.frame(gaussians, panel(width_px=60, height_px=140)).to_dict()
+    yield "from a camera", frame_scene(gaussians, panel(), np.eye(4)).to_dict()
+    yield "portrait", frame_scene(gaussians, panel(width_px=60, height_px=140)).to_dict()

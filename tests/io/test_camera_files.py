@@ -73,7 +73,7 @@ def test_every_kind_gives_the_same_pictures(tmp_path):
         Cameras(want.world_to_camera, k, width_px=40, height_px=30),
     ):
         assert (cameras.width_px, cameras.height_px) == (40, 30)
-        torch.testing.assert_close(render(scene, cameras), render(scene, want), atol=1e-9, rtol=0)
+        torch.testing.assert_close(render(scene, cameras).image, render(scene, want).image, atol=1e-9, rtol=0)
     assert Cameras.from_inria(written(tmp_path, inria()), 1).count == 1
 
 

@@ -24,7 +24,7 @@ from PIL import Image
 
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.camera_models import COLMAP_MODELS, lens_of
+from lightfield_gs.io.captures.camera_models import COLMAP_MODELS, lens_distortion
 from lightfield_gs.io.captures.capture import read_capture, scene_extent
 from lightfield_gs.io.captures.colmap import read_model
 from lightfield_gs.io.captures.undistortion import reduced
@@ -42,9 +42,9 @@ def said(*arguments, **options) -> tuple:
 @pytest.mark.parametrize("model", MODELS)
 def test_lenses_are_their_formulas(model):
     assert set(MODELS) == set(COLMAP_MODELS) and COLMAP_MODELS[model].number == MODELS[model][0]
-    lens = lens_of(model, MODELS[model][2])
+    lens = lens_distortion(model, MODELS[model][2])
     points = np.array([*DOTS, (0.9, -0.7)])
-    found = points if lens is None else lens.distorted(points)
+    found = points if lens is None else lens.distort(points)
     np.testing.assert_allclose(found, [seen(model, *point) for point in points], rtol=1e-12, atol=1e-15)
 
 
@@ -63,7 +63,7 @@ def test_photographs_are_those_of_a_pinhole(tmp_path, model, form):
         place = in_pixels(model, dot)
         # A dot is spread by the lens's second derivative: its centre of light is off by some hundredths of a pixel
         assert np.abs(centre_of_dot(picture, place) - place).max() < 0.25, (dot, place)
-    if capture.photographs[0].lens is None:
+    if capture.photographs[0].distortion is None:
         np.testing.assert_array_equal(picture, np.asarray(Image.open(tmp_path / "images/001.png")))
         assert capture.mask(1) is None
 
@@ -114,7 +114,7 @@ def test_what_is_transparent_is_told_from_what_no_lens_showed(tmp_path):
     alpha[:, 60:] = 0
     write_capture(tmp_path, "RADIAL", picture=np.dstack([dots([(20, 20)]), alpha]))
     capture = said(tmp_path)[0]
-    frame, opacity = capture.frame(0), capture.opacity(0)
+    frame, opacity = capture.valid_area(0), capture.opacity(0)
     np.testing.assert_array_equal(capture.mask(0), np.minimum(frame, opacity))
     assert frame[0, 0] == 0 and frame[HEIGHT // 2, 70] == 255  # no lens showed the corner; column 70 is seen, and is
     assert opacity[HEIGHT // 2, 70] == 0 and opacity[HEIGHT // 2, 30] == 255  # transparent
@@ -392,7 +392,7 @@ def test_real_tracks_are_where_the_lens_shows_them(shared_dir):
     )
     pose = capture.world_to_camera[indices]
     local = (pose[:, :3, :3] @ world[..., None])[..., 0] + pose[:, :3, 3]
-    lens = capture.photographs[0].lens
-    places = lens.distorted(local[:, :2] / local[:, 2:]) * capture.intrinsics[0, :2] + capture.intrinsics[0, 2:]
+    lens = capture.photographs[0].distortion
+    places = lens.distort(local[:, :2] / local[:, 2:]) * capture.intrinsics[0, :2] + capture.intrinsics[0, 2:]
     errors = np.linalg.norm(places - seen_at, axis=1)
     assert len(errors) > 10_000 and np.median(errors) < 0.35 and errors.mean() < 0.45

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.scene.gaussians import Gaussians
 
 NAMES = [

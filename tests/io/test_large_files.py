@@ -9,12 +9,12 @@ import pytest
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.npy import open_array, stored_arrays
-from lightfield_gs.io.scenes.stored import read_stored
+from lightfield_gs.io.scenes.files import read_arrays
 
 READERS = {
     read_image: (".png", ".jpg", ".exr", ".hdr", ".tif", ".webp", ".heic", ".avif", ".tga", ".npy"),
     read_info: (".png", ".exr"),
-    read_stored: (".spz", ".ksplat", ".splat", ".sog", ".ply"),
+    read_arrays: (".spz", ".ksplat", ".splat", ".sog", ".ply"),
     stored_arrays: (".npz",),
     open_array: (".npy",),
 }
@@ -55,7 +55,7 @@ def test_a_header_and_nothing_behind_it(tmp_path, suffix, start):
         file.truncate(4 << 30)
     before, began = peak_bytes(), time.process_time()
     with pytest.raises(InputError, match=f"scene{suffix}"):
-        read_stored(path)
+        read_arrays(path)
     assert time.process_time() - began < 1 and peak_bytes() - before < 100 << 20
 
 

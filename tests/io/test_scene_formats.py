@@ -13,13 +13,13 @@ from command_line import complaint, run, scene
 
 from lightfield_gs import Gaussians, InputError
 from lightfield_gs.base.assumptions import Loss
-from lightfield_gs.io.scenes import bounded
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.io.scenes.files import read_scene
+from lightfield_gs.io.scenes.plausibility import import_zstd
 
 
 def zstd():
     try:
-        return bounded._zstd()
+        return import_zstd()
     except InputError:
         pytest.skip("no zstd: an extra of Python before 3.14")
 

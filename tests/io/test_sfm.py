@@ -234,7 +234,7 @@ def test_photographs_whose_directions_hardly_differ_pose(tmp_path):
     poses[:, 2, 3] = 3.0  # from the middle of the wall
     focal, centre = (torch.tensor([pair] * 6, dtype=torch.float64) for pair in ((520.0, 520.0), (240.0, 180.0)))
     cameras = lf.Cameras(torch.tensor(poses), focal, centre, 480, 360)
-    images = lf.render(_relief(), cameras, background=(0.2, 0.3, 0.4)).clamp(0, 1).mul(255).round().byte().numpy()
+    images = lf.render(_relief(), cameras, background=(0.2, 0.3, 0.4)).image.clamp(0, 1).mul(255).round().byte().numpy()
     (tmp_path / "c").mkdir()
     for index, image in enumerate(images):
         Image.fromarray(image).save(tmp_path / f"c/{index}.png")

@@ -29,6 +29,7 @@ from lightfield_gs import (
 )
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
+from lightfield_gs.panels.framing import frame_scene
 
 PANEL, RIG = CASES["panel 2 x 1"].view()
 SCENE = CASES["single"].scene().to(dtype=torch.float32)
@@ -64,6 +65,8 @@ CALLS = {
     "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
     "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
     "Gaussians.save": (SCENE.save, dict(path="/nowhere/a.ply")),
+    "read_scene": (lf.read_scene, dict(path="nowhere.ply", skip_invalid=True, time=0.5)),
+    "write_scene": (lf.write_scene, dict(gaussians=SCENE, path="/nowhere/a.ply", comments=["a"])),
     "Panel": (
         Panel,
         {
@@ -100,7 +103,7 @@ CALLS = {
     ),
     "Panel.load": (Panel.load, dict(source="65in-8k-96v")),
     "Rig": (Rig, dict(RIG.to_dict(), cone_deg=20.0)),
-    "Rig.frame": (Rig.frame, dict(gaussians=SCENE, panel=PANEL, world_to_camera=np.eye(4))),
+    "frame_scene": (frame_scene, dict(gaussians=SCENE, panel=PANEL, world_to_camera=np.eye(4))),
     "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 1])),
     "PhotoEncoder": (PhotoEncoder, dict(net=NET, panel=PANEL, views="integer", background=(1, 1, 1), output="uint8")),
     "PhotoEncoder.__call__": (PhotoEncoder(NET, PANEL), dict(rgba=np.ones((9, 7, 4), np.float32), stats=None)),
@@ -259,8 +262,9 @@ def test_every_public_name_is_tried():
     assert tried == set(lf.__all__) - {
         "DepthReport",
         "InputError",
+        "RenderedImages",
         "build_info",
-    }  # a result, an error, and no arguments
+    }  # results, an error, and no arguments
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -284,8 +288,8 @@ def test_numbers_that_are_none_are_named_with_their_index(how, field, bad):
     scene = CASES["needles end-on"].scene().to(dtype=torch.float32)
     scene.fields()[field].view(40, -1)[17, -1] = bad
     calls = {
-        "render": lambda: render(scene, CAMERAS.to(torch.float32)),
-        "frame": lambda: Rig.frame(scene, PANEL),
+        "render": lambda: render(scene, CAMERAS.to(torch.float32)).image,
+        "frame": lambda: frame_scene(scene, PANEL),
         "save": lambda: scene.save("/nowhere/a.ply"),
         "high": lambda: encode(scene, PANEL, RIG, quality="high"),
         "fast": lambda: encode(scene, PANEL, RIG, quality="fast"),

@@ -9,10 +9,9 @@ from photo_cases import PANEL, photo, tiny_net
 from lightfield_gs import Cameras, Gaussians, InputError, Panel, PhotoEncoder, render
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models import ModelConfig
-from lightfield_gs.models.detail import visible_surface, with_detail
-from lightfield_gs.models.detail_level import count, detail_level
+from lightfield_gs.models.detail import along_surface, visible_surface, with_detail
 from lightfield_gs.models.initializer import describe_pixels
-from lightfield_gs.models.upsample import along_surface
+from lightfield_gs.photo.detail_level import count, detail_level
 
 SIZE = 32
 INTRINSICS = torch.tensor([[45.0, 45.0, 16.0, 16.0]], dtype=torch.float64)
@@ -65,7 +64,7 @@ def drawn(gaussians: Gaussians, factor: int) -> tuple[torch.Tensor, torch.Tensor
     camera, size = factor * INTRINSICS, factor * SIZE
     cameras = Cameras(torch.eye(4, dtype=torch.float64)[None], camera[:, :2], camera[:, 2:], size, size)
     single = Gaussians(*(field[0] for field in gaussians.fields().values()))
-    image, alpha = render(single, cameras, background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha, *_ = render(single, cameras, background=(0.0, 0.0, 0.0), alpha=True)
     return image[0].permute(2, 0, 1) / alpha.clamp_min(1e-9), alpha[0]
 
 
@@ -162,7 +161,7 @@ def test_auto_is_what_panel_and_photo_resolve_within_the_budget():
 )
 def test_refuses(options):
     with pytest.raises(InputError, match="detail|budget"):
-        tiny_net().predict(photo(40, 50), **options)
+        detail_level(**dict(detail=None, config=ModelConfig(), photo_px=50) | options)
     with pytest.raises(InputError, match="detail|budget"):
         PhotoEncoder(tiny_net(), PANEL, **options)
 
@@ -171,7 +170,7 @@ def test_the_encoder_draws_what_is_predicted():
     net, rgba = tiny_net(), photo(60, 90)
     encoder = PhotoEncoder(net, PANEL, detail=2)
     encoder(rgba)
-    gaussians = net.predict(rgba, 2, PANEL)
+    gaussians = net.predict(rgba, detail_level(2, net.config, 90, PANEL))
     assert encoder.gaussians.count == gaussians.count > net.predict(rgba).count
     assert torch.equal(encoder.gaussians.means, gaussians.means)
 

@@ -70,7 +70,7 @@ def test_untrained_network_shows_its_input_to_the_source_camera():
     gaussians = tiny_net()(image, central_intrinsics())
     intrinsics = central_intrinsics()[:, None]
     camera = Cameras(torch.eye(4)[None, None], intrinsics[..., :2], intrinsics[..., 2:], 32, 32)
-    rendered = render(gaussians, camera)[0, 0].permute(2, 0, 1)
+    rendered = render(gaussians, camera).image[0, 0].permute(2, 0, 1)
     error = (rendered - (image[0, :3] + 1 - image[0, 3:]))[:, 10:22, 10:22]
     assert error.abs().max() < 0.1
 
@@ -108,7 +108,7 @@ def test_symmetric_network_sees_the_mirror_image_in_a_mirror(changes):
     for image, k, side in ((picture, intrinsics, 0.3), (picture.flip(3), mirror, -0.3)):
         pose = torch.eye(4)[None, None].clone()
         pose[..., 0, 3] = side
-        seen.append(render(net(image, k), Cameras(pose, k[None, :, :2], k[None, :, 2:], 32, 32))[0, 0])
+        seen.append(render(net(image, k), Cameras(pose, k[None, :, :2], k[None, :, 2:], 32, 32)).image[0, 0])
     assert seen[0].amax() - seen[0].amin() > 0.2
     torch.testing.assert_close(seen[0], seen[1].flip(1), atol=2e-3, rtol=0)
 

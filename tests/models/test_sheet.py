@@ -6,7 +6,7 @@ from cuda_on_cpu import sheet_cases, surface_cases
 from photo_cases import photo, tiny_net
 
 from lightfield_gs.models import sheet
-from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.detail import DetailLevel
 
 
 @pytest.mark.parametrize("case", surface_cases.CASES)

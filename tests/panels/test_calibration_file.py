@@ -9,7 +9,7 @@ from command_line import complaint, run
 
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.calibration_file import find_calibration
+from lightfield_gs.panels.looking_glass import find_calibration
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 

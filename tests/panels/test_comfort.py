@@ -15,7 +15,7 @@ from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, place_of, sharp_dept
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
-from lightfield_gs.panels.unseen import share_past
+from lightfield_gs.panels.visibility import background_fraction
 from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = replace(look_cases.PANEL, viewing_distance_mm=700, pixel_pitch_mm=4.0)
@@ -152,9 +152,9 @@ def test_what_nobody_has_seen_is_measured():
     assert report.unseen == pytest.approx([(hole + edge) / 96] * 2, rel=0.15)
     assert any("past what the scene knows" in words for words in report.warnings())
     # The photo fills the picture, so that it is certain; around a part of it there may well be air
-    assert share_past(photo, PANEL, RIG) == pytest.approx(max(report.unseen), abs=0.02)
-    assert share_past(SCENE, PANEL, RIG) < 0.01
-    assert share_past(sheet((NEAR, 0.9, 0.3, 0.6)), PANEL, RIG) is None
+    assert background_fraction(photo, PANEL, RIG) == pytest.approx(max(report.unseen), abs=0.02)
+    assert background_fraction(SCENE, PANEL, RIG) < 0.01
+    assert background_fraction(sheet((NEAR, 0.9, 0.3, 0.6)), PANEL, RIG) is None
 
 
 def test_which_side_is_left():

@@ -61,7 +61,7 @@ def test_the_amount_multiplies_disparities(cone_deg):
 def test_no_depth_shows_the_same_picture_in_every_view(method):
     scene = sheet((1.5, 0.6, 0.2, 0.6), (4.0, 0.9, 0, 1))
     rig = Look(depth_amount=0).applied(RIG, PANEL)
-    views = render(scene, rig.cameras(PANEL))
+    views = render(scene, rig.cameras(PANEL)).image
     assert all(torch.equal(view, views[0]) for view in views)
     # and so the panel shows that picture, whatever view a sub-pixel belongs to
     image = encode(scene, PANEL, rig, method, output="float32")

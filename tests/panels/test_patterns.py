@@ -11,9 +11,19 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import config_names
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.pattern_fans import _written, depth_ramp, fan
-from lightfield_gs.panels.pattern_text import text_dots
-from lightfield_gs.panels.patterns import bars, lens_phases, number_of_view, number_picture, numbers, single, sweep
+from lightfield_gs.panels.patterns import (
+    _written,
+    bars,
+    depth_ramp,
+    fan,
+    lens_phases,
+    number_of_view,
+    number_picture,
+    numbers,
+    single,
+    sweep,
+    text_dots,
+)
 from lightfield_gs.panels.simulate import simulate
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases" / "panels"

@@ -10,8 +10,8 @@ from command_line import complaint, run
 
 from lightfield_gs import Gaussians, InputError, Rig
 from lightfield_gs.io.images import read_image
-from lightfield_gs.scene.axes import UP_AXES, stated_up, upright
-from lightfield_gs.scene.files import read_scene
+from lightfield_gs.io.scenes.files import read_scene
+from lightfield_gs.scene.axes import UP_AXES, find_up, upright_rotation
 
 # An F in the plane of x and "up", seen from where an upright camera stands
 BARS = (((-0.3, -0.2), (-0.5, 0.5)), ((-0.2, 0.3), (0.4, 0.5)), ((-0.2, 0.1), (0.0, 0.1)))
@@ -24,7 +24,7 @@ def letter(up: str) -> Gaussians:
     in_camera = np.stack([flat[:, 0], -flat[:, 1], random.normal(0, 0.01, len(flat))], 1)
     count = len(flat)
     return Gaussians(
-        torch.tensor(in_camera @ upright(up), dtype=torch.float32),
+        torch.tensor(in_camera @ upright_rotation(up), dtype=torch.float32),
         torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
         torch.full((count, 3), 0.015),
         torch.full((count,), 0.95),
@@ -60,19 +60,19 @@ def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
     ],
 )
 def test_the_word_of_a_header(comments, axis):
-    found = stated_up(comments)
+    found = find_up(comments)
     assert found is None if axis is None else found.axis == axis
 
 
 def test_an_upright_camera_is_a_rotation_and_up_is_up():
     for up in (*UP_AXES, "0.1 -0.8 0.3"):
-        rotation = upright(up)
+        rotation = upright_rotation(up)
         assert np.allclose(rotation @ rotation.T, np.eye(3)) and np.linalg.det(rotation) == pytest.approx(1)
-    assert np.array_equal(upright("-y"), np.eye(3))
-    assert np.allclose(upright("0 0 2"), upright("z"))
+    assert np.array_equal(upright_rotation("-y"), np.eye(3))
+    assert np.allclose(upright_rotation("0 0 2"), upright_rotation("z"))
     for up in ("w", "", None, 3, "1 2"):
         with pytest.raises(InputError, match="up: expected one of"):
-            upright(up)
+            upright_rotation(up)
 
 
 @pytest.mark.parametrize("up", UP_AXES)
@@ -116,7 +116,7 @@ def test_pruning_does_not_turn_the_scene(folder, capsys):
     less = read_scene("less.ply")
     before, after = (set(map(tuple, s.gaussians.means.tolist())) for s in (read_scene("f.ply"), less))
     assert after <= before
-    assert stated_up(less.comments).axis == "z"
+    assert find_up(less.comments).axis == "z"
     assert np.abs(picture(capsys, "less.ply") - expected).max() < 1e-4
 
 

@@ -9,8 +9,7 @@ from rasterizer_cases import CELLS
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.psf import Psf
-from lightfield_gs.panels.simulate import row_of_eyes, simulate, simulate_eyes
+from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate, simulate_eyes
 
 BASE = dict(
     TEMPLATE_LENS,

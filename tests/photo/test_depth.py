@@ -13,8 +13,7 @@ from rgbd_scene import view
 import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
-from lightfield_gs.photo.depth import depth_map, ray_lengths, read_depth
-from lightfield_gs.photo.depth_files import read_numbers
+from lightfield_gs.photo.depth import depth_map, ray_lengths, read_depth, read_numbers
 from lightfield_gs.photo.margin import place
 from lightfield_gs.show.preview import to_integers
 

@@ -14,14 +14,13 @@ from rgbd_scene import view
 
 import lightfield_gs as lf
 from lightfield_gs import cli
-from lightfield_gs.io.depth_names import depth_maps_beside, is_named_as_beside
+from lightfield_gs.io.depth_names import depth_maps_beside, is_sidecar_name
 from lightfield_gs.io.images import read_picture, write_image
-from lightfield_gs.io.pillow_images import pictures_in
-from lightfield_gs.photo.inside import depth_inside, facts_inside, notes_inside
+from lightfield_gs.io.pillow_images import count_pictures
+from lightfield_gs.photo.embedded_depth import depth_inside, facts_inside, notes_inside
 from lightfield_gs.photo.joint_upsampling import at_size_of_photo
 from lightfield_gs.photo.load import photo_of
-from lightfield_gs.photo.side_by_side import beside_numbers, depth_side, is_named_so
-from lightfield_gs.photo.stereo_pair import stereo_layout
+from lightfield_gs.photo.side_by_side import beside_numbers, depth_side, is_named_so, stereo_layout
 from lightfield_gs.show.preview import to_integers
 
 REST = "-o o.png --panel p.yaml"
@@ -335,7 +334,7 @@ def test_the_second_eye_of_a_stereo_photo_is_said(tmp_path):
         ("c.mpo", right.resize((20, 16)), (1, False)),
     ):
         left.save(tmp_path / name, "MPO", save_all=True, append_images=[second])
-        assert pictures_in(tmp_path / name) == expected
+        assert count_pictures(tmp_path / name) == expected
     assert "stereo photo" in notes_inside(tmp_path / "a.mpo", is_depth_used=False)[0]
 
 
@@ -405,8 +404,8 @@ def test_names_of_depth_maps_beside_photos():
     others = ["in-depth-look.jpg", "depths_of_the_sea.jpg", "depth_99.png", "0_mask.png"]
     names = [*pairs, *pairs.values(), *others]
     assert depth_maps_beside(names) == {photo: [depth] for photo, depth in pairs.items()}
-    assert all(is_named_as_beside(name) for name in (*pairs.values(), "1_mask.png", "normal01.exr", "depths1.png"))
-    assert not any(map(is_named_as_beside, (*pairs, "unmasked.png", "alphabet_1.png")))
+    assert all(is_sidecar_name(name) for name in (*pairs.values(), "1_mask.png", "normal01.exr", "depths1.png"))
+    assert not any(map(is_sidecar_name, (*pairs, "unmasked.png", "alphabet_1.png")))
     assert depth_maps_beside(["1.png", "1_depth.png", "1_depth.npy"]) == {"1.png": ["1_depth.npy", "1_depth.png"]}
 
 

@@ -8,8 +8,7 @@ from PIL import Image
 
 import lightfield_gs as lf
 from lightfield_gs.io.images import write_image
-from lightfield_gs.photo.depth import depth_map, read_depth
-from lightfield_gs.photo.depth_files import read_numbers
+from lightfield_gs.photo.depth import depth_map, read_depth, read_numbers
 
 Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
 

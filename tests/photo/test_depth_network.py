@@ -15,7 +15,7 @@ from lightfield_gs.io.images import read_info, write_image
 from lightfield_gs.panels.framing import frame_photo, on_subject
 from lightfield_gs.photo import depth_network
 from lightfield_gs.photo.depth_network import depth_from_network, estimated_depth
-from lightfield_gs.photo.estimated_depth import z_of_disparities, z_of_distances
+from lightfield_gs.photo.joint_upsampling import z_of_disparities, z_of_distances
 
 LINE = "encode busy.png -o o.png --panel p.yaml --device cpu"
 

@@ -8,13 +8,11 @@ import pytest
 import torch
 
 import lightfield_gs as lf
-from lightfield_gs.photo import exemplar, membrane
-from lightfield_gs.photo.depth_edges import edges
-from lightfield_gs.photo.exemplar import complete
+from lightfield_gs.photo import inpainting
+from lightfield_gs.photo.depth_edges import edges, find_matte, opacity_of_coverage
 from lightfield_gs.photo.hidden import filled, find_hidden
+from lightfield_gs.photo.inpainting import complete, solve_membrane
 from lightfield_gs.photo.margin import made_up, place
-from lightfield_gs.photo.matting import find_matte, opacity_of_coverage
-from lightfield_gs.photo.membrane import solve_membrane
 from lightfield_gs.photo.rgbd import from_depth
 
 HEIGHT, WIDTH, FOCAL = 90, 150, 130.0
@@ -90,7 +88,7 @@ def test_all_views_are_covered(fit):
     placed = place(depth, (FOCAL, FOCAL), (WIDTH / 2, HEIGHT / 2), panel, fit)
     assert (placed.cropped > 0.5) == (fit == "cover") and (placed.made_up > 0.4) == (fit == "contain")
     gaussians = from_depth(image, depth, (FOCAL, FOCAL), margin_px=placed.margin_px)
-    alphas = lf.render(gaussians, placed.rig.cameras_at(panel, [0.0, 4.0, 8.0]), alpha=True)[1]
+    alphas = lf.render(gaussians, placed.rig.cameras_at(panel, [0.0, 4.0, 8.0]), alpha=True).alpha
     assert (alphas < 0.9).float().mean() < 0.002
 
 
@@ -119,13 +117,13 @@ def test_a_large_hole_is_filled_in_few_steps(monkeypatch):
     """A hole of 300 x 300 pixels in a linear gradient, from a first guess that knows nothing: the gradient goes on, by
     a few steps in the full picture, however large the hole is."""
     taken: dict[int, int] = {}
-    steps = membrane._conjugate_gradients
+    steps = inpainting._conjugate_gradients
 
     def counted(apply, right, guess, diagonal, iterations):
         taken[len(guess)] = iterations
         return steps(apply, right, guess, diagonal, iterations)
 
-    monkeypatch.setattr(membrane, "_conjugate_gradients", counted)
+    monkeypatch.setattr(inpainting, "_conjugate_gradients", counted)
     rows, columns = torch.meshgrid(torch.arange(340) / 340, torch.arange(360) / 360, indexing="ij")
     gradient = torch.stack([rows, columns, 0.5 * rows + 0.2], 2)
     hole = torch.zeros(340, 360, dtype=torch.bool)
@@ -140,10 +138,10 @@ def test_large_holes_cost_matches_of_a_small_picture(monkeypatch):
     """Four times the pixels take no more patches; texture is copied from where it is, not blurred."""
     counts = []
     for size in (300, 600):
-        places, cost = [], exemplar._Matches._cost
-        monkeypatch.setattr(exemplar, "_Matches", type("Counted", (exemplar._Matches,), {}))
+        places, cost = [], inpainting._Matches._cost
+        monkeypatch.setattr(inpainting, "_Matches", type("Counted", (inpainting._Matches,), {}))
         monkeypatch.setattr(
-            exemplar._Matches,
+            inpainting._Matches,
             "_cost",
             lambda self, m, w, cost=cost, places=places: (places.append(len(w)), cost(self, m, w))[1],
         )

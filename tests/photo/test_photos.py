@@ -14,7 +14,7 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.models.crop import Square, object_square
 from lightfield_gs.photo import load as photos
 from lightfield_gs.photo.load import load_photo
-from lightfield_gs.photo.pieces import Pieces
+from lightfield_gs.photo.plain import Components
 from lightfield_gs.show.preview import to_integers
 
 
@@ -67,8 +67,8 @@ def test_pieces_are_connected_pixels(diagonal):
     random = np.random.default_rng(0)
     for share in (0, 0.3, 0.5, 0.7, 1):
         flags, values = random.random((13, 17)) < share, random.random((13, 17))
-        pieces, left, count = Pieces.of(flags, diagonal), flags.copy(), 0
-        masks = [pieces.mask(np.arange(pieces.count) == index) for index in range(pieces.count)]
+        components, left, count = Components(flags, diagonal), flags.copy(), 0
+        masks = [components.mask(np.arange(components.count) == index) for index in range(components.count)]
         while left.any():
             grown = np.zeros_like(flags)
             grown[tuple(np.argwhere(left)[0])] = True
@@ -82,12 +82,12 @@ def test_pieces_are_connected_pixels(diagonal):
                 ]
                 grown = np.any(near, 0) & flags
             index = next(i for i, mask in enumerate(masks) if np.array_equal(mask, grown))
-            assert pieces.masses(values)[index] == pytest.approx(values[grown].sum())
+            assert components.sums(values)[index] == pytest.approx(values[grown].sum())
             rows, columns = grown.nonzero()
-            assert pieces.boxes()[index].tolist() == [rows.min(), columns.min(), rows.max() + 1, columns.max() + 1]
+            assert components.boxes()[index].tolist() == [rows.min(), columns.min(), rows.max() + 1, columns.max() + 1]
             left &= ~grown
             count += 1
-        assert count == pieces.count
+        assert count == components.count
 
 
 def test_alpha_that_covers_nearly_everything_cuts_nothing_out(tmp_path):

@@ -45,7 +45,7 @@ def test_views_from_the_side_are_those_of_the_scene(offset):
     gaussians = from_depth(image, depth, (FOCAL, FOCAL))
     truth, _, points = view(WIDTH, HEIGHT, FOCAL, offset)
     seen_by = camera(WIDTH, HEIGHT, FOCAL, offset)
-    picture, alpha = (out[0].numpy() for out in lf.render(gaussians, seen_by, alpha=True))
+    picture, alpha = (out[0].numpy() for out in lf.render(gaussians, seen_by, alpha=True)[:2])
     place = points[..., :2] / points[..., 2:] * FOCAL + [WIDTH / 2, HEIGHT / 2]  # in the photo
     inside = ((place > 2) & (place < [WIDTH - 2, HEIGHT - 2])).all(-1)
     column, row = np.floor(place).astype(int).clip(0, [WIDTH - 1, HEIGHT - 1]).transpose(2, 0, 1)
@@ -68,7 +68,7 @@ def test_the_hidden_layer_is_what_fills(monkeypatch):
     assert WIDTH * HEIGHT <= torn.count < whole.count < 1.3 * WIDTH * HEIGHT
     seen_by = camera(WIDTH, HEIGHT, FOCAL, 0.3)
     centre = slice(20, 100), slice(20, 140)
-    open_ = [(lf.render(g, seen_by, alpha=True)[1][0][centre] < 0.5).sum() for g in (whole, torn)]
+    open_ = [(lf.render(g, seen_by, alpha=True).alpha[0][centre] < 0.5).sum() for g in (whole, torn)]
     assert open_[0] == 0 and open_[1] > 200
 
 

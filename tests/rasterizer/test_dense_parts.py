@@ -8,7 +8,8 @@ from rasterizer_cases import panel, random_scene
 from sorted_cases import toe_in
 
 from lightfield_gs import render
-from lightfield_gs.rasterizer import dense_parts
+from lightfield_gs.rasterizer import image_render
+from lightfield_gs.rasterizer.images import RenderedImages
 
 VIEWS, GAUSSIANS, WIDTH, HEIGHT = 24, 1500, 60, 44
 
@@ -28,27 +29,30 @@ def peak_bytes(draw) -> int:
     return int(changes.cumsum(0).max())
 
 
+def assert_equal(a: RenderedImages, b: RenderedImages) -> None:
+    """That both have the same fields, of the same bits."""
+    for name, first, second in zip(a._fields, a, b):
+        assert (first is None) == (second is None), name
+        assert first is None or torch.equal(first, second), name
+
+
 @pytest.mark.parametrize("alpha, depth", [(False, False), (True, False), (False, True), (True, True)])
 def test_parts_are_the_whole(alpha, depth, monkeypatch):
     scene, cameras = case()
     whole = render(scene, cameras, alpha=alpha, depth=depth)
-    monkeypatch.setattr(dense_parts, "PART_BYTES", 5 * 4 * dense_parts._SPLAT_NUMBERS * GAUSSIANS)
+    monkeypatch.setattr(image_render, "CHUNK_BYTES", 5 * 4 * image_render._SPLAT_NUMBERS * GAUSSIANS)
     parts = render(scene, cameras, alpha=alpha, depth=depth)
-    for a, b in zip(*((t,) if isinstance(t, torch.Tensor) else t for t in (whole, parts)), strict=True):
-        assert torch.equal(a, b)
+    assert_equal(whole, parts)
     with torch.enable_grad():  # by the operator that has a reverse
         followed = type(scene)(*(field.clone().requires_grad_() for field in scene.fields().values()))
-        image, coverage, mean_depth = render(followed, cameras, alpha=True, depth=True)
-    expected = [image, *([coverage] if alpha else []), *([mean_depth] if depth else [])]
-    for a, b in zip(expected, (parts,) if isinstance(parts, torch.Tensor) else parts, strict=True):
-        assert torch.equal(a.detach(), b)
+        assert_equal(render(followed, cameras, alpha=alpha, depth=depth), parts)
 
 
 @pytest.mark.parametrize("alpha, depth", [(False, False), (False, True), (True, True)])
 def test_memory_is_that_of_the_images_and_of_a_view(alpha, depth, monkeypatch):
     """Beside the images no more than 192 bytes a Gaussian and 8 a pixel of one view, whatever the number of views."""
     scene, cameras = case()
-    monkeypatch.setattr(dense_parts, "PART_BYTES", 1)
+    monkeypatch.setattr(image_render, "CHUNK_BYTES", 1)
     kept = 12 + 4 * (alpha or depth) + 4 * depth
     bound = VIEWS * WIDTH * HEIGHT * kept + 192 * GAUSSIANS + 8 * WIDTH * HEIGHT + 20_000
     used = peak_bytes(lambda: render(scene, cameras, alpha=alpha, depth=depth))

@@ -130,7 +130,7 @@ def test_interlace_takes_each_subpixel_from_its_view(name):
 def test_classic_is_render_and_interlace():
     shown = panel(views=7)
     fan, gaussians = rig(shown, 0.1), random_scene(40, 2, seed=5)
-    views = render(gaussians, fan.cameras(shown), background=BACKGROUND)
+    views = render(gaussians, fan.cameras(shown), background=BACKGROUND).image
     classic = encode(gaussians, shown, fan, "classic", background=BACKGROUND, output="float64")
     assert (interlace(views, shown) - classic).abs().max() < 1e-12
 

@@ -6,7 +6,7 @@ import torch
 
 from lightfield_gs import Cameras, Gaussians, Panel, Rig, encode, render
 from lightfield_gs.rasterizer.quality import QUALITIES, Quality
-from lightfield_gs.scene.cameras import about_cameras
+from lightfield_gs.scene.cameras import recentre
 
 ZERO_DEPTH = 2.0
 
@@ -136,7 +136,7 @@ def test_far_from_the_origin_float32_draws_what_float64_does(far):
     for method in ("sorted", "classic"):
         error = (encode(scene, panel, rig_of(panel, far), method, output="float32") - expected).abs()
         assert error.max() < 1 / 255 and error.mean() < 1e-5, method
-    error = (render(scene, single(far)) - render(scene.to(torch.float64), single(far))).abs()
+    error = (render(scene, single(far)).image - render(scene.to(torch.float64), single(far)).image).abs()
     assert error.max() < 1 / 255 and error.mean() < 1e-5
 
 
@@ -145,7 +145,7 @@ def test_gradients_far_from_the_origin_are_those_of_float64():
     for dtype in (torch.float32, torch.float64):
         scene, cameras = scene_far(1e5).to(dtype), single(1e5)
         scene.means.requires_grad_(), cameras.world_to_camera.requires_grad_()
-        render(scene, cameras)[0, :, ::2].square().sum().backward()
+        render(scene, cameras).image[0, :, ::2].square().sum().backward()
         rows, pose = cameras.world_to_camera.grad[0, :3].double(), cameras.world_to_camera.detach()[0].double()
         turned = rows @ pose[:3].mT  # what a motion of the camera changes: the antisymmetric part
         found.append([scene.means.grad.double(), rows[:, 3], turned - turned.mT])
@@ -156,5 +156,5 @@ def test_gradients_far_from_the_origin_are_those_of_float64():
 def test_at_ordinary_places_nothing_is_taken_off():
     for far in (0.0, 30.0):
         scene, cameras = scene_far(far), single(far)
-        means, same = about_cameras(scene.means, cameras)
+        means, same = recentre(scene.means, cameras)
         assert means is scene.means and same is cameras

@@ -134,7 +134,7 @@ def test_encode(data):
 def test_render_and_interlace(data):
     scene, shown, background = data.draw(scenes()), data.draw(panels(views=3)), data.draw(backgrounds)
     cameras = data.draw(rigs(shown)).cameras(shown)
-    image, alpha, depth = render(scene.to(torch.float64), cameras, background=background, alpha=True, depth=True)
+    image, alpha, depth, _ = render(scene.to(torch.float64), cameras, background=background, alpha=True, depth=True)
     for camera in range(3):
         want, margin = reference.pixel_colours(
             scene, cameras, camera, *all_subpixels(shown), background=background, return_margin=True

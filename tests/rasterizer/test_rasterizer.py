@@ -20,7 +20,7 @@ def cameras_of(views, width, height, dtype=torch.float64) -> Cameras:
 
 
 def op(scenes: Gaussians, background, views, width, height):
-    return torch.ops.lightfield_gs.render_dense(*scenes.fields().values(), background, *views, width, height)
+    return torch.ops.lightfield_gs.render_images(*scenes.fields().values(), background, *views, width, height)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -43,7 +43,7 @@ def test_float32_images_of_many_gaussians(kind):
     gaussians = sheet(96) if kind == "sheet" else cloud(20_000)
     views = dense_views(1, 2, width, height)
     cameras = cameras_of([view[0] for view in views], width, height)
-    image = render(gaussians, cameras, background=(0.3, 0.6, 0.9))
+    image = render(gaussians, cameras, background=(0.3, 0.6, 0.9)).image
     assert image.dtype == torch.float32 and image.shape == (2, height, width, 3)
     random = np.random.default_rng(3)
     rows, columns, channels = (random.integers(0, size, 4000) for size in (height, width, 3))
@@ -67,7 +67,7 @@ def test_gaussians_that_are_hard(kind, dtype, atol, margin):
         width,
         height,
     )
-    image = render(scene.to(dtype), camera, background=(0.2, 0.4, 0.6))[0].double().numpy()
+    image = render(scene.to(dtype), camera, background=(0.2, 0.4, 0.6)).image[0].double().numpy()
     rows, columns, channels = (index.ravel() for index in np.indices((height, width, 3)))
     # Rounded first, so that equal depths stay equal and near planes stay where they are.
     want, near = reference.pixel_colours(
@@ -79,7 +79,7 @@ def test_gaussians_that_are_hard(kind, dtype, atol, margin):
 def test_alpha_and_expected_depth_of_render():
     scene, (width, height) = random_scene(40, 0, 3), (40, 30)
     views = [view[0] for view in dense_views(1, 2, width, height)]
-    image, alpha, depth = render(scene, cameras_of(views, width, height), alpha=True, depth=True)
+    image, alpha, depth, _ = render(scene, cameras_of(views, width, height), alpha=True, depth=True)
     sums = op(stacked([scene]), torch.ones(1, 2, 3, dtype=torch.float64), [view[None] for view in views], width, height)
     torch.testing.assert_close(image, sums[0][0])
     torch.testing.assert_close(alpha, sums[1][0])
@@ -87,23 +87,23 @@ def test_alpha_and_expected_depth_of_render():
     torch.testing.assert_close(depth[lit], (sums[2][0] / sums[1][0])[lit])
     assert torch.isfinite(depth).all() and 1.0 < depth[lit].min() and depth.max() < 3.0
     only = render(scene, cameras_of(views, width, height), depth=True)
-    assert len(only) == 2 and torch.equal(only[1], depth)
+    assert only.alpha is None and only.radii is None and torch.equal(only.depth, depth)
 
 
 def test_batches_are_scene_by_scene():
     scenes = [random_scene(30, 1, seed) for seed in (1, 2, 3)]
     views = dense_views(3, 2, 40, 24)
-    together = render(stacked(scenes), cameras_of(views, 40, 24))
+    together = render(stacked(scenes), cameras_of(views, 40, 24)).image
     assert together.shape == (3, 2, 24, 40, 3)
     for b, scene in enumerate(scenes):
-        assert torch.equal(together[b], render(scene, cameras_of([view[b] for view in views], 40, 24)))
+        assert torch.equal(together[b], render(scene, cameras_of([view[b] for view in views], 40, 24)).image)
 
 
 def test_one_set_of_cameras_serves_a_whole_batch():
     scenes = stacked([random_scene(30, 1, seed) for seed in (1, 2)])
     views = [view[0] for view in dense_views(1, 3, 40, 24)]
-    shared = render(scenes, cameras_of(views, 40, 24))
-    repeated = render(scenes, cameras_of([view.expand(2, *view.shape) for view in views], 40, 24))
+    shared = render(scenes, cameras_of(views, 40, 24)).image
+    repeated = render(scenes, cameras_of([view.expand(2, *view.shape) for view in views], 40, 24)).image
     assert torch.equal(shared, repeated)
 
 
@@ -118,7 +118,7 @@ def test_nothing_to_draw_leaves_the_background(kind, dtype):
     elif kind == "faint":
         scene.opacities[:] = 0.003
     views = [view[0] for view in dense_views(1, 2, 40, 24)]
-    image, alpha, depth = render(scene, cameras_of(views, 40, 24), background=(0.25, 0.5, 1), alpha=True, depth=True)
+    image, alpha, depth, _ = render(scene, cameras_of(views, 40, 24), background=(0.25, 0.5, 1), alpha=True, depth=True)
     assert torch.equal(image, torch.tensor([0.25, 0.5, 1], dtype=dtype).expand_as(image))
     assert not alpha.any() and not depth.any()
 
@@ -126,8 +126,10 @@ def test_nothing_to_draw_leaves_the_background(kind, dtype):
 def test_default_limits_are_those_of_the_frustum():
     scene = random_scene(30, 0, 8, extent=4.0, size=0.5)
     pose, camera, limits = (view[0] for view in dense_views(1, 2, 40, 24))
-    plain = render(scene, Cameras(pose, camera[:, :2], camera[:, 2:], 40, 24))
-    torch.testing.assert_close(plain, render(scene, cameras_of([pose, camera, limits], 40, 24)), rtol=0, atol=1e-12)
+    plain = render(scene, Cameras(pose, camera[:, :2], camera[:, 2:], 40, 24)).image
+    torch.testing.assert_close(
+        plain, render(scene, cameras_of([pose, camera, limits], 40, 24)).image, rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -155,7 +157,7 @@ def test_moving_camera_and_scene_together_changes_nothing():
         height_px=40,
         principal_point_px=torch.tensor([[24.0, 21.0]], dtype=torch.float64),
     )
-    seen = render(scene, Cameras(pose[None], **camera))
+    seen = render(scene, Cameras(pose[None], **camera)).image
     moved = Gaussians(scene.means @ pose[:3, :3].T + pose[:3, 3], *list(scene.fields().values())[1:])
     half = [
         torch.tensor([np.cos(angle / 2), *(np.sin(angle / 2) * np.array(axis))])
@@ -164,7 +166,7 @@ def test_moving_camera_and_scene_together_changes_nothing():
     turn = product(half[0], half[1])
     moved.quaternions = product(turn.expand(60, 4), scene.quaternions)
     torch.testing.assert_close(
-        render(moved, Cameras(torch.eye(4, dtype=torch.float64)[None], **camera)), seen, rtol=0, atol=1e-12
+        render(moved, Cameras(torch.eye(4, dtype=torch.float64)[None], **camera)).image, seen, rtol=0, atol=1e-12
     )
 
 
@@ -196,7 +198,7 @@ def test_wrong_shapes_are_named(index):
     tensors = arguments()
     tensors[index] = tensors[index][..., :-1]
     with pytest.raises(InputError, match="must be") as error:
-        torch.ops.lightfield_gs.render_dense(*tensors, 8, 6)
+        torch.ops.lightfield_gs.render_images(*tensors, 8, 6)
     assert "\n" not in str(error.value)
 
 
@@ -206,20 +208,20 @@ def test_wrong_dtypes_are_named(index):
         tensors = arguments()
         tensors[index] = tensors[index].to(dtype)
         with pytest.raises(InputError):
-            torch.ops.lightfield_gs.render_dense(*tensors, 8, 6)
+            torch.ops.lightfield_gs.render_images(*tensors, 8, 6)
 
 
 @pytest.mark.parametrize("width, height", [(0, 6), (8, 0), (-8, 6), (1 << 40, 6)])
 def test_impossible_sizes_are_refused(width, height):
     with pytest.raises(InputError):
-        torch.ops.lightfield_gs.render_dense(*arguments(), width, height)
+        torch.ops.lightfield_gs.render_images(*arguments(), width, height)
 
 
 def test_tensors_need_not_be_contiguous():
     tensors = arguments(torch.float64)
-    want = torch.ops.lightfield_gs.render_dense(*tensors, 8, 6)
+    want = torch.ops.lightfield_gs.render_images(*tensors, 8, 6)
     strided = [torch.stack([tensor, tensor], -1)[..., 0] for tensor in tensors]
-    got = torch.ops.lightfield_gs.render_dense(*strided, 8, 6)
+    got = torch.ops.lightfield_gs.render_images(*strided, 8, 6)
     assert all(torch.equal(a, b) for a, b in zip(got, want))
 
 

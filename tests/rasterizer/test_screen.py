@@ -29,7 +29,7 @@ def parts_of(scene: Gaussians, indices: slice) -> Gaussians:
 def screen_gradients(scene: Gaussians, seen: lf.Cameras, weights: torch.Tensor, numbers: int = 4) -> torch.Tensor:
     shape = (*scene.means.shape[:-2], 2, scene.count, numbers)
     screen = torch.zeros(shape, dtype=scene.dtype, requires_grad=True)
-    (lf.render(scene, seen, screen=screen) * weights).sum().backward()
+    (lf.render(scene, seen, screen=screen).image * weights).sum().backward()
     assert screen.grad is not None
     return screen.grad
 
@@ -43,7 +43,7 @@ def test_gradients_are_those_of_a_shift_of_the_principal_point(part):
     found = screen_gradients(scene, cameras(), WEIGHTS)[..., :2].sum(1)  # all Gaussians move at once
     step = 1e-5
     for axis, (dx, dy) in enumerate([(step, 0.0), (0.0, step)]):
-        there, back = (lf.render(scene, cameras(shift)) for shift in ((dx, dy), (-dx, -dy)))
+        there, back = (lf.render(scene, cameras(shift)).image for shift in ((dx, dy), (-dx, -dy)))
         want = ((there - back) * WEIGHTS).sum((1, 2, 3)) / (2 * step)
         assert torch.allclose(found[:, axis], want, rtol=1e-5, atol=1e-6)
 
@@ -80,7 +80,7 @@ def test_radii_reach_to_where_alpha_is_one_in_255(antialiased):
     size, options = (160, 120), {"alpha": True, "radii": True, "antialiased": antialiased}
     for seed in range(6):
         scene = random_scene(1, seed=seed, extent=0.05, size=0.05, dtype=torch.float32)
-        image, alpha, radii = lf.render(scene, cameras(size=size).to(torch.float32), **options)
+        image, alpha, _, radii = lf.render(scene, cameras(size=size).to(torch.float32), **options)
         assert radii.shape == (2, 1) and image.shape == (2, 120, 160, 3)
         for covered, radius in zip(alpha >= 0.999 / 255, radii[:, 0]):
             places = covered.nonzero().float()
@@ -92,7 +92,8 @@ def test_radii_are_the_same_with_gradients_and_in_batches():
     scene = random_scene(COUNT, seed=6, dtype=torch.float32)
     scene.means[0] = torch.tensor([0.0, 0.0, -5.0])  # behind the cameras
     seen = cameras().to(torch.float32)
-    image, radii = lf.render(scene, seen, radii=True)
+    image, alpha, depth, radii = lf.render(scene, seen, radii=True)
+    assert alpha is None and depth is None
     assert radii[0, 0] == 0 and (radii[:, 1:] > 0).any()
     both = stacked([scene, scene])
     both.means.requires_grad_()
@@ -123,4 +124,4 @@ def test_what_is_no_screen_is_refused(screen):
 
 def test_radii_must_be_a_choice():
     with pytest.raises(InputError, match="radii"):
-        lf.render(random_scene(COUNT), cameras(), radii=1)  # type: ignore[call-overload]
+        lf.render(random_scene(COUNT), cameras(), radii=1)  # type: ignore[arg-type]

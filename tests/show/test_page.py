@@ -17,6 +17,7 @@ from PIL import Image
 from lightfield_gs import encode, render
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.comfort import depth_report
+from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import layout_of_panel
 from lightfield_gs.panels.rig import Rig
@@ -36,7 +37,7 @@ CELLS = replace(
 
 def stage(panel: Panel = PANEL) -> Stage:
     gaussians = scene()
-    return Stage(gaussians, panel, Rig.frame(gaussians, panel), name="s.ply")
+    return Stage(gaussians, panel, frame_scene(gaussians, panel), name="s.ply")
 
 
 @contextmanager
@@ -63,7 +64,7 @@ def get(server: Server, path: str, method: str = "GET", body: str | None = None,
 
 def test_orbit_goes_around_what_lies_in_the_panel():
     gaussians = scene()
-    rig = Rig.frame(gaussians, PANEL)
+    rig = frame_scene(gaussians, PANEL)
     turned = orbited(rig, 30, 20)
 
     def centre(rig):
@@ -135,7 +136,7 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         (tmp_path / name).write_bytes(get(server, f"/export/{name}?{controls}")[1])
         left_most = np.asarray(Image.open(tmp_path / name))[layout.tile(0)]
         rig = Rig.from_yaml(tmp_path / "rig.yaml")
-        view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1]))[0].numpy()
+        view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1])).image[0].numpy()
         assert np.abs(left_most / 255 - view).max() < 0.01
         assert get(server, "/rest", "POST", controls, X_Token=state["token"])[0] == 204
         panel_png = np.asarray(Image.open(io.BytesIO(get(server, "/panel.png")[1])))

@@ -10,7 +10,7 @@ from PIL import Image
 from srn_scene import write_object
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.objects import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectImages
 from training.data import validate
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object
@@ -23,7 +23,7 @@ def _disc(x: float, y: float, radius: float) -> np.ndarray:
     return np.hypot(columns - x, rows - y) < radius
 
 
-def _views(folder: Path, pictures: list[np.ndarray], suffix: str = ".png") -> ObjectViews:
+def _views(folder: Path, pictures: list[np.ndarray], suffix: str = ".png") -> ObjectImages:
     """An object whose views are these pictures [S,S,3 or 4]."""
     write_object(folder, angles=[(4 * index, 0) for index in range(len(pictures))])
     for path in (folder / "rgb").iterdir():

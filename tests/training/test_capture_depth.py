@@ -8,8 +8,7 @@ import torch
 from fit_capture import write_capture
 
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.photo.depth import read_depth
-from lightfield_gs.photo.depth_files import read_numbers
+from lightfield_gs.photo.depth import read_depth, read_numbers
 from lightfield_gs.scene.gaussians import Gaussians
 from training.data.capture_depth import main
 

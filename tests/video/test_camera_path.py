@@ -8,8 +8,7 @@ import yaml
 from command_line import PANEL
 
 from lightfield_gs import InputError, Rig
-from lightfield_gs.video.camera_path import CameraPath
-from lightfield_gs.video.turntable import turned
+from lightfield_gs.video.camera_path import CameraPath, turned
 
 RIG = Rig(np.eye(4), (100.0, 110.0), (48.0, 30.0), 2.0)
 

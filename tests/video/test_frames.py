@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightfield_gs.video.frames import decoded, timeline
+from lightfield_gs.video.decoding import decode, timeline
 
 av = pytest.importorskip("av", reason="videos need the extra `video`")
 SIZE = (24, 32)
@@ -46,7 +46,7 @@ def greys(count: int) -> list[np.ndarray]:
 
 def shown(path: Path) -> list[int]:
     """The first number of each picture in its order."""
-    pictures = [int(frame[0, 0, 0]) for frame in decoded(path)]
+    pictures = [int(frame[0, 0, 0]) for frame in decode(path)]
     return [pictures[index] for index in timeline(path).order]
 
 
@@ -72,15 +72,15 @@ def test_what_an_edit_list_leaves_out_is_not_counted(tmp_path):
 
 def test_pixels_are_made_square(tmp_path):
     path = write(tmp_path / "a.mp4", greys(1), "libx264rgb", "rgb24", sample_aspect_ratio=Fraction(4, 3))
-    assert next(decoded(path)).shape == (24, 43, 3) and "pixels of 4:3 are made square" in timeline(path).notes[0]
+    assert next(decode(path)).shape == (24, 43, 3) and "pixels of 4:3 are made square" in timeline(path).notes[0]
     tall = write(tmp_path / "b.mp4", greys(1), "libx264rgb", "rgb24", sample_aspect_ratio=Fraction(1, 2))
-    assert next(decoded(tall)).shape == (48, 32, 3)
+    assert next(decode(tall)).shape == (48, 32, 3)
 
 
 def test_depths_of_sixteen_bits_are_kept(tmp_path):
     depths = np.arange(24 * 32, dtype=np.uint16).reshape(SIZE) * 80
     path = write(tmp_path / "a.mkv", [depths], pixels="gray16le", given="gray16le")
-    (found,) = decoded(path, maps=True)
+    (found,) = decode(path, maps=True)
     assert found.dtype == np.uint16 and (found[..., 0] == depths).all()
 
 
@@ -92,7 +92,7 @@ def test_white_of_hdr_is_white(tmp_path, curve, code):
     rows[:8], rows[8:16], rows[16:, :, 0] = code, half, code
     planes = np.round(rows * 65535).astype(np.uint16)
     path = write(tmp_path / "a.mkv", [planes], pixels="gbrp16le", given="rgb48le", color_trc=curve, color_primaries=9)
-    (found,) = decoded(path)
+    (found,) = decode(path)
     assert abs(found[4, 4].astype(int) - 255).max() <= 1 and abs(found[12, 4].astype(int) - 188).max() <= 2
     assert found[20, 4].tolist() == [255, 0, 0] and "converted to sRGB" in timeline(path).notes[0]
 
@@ -114,15 +114,15 @@ def test_fields_become_frames(tmp_path):
         rows = frame[..., 0].astype(int)
         return float(np.abs(rows[1:-1] - (rows[:-2] + rows[2:]) / 2).mean())
 
-    assert len(list(decoded(path))) == 6
-    assert combed(list(decoded(path))[3]) < 0.3 * combed(frames[3]) and "interlaced" in timeline(path).notes[0]
+    assert len(list(decode(path))) == 6
+    assert combed(list(decode(path))[3]) < 0.3 * combed(frames[3]) and "interlaced" in timeline(path).notes[0]
 
 
 def test_alpha_is_taken(tmp_path):
     cut_out = np.zeros((*SIZE, 4), np.uint8)
     cut_out[4:20, 8:24] = (200, 40, 40, 255)
     path = write(tmp_path / "a.webm", [cut_out] * 2, "libvpx-vp9", "yuva420p", "rgba", options={"lossless": "1"})
-    found = next(decoded(path))
+    found = next(decode(path))
     assert found.shape == (24, 32, 4) and (found[..., 3] == cut_out[..., 3]).all()
 
 
@@ -137,4 +137,4 @@ def test_mirrored_videos_are_turned_back(tmp_path, matrix, like):
     data[at : at + 36] = np.array([a, b, 0, c, d, 0, 0, 0, 1 << 30], ">i4").tobytes()
     path.write_bytes(data)
     turned = like(picture) if like is np.fliplr else picture.transpose(1, 0, 2)
-    assert (next(decoded(path)) == turned).all()
+    assert (next(decode(path)) == turned).all()

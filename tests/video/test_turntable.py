@@ -8,8 +8,9 @@ import torch
 from command_line import PANEL, scene
 
 from lightfield_gs import Gaussians, InputError, Rig, encode
-from lightfield_gs.scene.axes import upright
-from lightfield_gs.video.turntable import pivot_of, turned, turntable
+from lightfield_gs.panels.framing import frame_scene
+from lightfield_gs.scene.axes import upright_rotation
+from lightfield_gs.video.camera_path import pivot_point, turned, turntable
 
 
 def place(rig: Rig) -> np.ndarray:
@@ -17,7 +18,7 @@ def place(rig: Rig) -> np.ndarray:
 
 
 def tilted_rig() -> Rig:
-    rig = Rig.frame(scene(), PANEL)
+    rig = frame_scene(scene(), PANEL)
     angle = 0.3
     tilt = np.eye(4)
     tilt[1:3, 1:3] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
@@ -41,7 +42,7 @@ def test_the_middle_of_the_panel_stays_and_the_height_above_it():
     rig, up = tilted_rig(), np.array([0.0, -1, 0])
 
     def pivot(rig: Rig) -> np.ndarray:
-        return rig.world_to_camera[:3, :3].T @ (pivot_of(rig, PANEL) - rig.world_to_camera[:3, 3])
+        return rig.world_to_camera[:3, :3].T @ (pivot_point(rig, PANEL) - rig.world_to_camera[:3, 3])
 
     for turn in turntable(rig, PANEL, 8, 360, up):
         np.testing.assert_allclose(pivot(turn), pivot(rig), atol=1e-12)
@@ -51,9 +52,9 @@ def test_the_middle_of_the_panel_stays_and_the_height_above_it():
 def test_going_round_is_the_scene_turned_the_other_way():
     """One and the same picture, of a scene with view-dependent colours, but for rounding."""
     gaussians = scene()
-    rig = Rig.frame(gaussians, PANEL)
+    rig = frame_scene(gaussians, PANEL)
     point = torch.from_numpy(
-        rig.world_to_camera[:3, :3].T @ (pivot_of(rig, PANEL) - rig.world_to_camera[:3, 3])
+        rig.world_to_camera[:3, :3].T @ (pivot_point(rig, PANEL) - rig.world_to_camera[:3, 3])
     ).float()
     angle = math.radians(40)
     back = np.array([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
@@ -94,6 +95,6 @@ def test_an_axis_without_a_direction_is_refused(up):
 
 def test_the_axis_of_an_upright_camera_is_what_is_up():
     for up in ("z", "y", "-y"):
-        rig = Rig.frame(scene(), PANEL, up=up)
-        one, other = turned(rig, PANEL, 25), turned(rig, PANEL, 25, -upright(up)[1])
+        rig = frame_scene(scene(), PANEL, up=up)
+        one, other = turned(rig, PANEL, 25), turned(rig, PANEL, 25, -upright_rotation(up)[1])
         np.testing.assert_allclose(one.world_to_camera, other.world_to_camera, atol=1e-12)

@@ -16,9 +16,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.view_sets.file_names import arranged
-from lightfield_gs.view_sets.frames import Span
-from lightfield_gs.view_sets.opened import open_views
-from lightfield_gs.view_sets.quilts import QuiltViews
+from lightfield_gs.view_sets.movies import Span
+from lightfield_gs.view_sets.view_set import QuiltViews, open_views
 
 
 def in_order(*names):

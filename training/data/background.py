@@ -13,8 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from lightfield_gs.photo.pieces import Pieces
-from lightfield_gs.photo.plain import full_squares
+from lightfield_gs.photo.plain import Components, full_squares
 
 Choice = Literal["auto", "white", "black", "none"]
 CHOICES = get_args(Choice)
@@ -125,8 +124,8 @@ def _plain_alpha(rgb: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     own = _own_plain_colour(rgb[border])
     drifted = own is not None and np.linalg.norm(own - shared) < _DRIFT
     distance = np.linalg.norm(rgb / np.float32(255) - (own if drifted else shared), axis=2)
-    pieces = Pieces.of(distance < _FAR, diagonal=False)
-    outside = pieces.mask(pieces.hit(border | full_squares(distance < _SAME, _hole_side(rgb))))
+    components = Components(distance < _FAR, diagonal=False)
+    outside = components.mask(components.touching(border | full_squares(distance < _SAME, _hole_side(rgb))))
     return np.rint(255 * np.where(outside, np.clip((distance - _NEAR) / (_FAR - _NEAR), 0, 1), 1)).astype(np.uint8)
 
 
@@ -136,8 +135,8 @@ def _exact_alpha(rgb: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     empty = (off == 0) | (off <= _RING_LEVELS) & ~_opened(off > 0)
     frame = np.ones(off.shape, bool)
     frame[1:-1, 1:-1] = False
-    pieces = Pieces.of(empty, diagonal=False)
-    outside = pieces.mask(pieces.hit(frame))
+    components = Components(empty, diagonal=False)
+    outside = components.mask(components.touching(frame))
     return np.where(outside | _holes(off, outside, _hole_side(rgb)), 0, 255).astype(np.uint8)
 
 
@@ -174,13 +173,13 @@ def _holes(off: np.ndarray, outside: np.ndarray, side: int) -> np.ndarray:
     off: how many levels each pixel differs from the background.
     """
     enclosed = (off == 0) & ~outside
-    pieces = Pieces.of(enclosed, diagonal=False)
-    open_ = pieces.hit(full_squares(enclosed, side))
+    components = Components(enclosed, diagonal=False)
+    open_ = components.touching(full_squares(enclosed, side))
     for piece in np.flatnonzero(open_):
-        patch = pieces.mask(np.arange(pieces.count) == piece)
+        patch = components.mask(np.arange(components.count) == piece)
         edge = _grown(patch, 2) & ~patch
         open_[piece] = np.median(off[edge]) > _HOLE_EDGE_LEVELS
-    return pieces.mask(open_)
+    return components.mask(open_)
 
 
 def _opened(flags: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.files import read_scene
 from training.command import with_line_errors
 
 _COVERED = 0.1  # alpha from which on a pixel has a depth: what is dark in a photograph may be hardly covered by a fit
@@ -50,7 +50,7 @@ def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> 
         *photographs.sizes_px[index].tolist(),
     )
     with torch.no_grad():
-        _, alpha, depth = render(gaussians, cameras, alpha=True, depth=True)
+        _, alpha, depth, _ = render(gaussians, cameras, alpha=True, depth=True)
     z = _medians(torch.where(alpha[0] >= _COVERED, depth[0], torch.nan)).numpy()
     if np.isnan(z).all():
         raise InputError(f"{scene}: shows nothing where {name} was taken; is it fitted to {capture}?")

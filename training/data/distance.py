@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.objects import ObjectViews, depths_of_object
+from lightfield_gs.io.captures.objects import ObjectImages, object_depths
 
 OBJECT_DISTANCE = 1.3
 _NEAREST, _FARTHEST = 0.75, 1.33  # times that, of cameras that are not scaled: further off the network has no depths
 
 
-def at_object_distance(path: Path, views: ObjectViews) -> ObjectViews:
+def at_object_distance(path: Path, views: ObjectImages) -> ObjectImages:
     """The same views, their poses scaled about the origin so that the mean depth of the point looked at is
     OBJECT_DISTANCE: the unit of length of a transforms file is arbitrary.
 
@@ -22,7 +22,7 @@ def at_object_distance(path: Path, views: ObjectViews) -> ObjectViews:
     """
     poses = views.camera_to_world
     directions = poses[:, :3, 2]
-    spread, distance = np.linalg.norm(directions - directions.mean(0), axis=-1).max(), depths_of_object(poses).mean()
+    spread, distance = np.linalg.norm(directions - directions.mean(0), axis=-1).max(), object_depths(poses).mean()
     if spread < 1e-3 or distance <= 0:
         raise InputError(
             f"{path}: transform_matrix: the {len(poses)} cameras look in one direction, so that their "
@@ -37,7 +37,7 @@ def distance_doubt(camera_to_world: np.ndarray) -> str | None:
     """What to do about cameras [V,4,4] that stand elsewhere than the network expects, as they may in SRN layout."""
     if len(camera_to_world) < 2:
         return None
-    distance = depths_of_object(camera_to_world).mean()
+    distance = object_depths(camera_to_world).mean()
     if _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
         return None
     return (

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.captures.objects import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectImages
 from lightfield_gs.io.captures.photograph import read_mask
 from lightfield_gs.io.captures.undistortion import brown_source_positions, undistort
 from lightfield_gs.io.images import read_image, read_info
@@ -32,7 +32,7 @@ class Cutout:
         }[self.by]
 
 
-def find_cutout(views: ObjectViews, background: Choice = "auto") -> Cutout:
+def find_cutout(views: ObjectImages, background: Choice = "auto") -> Cutout:
     """What cuts an object out of its views: masks, else alpha where a view has any, else its background.
 
     background: of views that have neither: that of one colour which is found, white, black, or none, the whole picture
@@ -59,7 +59,7 @@ def find_cutout(views: ObjectViews, background: Choice = "auto") -> Cutout:
     return Cutout("background", found) if found else Cutout("nothing")
 
 
-def read_view(views: ObjectViews, index: int, cutout: Cutout | None = None) -> np.ndarray:
+def read_view(views: ObjectImages, index: int, cutout: Cutout | None = None) -> np.ndarray:
     """One view of an object as premultiplied uint8 [H,W,4], free of lens distortion.
 
     cutout: as find_cutout finds it; None: finds it. Raises InputError for unreadable images and masks, images whose
@@ -68,12 +68,12 @@ def read_view(views: ObjectViews, index: int, cutout: Cutout | None = None) -> n
     return _straightened(views, index, _cut_out(views, index, cutout or find_cutout(views)))
 
 
-def read_colours(views: ObjectViews, index: int) -> np.ndarray:
+def read_colours(views: ObjectImages, index: int) -> np.ndarray:
     """The colours of a view, object or not, uint8 [H,W,3], free of lens distortion. Raises InputError as read_view."""
     return _straightened(views, index, _stored(views, views.image_paths[index])[..., :3])
 
 
-def _straightened(views: ObjectViews, index: int, image: np.ndarray) -> np.ndarray:
+def _straightened(views: ObjectImages, index: int, image: np.ndarray) -> np.ndarray:
     """A stored picture [H,W,C] without its lens distortion."""
     if views.distortion is None or not views.distortion[index].any():
         return image
@@ -81,7 +81,7 @@ def _straightened(views: ObjectViews, index: int, image: np.ndarray) -> np.ndarr
     return undistort(image, places)
 
 
-def _cut_out(views: ObjectViews, index: int, cutout: Cutout) -> np.ndarray:
+def _cut_out(views: ObjectImages, index: int, cutout: Cutout) -> np.ndarray:
     """A view as it is stored, as premultiplied uint8 [H,W,4]."""
     path = views.image_paths[index]
     pixels = _stored(views, path)
@@ -98,7 +98,7 @@ def _cut_out(views: ObjectViews, index: int, cutout: Cutout) -> np.ndarray:
     return frame
 
 
-def _stored(views: ObjectViews, path: Path) -> np.ndarray:
+def _stored(views: ObjectImages, path: Path) -> np.ndarray:
     """The pixels uint8 [H,W,3 or 4] of a view as they are stored: its pose is of these, whatever Exif says."""
     with named("unreadable image"):
         pixels = read_image(path, as_stored=True, turn=False)
@@ -112,7 +112,7 @@ def _stored(views: ObjectViews, path: Path) -> np.ndarray:
     return pixels
 
 
-def _way_out(views: ObjectViews, path: Path, pixels: np.ndarray) -> str:
+def _way_out(views: ObjectImages, path: Path, pixels: np.ndarray) -> str:
     """What to do about an image of another size than its camera."""
     orientation = read_info(path).orientation
     if pixels.shape[:2] != (views.width_px, views.height_px):

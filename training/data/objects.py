@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.objects import PARTS, ObjectViews, read_srn, read_transforms
+from lightfield_gs.io.captures.objects import PARTS, ObjectImages, read_nerf_object, read_srn_object
 from training.data.distance import at_object_distance
 
 SPLITS = ("train", "val", "test")
@@ -46,18 +46,18 @@ def find_objects(root: Path, split: str | None = None) -> list[Path]:
     return found
 
 
-def read_object(path: Path) -> ObjectViews:
+def read_object(path: Path) -> ObjectImages:
     """Cameras of one object, as find_objects names it, and the files of its images (not decoded here).
 
     Raises InputError that names the first thing wrong.
     """
     path = Path(path)
     if path.is_dir():
-        return read_srn(path)
+        return read_srn_object(path)
     both = [part for part in ("pose", "intrinsics.txt") if (path.parent / part).exists()]
     if both:
         raise InputError(f"{path}: expected one layout, found {both[0]} of the SRN layout beside it: remove one")
-    return at_object_distance(path, read_transforms(path))
+    return at_object_distance(path, read_nerf_object(path))
 
 
 def folder_of(path: Path) -> Path:

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.captures.objects import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectImages
 from training.data.images import Cutout, read_colours, read_view
 
 _THUMB_PX, _VIEWS, _OBJECTS, _TITLE_PX, _GAP_PX = 128, 8, 40, 14, 4
@@ -26,7 +26,7 @@ class Sheet:
     _rows: list[tuple[str, list[Image.Image]]] = field(default_factory=list)
     _seen: int = 0
 
-    def add(self, title: str, views: ObjectViews | None, cutout: Cutout | None) -> None:
+    def add(self, title: str, views: ObjectImages | None, cutout: Cutout | None) -> None:
         """The next of the objects, with up to 8 of its views, evenly spread; None: it could not be read."""
         shown = min(_OBJECTS, self.count)
         chosen = {number * self.count // shown for number in range(shown)}
@@ -62,7 +62,7 @@ def check_sheet_path(path: Path) -> Path:
     return check_output_path(path)
 
 
-def _thumb(views: ObjectViews, index: int, cutout: Cutout) -> Image.Image:
+def _thumb(views: ObjectImages, index: int, cutout: Cutout) -> Image.Image:
     """A view, reduced, its background under the tint; all of it red where it cannot be read."""
     scale = _THUMB_PX / max(views.width_px, views.height_px)
     size = tuple(max(1, round(side * scale)) for side in (views.width_px, views.height_px))

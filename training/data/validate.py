@@ -19,7 +19,7 @@ import numpy as np
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import describe_coefficients
-from lightfield_gs.io.captures.objects import ObjectViews
+from lightfield_gs.io.captures.objects import ObjectImages
 from lightfield_gs.io.captures.undistortion import fraction_beyond
 from lightfield_gs.io.images import read_info
 from lightfield_gs.photo.plain import cut_from_plain_background
@@ -44,7 +44,7 @@ class Examined:
     """
 
     path: Path
-    views: ObjectViews | None = None
+    views: ObjectImages | None = None
     cutout: Cutout | None = None
     problems: list[str] = field(default_factory=list)
     filled: list[float] = field(default_factory=list)
@@ -92,7 +92,7 @@ def _orientation(path: Path) -> int:
         return 1
 
 
-def _lens(views: ObjectViews) -> str:
+def _lens(views: ObjectImages) -> str:
     """What is done about lens distortion, by the first view."""
     fx, fy, cx, cy = intrinsics = views.intrinsics[0]
     lens = views.distortion[0]

@@ -6,15 +6,14 @@ import argparse
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lightfield_gs.app.encoding import Encoding, outputs_of, use_threads
-from lightfield_gs.app.photo_depth import AUTO
-from lightfield_gs.app.scene import files_read
+from lightfield_gs.app.encoding import Encoding, use_threads
+from lightfield_gs.app.options import AUTO, EncodeOptions
 from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.hashes import facts
@@ -22,8 +21,11 @@ from lightfield_gs.batch.item import Item
 from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record
 from lightfield_gs.batch.plan import Known
 from lightfield_gs.batch.worker import Place
-from lightfield_gs.commands.options.parser import Parser, joined
+from lightfield_gs.commands.options.parser import Parser, join_values, read_options
 from lightfield_gs.io.atomic import make_folder
+
+if TYPE_CHECKING:
+    from lightfield_gs.app.video import VideoOptions
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class EncodeTask:
 
     def begin(self) -> None:
         """What is done while others are drawn."""
-        self.encoding = Encoding(self.encode_args(self.item.input), Stopwatch(0.0), self.copies)
+        self.encoding = Encoding(self.encode_options(self.item.input), Stopwatch(0.0), self.copies)
         self.encoding.read()
 
     def draw(self) -> None:
@@ -87,7 +89,7 @@ class EncodeTask:
     def write(self) -> None:
         """Writes it, and notes what it holds."""
         self.encoding.write()
-        self.note_outputs(*outputs_of(self.encoding.args))
+        self.note_outputs(*self.encoding.options.outputs())
 
     def record(self) -> Record:
         """Status, inputs and outputs, as far as they are known."""
@@ -96,12 +98,12 @@ class EncodeTask:
 
     def files(self) -> list[Path | str | None]:
         """Files and folders that are read."""
-        return list(files_read(self.encode_args(self.item.input)))
+        return list(self.encode_options(self.item.input).inputs())
 
-    def encode_args(self, source: str | Path) -> argparse.Namespace:
-        """The arguments of `encode` for what is to become the image."""
+    def encode_options(self, source: str | Path) -> EncodeOptions:
+        """The options of `encode` for what is to become the image."""
         words = [*self.item.words, "-o", str(self.output), "--", str(source)]
-        return _parsed("encode", words, self._given())
+        return read_options(EncodeOptions, _parsed("encode", words, self._given()))
 
     def note_outputs(self, *paths: Path | None) -> None:
         """Notes what was written."""
@@ -147,10 +149,11 @@ class FitTask(EncodeTask):
         from lightfield_gs.fitting.cone import rig_path
 
         fit.run(self.fit_args)
-        args = self.encode_args(self.scene)
-        if args.rig is None and args.camera is None and rig_path(self.scene).exists():
-            args.rig = rig_path(self.scene)
-        self.encoding = Encoding(args, Stopwatch(0.0), self.copies)
+        options = self.encode_options(self.scene)
+        camera = options.camera
+        if camera.rig is None and camera.camera is None and rig_path(self.scene).exists():
+            options = replace(options, camera=replace(camera, rig=rig_path(self.scene)))
+        self.encoding = Encoding(options, Stopwatch(0.0), self.copies)
         self.encoding.read()
         self.encoding.draw()
 
@@ -164,7 +167,7 @@ class FitTask(EncodeTask):
     def files(self) -> list[Path | str | None]:
         """The folder of the capture, and what else is read."""
         source, args = Path(self.item.input), self._fit_args()
-        more = files_read(self.encode_args(source))[1:]
+        more = self.encode_options(source).inputs()[1:]
         return [source if source.is_dir() else source.parent, args.images, args.mask_folder, args.test_list, *more]
 
     def _fit_args(self) -> argparse.Namespace:
@@ -181,17 +184,16 @@ class VideoTask(EncodeTask):
     def begin(self) -> None:
         """Checks the options before the first picture is read."""
         from lightfield_gs.app.panel import load_panel
-        from lightfield_gs.app.video import checked_result
+        from lightfield_gs.app.video import video_target
 
-        self.args = self._args()
-        self.result = checked_result(self._args(), load_panel(self.args)).path
+        self.options = self._video_options()
+        self.result = video_target(self.options, load_panel(self.options.panel)).path
 
     def draw(self) -> None:
         """Draws and writes the frames that are not there."""
         from lightfield_gs.commands import video
 
-        self.args.began = time.perf_counter()
-        video.run(self.args)
+        video.make_frames(self.options, Stopwatch(time.perf_counter()))
 
     def write(self) -> None:
         """Notes what the frames hold."""
@@ -199,13 +201,14 @@ class VideoTask(EncodeTask):
 
     def files(self) -> list[Path | str | None]:
         """Files and folders that are read."""
-        return list(files_read(self._args()))
+        return list(self._video_options().inputs())
 
-    def _args(self) -> argparse.Namespace:
+    def _video_options(self) -> VideoOptions:
+        from lightfield_gs.app.video import VideoOptions
+
         words = [*self.setup.video_words, *self.item.words, "-o", str(self.output), "--", self.item.input]
-        args = _parsed("video", words, self._given())
-        args.overwrite |= self.is_fresh
-        return args
+        options = read_options(VideoOptions, _parsed("video", words, self._given()))
+        return replace(options, overwrite=options.overwrite or self.is_fresh)
 
 
 @cache
@@ -220,7 +223,7 @@ def _parsed(command: str, words: list[str], given: dict[str, Any]) -> argparse.N
     parser = _parser(command)
     known = {action.dest for action in parser._actions}
     return parser.parse_args(
-        joined(words), argparse.Namespace(**{name: value for name, value in given.items() if name in known})
+        join_values(words), argparse.Namespace(**{name: value for name, value in given.items() if name in known})
     )
 
 

@@ -184,7 +184,7 @@ def settings_given(args: argparse.Namespace) -> dict[str, Any]:
 
 def names_in(path: Path | None) -> list[str] | None:
     """The photographs that a text file names, one a line; empty lines and those that begin with # are none."""
-    from lightfield_gs.io.text_file import read_text
+    from lightfield_gs.io.text_files import read_text
 
     if path is None:
         return None

@@ -12,7 +12,7 @@ from lightfield_gs.base.options import COMPRESSIONS
 from lightfield_gs.commands.options.parser import whole, whole_numbers, within
 from lightfield_gs.panels.quilt import QUILT_PRESETS, QuiltLayout
 from lightfield_gs.show.bridge import BRIDGE_URL
-from lightfield_gs.video.turntable import MOST_FRAMES
+from lightfield_gs.video.camera_path import MOST_FRAMES
 from lightfield_gs.video.video_file import CODECS, KINDS
 
 _MOST_SECONDS = 1e5

@@ -1,10 +1,14 @@
-"""Captures as apps and trainers keep them: Polycam's raw data, Record3D's, and the cameras.json of a fit.
+"""Captures of apps and trainers: Polycam's raw data, Record3D's, and the cameras.json of a fit.
 
-Source: github.com/PolyCam/polyform (README, "Camera Poses") for keyframes/corrected_cameras and corrected_images: t_00
-to t_23 are camera to world, 3 rows of 4, OpenGL axes; without them cameras and images, as the phone tracked them.
-github.com/marek-simonik/record3d and nerfstudio's process_data/record3d_utils.py for metadata.json: w, h, K (9 numbers,
-column by column), poses (quaternion x, y, z, w and place, camera to world, OpenGL axes), perFrameIntrinsicCoeffs (fx,
-fy, cx, cy); the photographs are rgb/0.jpg and so on. camera_files.py for cameras.json.
+Source: github.com/PolyCam/polyform (README, "Camera Poses"). keyframes/corrected_cameras and corrected_images hold the
+refined poses, cameras and images those that the phone tracked. t_00 to t_23 are camera to world, 3 rows of 4, OpenGL
+axes.
+
+Source: github.com/marek-simonik/record3d and nerfstudio's process_data/record3d_utils.py. metadata.json holds w, h, K
+(9 numbers, column by column) and perFrameIntrinsicCoeffs (fx, fy, cx, cy). poses are a quaternion x, y, z, w and a
+position, camera to world, OpenGL axes. The photographs are rgb/0.jpg and so on.
+
+camera_files.py describes cameras.json.
 """
 
 from __future__ import annotations
@@ -20,11 +24,11 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.camera_files import read_inria
-from lightfield_gs.io.captures.photo_files import first_names, photographs_in
-from lightfield_gs.io.captures.photograph import Shot, Shots, readable
+from lightfield_gs.io.captures.photo_files import find_photographs, first_names
+from lightfield_gs.io.captures.photograph import PosedCapture, PosedPhotograph, readable_files
 from lightfield_gs.io.captures.pinhole import TO_OPENCV, check_intrinsics, check_pose, nearest_rotation, pose_matrix
-from lightfield_gs.io.captures.point_files import points_beside
-from lightfield_gs.io.json_file import read_json, read_object
+from lightfield_gs.io.captures.point_files import find_points
+from lightfield_gs.io.text_files import read_json, read_object
 
 _LIMIT_BYTES = 256 << 20
 _POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
@@ -33,9 +37,15 @@ _IMAGES = ("images", "input", "")
 
 
 @dataclass(frozen=True)
-class _Camera:
-    """One photograph as an app tells of it. name: of its picture; world_to_camera: [4,4] float64, OpenCV axes;
-    intrinsics: (fx, fy, cx, cy) in pixels; size_px: width and height."""
+class _AppCamera:
+    """A camera in an app's file.
+
+    Attributes:
+        name: file name of its photograph.
+        world_to_camera: [4,4] float64, OpenCV axes.
+        intrinsics: [4] float64, (fx, fy, cx, cy) in pixels.
+        size_px: width and height.
+    """
 
     name: str
     world_to_camera: np.ndarray
@@ -43,31 +53,40 @@ class _Camera:
     size_px: tuple[int, int]
 
 
-def app_shots(folder: Path, images: Path | None) -> Shots | None:
-    """The photographs of a capture in one of these layouts; None where it is in none of them.
+def read_app_capture(folder: Path, images: Path | None) -> PosedCapture | None:
+    """Read a capture in one of these layouts.
 
     Args:
-        folder: of the capture, or a cameras.json or metadata.json itself.
+        folder: the capture, or a cameras.json or metadata.json itself.
         images: the folder of the photographs; None: where the layout has them.
 
-    Raises InputError that names file and field.
+    Returns:
+        The capture; None where the folder is in none of these layouts.
+
+    Raises:
+        InputError: names the file and the field.
     """
     root = folder if folder.is_dir() else folder.parent
     for keyframes in (root / "keyframes", root):
         for cameras, pictures in _POLYCAM if folder.is_dir() else ():
             if (files := _json_files(keyframes / cameras)) and (keyframes / pictures).is_dir():
-                found = [_polycam(path) for path in files]
-                return _shots(keyframes / cameras, found, [images or keyframes / pictures], [root])
-    if (path := _given_or_in(folder, "metadata.json")) and "poses" in (data := _object(path)):
-        places = [images] if images else [root / "rgb", root / "rgbd", root]
-        return _shots(path, _record3d(path, data), places, [root])
-    if path := _given_or_in(folder, "cameras.json"):
-        return _shots(path, _inria(path), [images] if images else [root / name for name in _IMAGES], [root])
+                found = [_read_polycam(path) for path in files]
+                return _posed_capture(keyframes / cameras, found, [images or keyframes / pictures], [root])
+    if (path := _find_json(folder, "metadata.json")) and "poses" in (data := _object(path)):
+        folders = [images] if images else [root / "rgb", root / "rgbd", root]
+        return _posed_capture(path, _record3d_cameras(path, data), folders, [root])
+    if path := _find_json(folder, "cameras.json"):
+        return _posed_capture(
+            path, _inria_cameras(path), [images] if images else [root / name for name in _IMAGES], [root]
+        )
     return None
 
 
-def _given_or_in(folder: Path, name: str) -> Path | None:
-    """The file of this name in a folder, or a .json that was given itself: a list is of cameras, an object is not."""
+def _find_json(folder: Path, name: str) -> Path | None:
+    """Return the file of this name in a folder, or a .json that was given itself.
+
+    A list is a cameras.json, an object a metadata.json.
+    """
     if not folder.is_file():
         return path if (path := folder / name).is_file() else None
     if folder.suffix.lower() != ".json":
@@ -81,27 +100,29 @@ def _object(path: Path) -> dict[str, Any]:
 
 
 def _json_files(folder: Path) -> list[Path]:
-    """The .json files of a folder, but hidden ones; none where there is no such folder."""
+    """Return the visible .json files of a folder; none where there is no such folder."""
     if not folder.is_dir():
         return []
     with reading(folder):
         return sorted(p for p in folder.iterdir() if p.suffix.lower() == ".json" and not p.name.startswith("."))
 
 
-def _shots(source: Path, cameras: Sequence[_Camera], places: Sequence[Path], root: Sequence[Path]) -> Shots:
-    """The photographs of these cameras that are in one of these places. root: where points may be."""
-    found = photographs_in(places, [camera.name for camera in cameras])
-    there = readable(found.places, found.folder)
-    shots = [
-        Shot(*there[camera.name], camera.world_to_camera, camera.intrinsics, camera.size_px)
+def _posed_capture(
+    source: Path, cameras: Sequence[_AppCamera], folders: Sequence[Path], roots: Sequence[Path]
+) -> PosedCapture:
+    """Find the photographs of these cameras in the first folder that has them; look for points in `roots`."""
+    found = find_photographs(folders, [camera.name for camera in cameras])
+    files = readable_files(found.files, found.folder)
+    posed = [
+        PosedPhotograph(*files[camera.name], camera.world_to_camera, camera.intrinsics, camera.size_px)
         for camera in cameras
-        if camera.name in there
+        if camera.name in files
     ]
-    return Shots(source, found.folder, shots, *points_beside(None, root))
+    return PosedCapture(source, found.folder, posed, *find_points(None, roots))
 
 
-def _polycam(path: Path) -> _Camera:
-    """The camera of one keyframe. Raises InputError."""
+def _read_polycam(path: Path) -> _AppCamera:
+    """Read the camera of one keyframe. Raises InputError."""
     data = read_object(path, _LIMIT_BYTES)
     number = {key: _number(path, data, key, -1e12, 1e12) for key in _KEYS}
     width, height = (_number(path, data, key, 1, 1 << 20) for key in ("width", "height"))
@@ -110,11 +131,11 @@ def _polycam(path: Path) -> _Camera:
     check_pose(str(path), pose)
     intrinsics = np.array([number[key] for key in _KEYS])
     check_intrinsics(str(path), intrinsics, width, height)
-    return _Camera(f"{path.stem}.jpg", _inverse(pose @ TO_OPENCV), intrinsics, (int(width), int(height)))
+    return _AppCamera(f"{path.stem}.jpg", _inverse(pose @ TO_OPENCV), intrinsics, (int(width), int(height)))
 
 
-def _record3d(path: Path, data: dict[str, Any]) -> list[_Camera]:
-    """The cameras of a metadata.json; those without a pose are left out, which is said. Raises InputError."""
+def _record3d_cameras(path: Path, data: dict[str, Any]) -> list[_AppCamera]:
+    """Return the cameras of a metadata.json; leave out frames without a pose, with a note. Raises InputError."""
     poses, middle, each = data["poses"], data.get("K"), data.get("perFrameIntrinsicCoeffs")
     if not isinstance(poses, list) or not poses or not isinstance(middle, list) or len(middle) != 9:
         raise InputError(f"{path}: expected poses (7 numbers each) and K (9 numbers), got {shown(middle)}")
@@ -138,7 +159,7 @@ def _record3d(path: Path, data: dict[str, Any]) -> list[_Camera]:
             raise InputError(f"{path}: perFrameIntrinsicCoeffs[{index}]: expected fx, fy, cx, cy, got {shown(own)}")
         intrinsics = np.array([real_number(f"{path}: intrinsics", number, -1e12, 1e12) for number in own])
         check_intrinsics(where, intrinsics, *size)
-        cameras.append(_Camera(f"{index}.jpg", _inverse(pose @ TO_OPENCV), intrinsics, size))
+        cameras.append(_AppCamera(f"{index}.jpg", _inverse(pose @ TO_OPENCV), intrinsics, size))
     if not cameras:
         raise InputError(f"{path}: expected photographs with poses, got {len(poses)} without")
     if lost:
@@ -147,10 +168,10 @@ def _record3d(path: Path, data: dict[str, Any]) -> list[_Camera]:
     return cameras
 
 
-def _inria(path: Path) -> list[_Camera]:
-    """The cameras of a cameras.json. Raises InputError."""
+def _inria_cameras(path: Path) -> list[_AppCamera]:
+    """Read the cameras of a cameras.json. Raises InputError."""
     return [
-        _Camera(
+        _AppCamera(
             camera.name,
             camera.world_to_camera,
             np.array([*camera.focal_px, *camera.principal_point_px]),
@@ -161,7 +182,7 @@ def _inria(path: Path) -> list[_Camera]:
 
 
 def _inverse(camera_to_world: np.ndarray) -> np.ndarray:
-    """World to camera [4,4] of a rigid motion."""
+    """Invert a rigid motion: world to camera [4,4] from camera to world."""
     rotation = nearest_rotation(camera_to_world[:3, :3]).T
     inverse = np.eye(4)
     inverse[:3, :3], inverse[:3, 3] = rotation, -rotation @ camera_to_world[:3, 3]

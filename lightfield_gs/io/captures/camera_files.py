@@ -1,9 +1,11 @@
-"""Files of cameras that trainers of 3D Gaussians write: Inria's cameras.json and the transforms.json of NeRF.
+"""Files of cameras that trainers of 3D Gaussians write: Inria's cameras.json and NeRF's transforms.json.
 
-cameras.json (Kerbl et al., "3D Gaussian Splatting", 2023): a list of objects with position (the camera's centre),
-rotation (camera to world, rows; OpenCV axes), fx, fy, width, height; cx, cy where the middle is not meant.
-transforms.json (Mildenhall et al., "NeRF", 2020; Müller et al., "Instant NGP", 2022): frames, each with
-transform_matrix (camera to world, OpenGL axes: x right, y up, z backward); in a frame, or at the top for all, w, h,
+cameras.json, source: Kerbl et al., "3D Gaussian Splatting", 2023. A list of objects with position (the camera's
+centre), rotation (camera to world, rows, OpenCV axes), fx, fy, width and height. cx and cy are there unless the
+principal point is the middle.
+
+transforms.json, source: Mildenhall et al., "NeRF", 2020; Müller et al., "Instant NGP", 2022. Each of the frames has a
+transform_matrix (camera to world, OpenGL axes: x right, y up, z backward). A frame, or the top for all, has w, h,
 fl_x, fl_y or camera_angle_x, camera_angle_y (radians), cx, cy.
 """
 
@@ -23,14 +25,14 @@ from lightfield_gs.io.captures.pinhole import (
     TO_OPENCV,
     focal_lengths,
     nearest_rotation,
-    say_scales,
-    unscaled,
+    note_scales,
+    remove_scale,
 )
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_json
+from lightfield_gs.io.text_files import read_json
 
 LIMIT_BYTES = 256 << 20
-_ORTHONORMAL = 1e-3  # how far rows may be off: numbers of a few digits are made a rotation again
+_ORTHONORMAL = 1e-3  # tolerance of rows; few digits are rounded to a rotation
 _MAX_SIZE_PX = 1 << 20
 _SIZE_SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # what file_path may leave out
 
@@ -39,10 +41,15 @@ _SIZE_SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # what file_path may leave out
 class FileCamera:
     """One camera of a file.
 
-    name: of its image, or its number. world_to_camera: [4, 4] float64, OpenCV axes, scene units. focal_px,
-    principal_point_px, width_px, height_px: pixels of its image, from the outer corner of the first; where neither the
-    file nor an image says how large it is, it is taken as square, one unit wide, and `assumed` says so.
-    distorted: whether the file tells of lens distortion, which these numbers leave out.
+    Attributes:
+        name: of its image, or its number.
+        world_to_camera: [4,4] float64, OpenCV axes, scene units.
+        focal_px: (fx, fy) in pixels of its image.
+        principal_point_px: (cx, cy), from the outer corner of the first pixel.
+        width_px, height_px: size of its image. Where neither the file nor an image tells it, the image is taken as
+            square and one unit wide.
+        assumed: the assumption about its size, in words.
+        distorted: whether the file has lens distortion, which these numbers leave out.
     """
 
     name: str
@@ -55,7 +62,7 @@ class FileCamera:
     distorted: bool = False
 
     def fitted(self, width_px: int, height_px: int) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Focal lengths and principal point at which the whole image fits a panel of this size, in its middle."""
+        """Return focal lengths and principal point that fit the whole image into a panel of this size, centred."""
         scale = min(width_px / self.width_px, height_px / self.height_px)
         (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
         return (
@@ -64,7 +71,7 @@ class FileCamera:
         )
 
     def turned(self, quarters: int) -> FileCamera:
-        """The same camera, turned about its axis so that its image appears so many quarter turns clockwise."""
+        """Return the camera rolled about its axis, so that its image turns clockwise by so many quarters."""
         camera = self
         for _ in range(quarters % 4):
             (fx, fy), (cx, cy) = camera.focal_px, camera.principal_point_px
@@ -81,14 +88,18 @@ class FileCamera:
 
 
 def is_camera_file(data: Any) -> bool:
-    """Whether the value of a JSON file looks like either kind; calibrations of displays come in lists too."""
+    """Return whether JSON data looks like either kind. Calibrations of displays may be lists too."""
     if isinstance(data, list):
         return any(isinstance(entry, dict) and ("position" in entry or "rotation" in entry) for entry in data[:1])
     return isinstance(data, dict) and "frames" in data
 
 
 def read_camera_file(path: str | Path) -> list[FileCamera]:
-    """The cameras of either kind of file, in its order. Raises InputError that names the file and the key."""
+    """Read the cameras of either kind of file, in its order.
+
+    Raises:
+        InputError: names the file and the key.
+    """
     data = read_json(path, LIMIT_BYTES)
     if isinstance(data, list):
         return _inria(path, data)
@@ -106,7 +117,7 @@ def read_camera_file(path: str | Path) -> list[FileCamera]:
 
 
 def read_inria(path: str | Path) -> list[FileCamera]:
-    """The cameras of a cameras.json. Raises InputError."""
+    """Read the cameras of a cameras.json. Raises InputError."""
     data = read_json(path, LIMIT_BYTES)
     if not isinstance(data, list):
         raise InputError(
@@ -117,7 +128,7 @@ def read_inria(path: str | Path) -> list[FileCamera]:
 
 
 def read_transforms(path: str | Path) -> list[FileCamera]:
-    """The cameras of a transforms.json. Raises InputError."""
+    """Read the cameras of a transforms.json. Raises InputError."""
     data = read_json(path, LIMIT_BYTES)
     if not isinstance(data, dict):
         raise InputError(
@@ -139,7 +150,7 @@ def _inria(path: str | Path, data: list) -> list[FileCamera]:
         name = entry.get("img_name", entry.get("id", index))
         pose = _pose(rotation, position)
         cameras.append(FileCamera(shown(name).strip("'\""), pose, (fx, fy), centre, width, height))
-    say_scales(path, scales)
+    note_scales(path, scales)
     return cameras
 
 
@@ -148,14 +159,14 @@ def _transforms(path: str | Path, data: dict[str, Any]) -> list[FileCamera]:
     if not isinstance(frames, list):
         raise InputError(f"{path}: frames: expected a list of views, got {shown(frames)}")
     frames = _objects(f"{path}: frames", frames, "transform_matrix")
-    images = _Images(Path(path).parent)
+    images = _ImageSizes(Path(path).parent)
     found = [_frame(f"{path}: frames[{index}]", {**data, **frame}, images) for index, frame in enumerate(frames)]
-    say_scales(path, [scale for _, scale in found])
+    note_scales(path, [scale for _, scale in found])
     return [camera for camera, _ in found]
 
 
-def _frame(where: str, fields: dict[str, Any], images: _Images) -> tuple[FileCamera, float]:
-    """One camera, and the scale that its rotation was divided by."""
+def _frame(where: str, fields: dict[str, Any], images: _ImageSizes) -> tuple[FileCamera, float]:
+    """Return the camera of a frame, and the scale that its rotation was divided by."""
     matrix = _array(f"{where}.transform_matrix", fields.get("transform_matrix"), None)
     if matrix.shape not in ((4, 4), (3, 4)):
         raise InputError(f"{where}.transform_matrix: expected 4 rows of 4 numbers, got {list(matrix.shape)}")
@@ -177,8 +188,8 @@ def _frame(where: str, fields: dict[str, Any], images: _Images) -> tuple[FileCam
     return FileCamera(name, pose, focal, centre, width, height, assumed, distorted), scale
 
 
-def _size(where: str, fields: dict[str, Any], images: _Images) -> tuple[float, float, str]:
-    """Width and height of the image, and what was assumed of them."""
+def _size(where: str, fields: dict[str, Any], images: _ImageSizes) -> tuple[float, float, str]:
+    """Return width and height of the image, and the assumption about them."""
     if fields.get("w") is not None and fields.get("h") is not None:
         return _number(where, fields, "w", 1, _MAX_SIZE_PX), _number(where, fields, "h", 1, _MAX_SIZE_PX), ""
     if (size := images.size_of(fields.get("file_path"))) is not None:
@@ -192,7 +203,7 @@ def _size(where: str, fields: dict[str, Any], images: _Images) -> tuple[float, f
 
 
 def _centre(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
-    """The principal point: cx and cy, or the middle of the image."""
+    """Return the principal point: cx and cy, or the middle of the image."""
     cx, cy = (
         side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
         for key, side in (("cx", width), ("cy", height))
@@ -211,8 +222,8 @@ def _focal(where: str, fields: dict[str, Any], width: float, height: float) -> t
     return found
 
 
-class _Images:
-    """Sizes of the images that the frames name, as far as there are any; most often they are all of the first's."""
+class _ImageSizes:
+    """Sizes of the images that frames name. The first image that exists stands for all."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -234,7 +245,7 @@ class _Images:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except OSError:  # a name that no file can have
+    except OSError:  # no file can have this name
         return False
 
 
@@ -254,7 +265,7 @@ def _number(where: str, entry: dict[str, Any], key: str, low: float, high: float
 
 
 def _array(what: str, value: Any, shape: tuple[int, ...] | None) -> np.ndarray:
-    """`value` as finite float64 of this shape (None: any rows); raises InputError."""
+    """Return `value` as finite float64 of this shape (None: any). Raises InputError."""
     expected = "numbers" if shape is None else f"numbers {list(shape)}"
     try:
         array = np.array(value)
@@ -269,9 +280,12 @@ def _array(what: str, value: Any, shape: tuple[int, ...] | None) -> np.ndarray:
 
 
 def _rotation(what: str, matrix: np.ndarray) -> tuple[np.ndarray, float]:
-    """The rotation that is nearest to a matrix that nearly is one, but for the scale, which comes with it; raises
-    InputError."""
-    matrix, scale = unscaled(matrix)
+    """Return the rotation nearest to a matrix, and the scale that the matrix was divided by.
+
+    Raises:
+        InputError: for shear and mirroring.
+    """
+    matrix, scale = remove_scale(matrix)
     error = np.abs(matrix @ matrix.T - np.eye(3)).max()
     if not error <= _ORTHONORMAL or np.linalg.det(matrix) < 0:
         raise InputError(
@@ -282,7 +296,7 @@ def _rotation(what: str, matrix: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _pose(rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """world_to_camera [4, 4] of a camera with these axes (columns, in world axes) at this place."""
+    """Return world_to_camera [4,4] of a camera with these axes (columns, in world axes) and this centre."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ centre
     return pose

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 BROWN_COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
-Formula = Callable[..., np.ndarray]  # points [...,2] at depth 1 and the coefficients -> where they are seen [...,2]
+Formula = Callable[..., np.ndarray]  # points [...,2] at depth 1 and coefficients -> distorted points [...,2]
 
 
 def distort_brown(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -48,16 +48,20 @@ def distort_brown(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
 
 
 def describe_coefficients(coefficients: np.ndarray) -> str:
-    """The coefficients that are not zero, for people."""
+    """Return the coefficients that are not zero as text."""
     return ", ".join(f"{name} {value:g}" for name, value in zip(BROWN_COEFFICIENTS, coefficients) if value)
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """One model: its number in binary files, how many focal lengths stand before the principal point, the names of the
-    coefficients after it, and its formula; None: a pinhole.
+    """One camera model of COLMAP.
 
-    fisheye: whether it bends with all coefficients zero.
+    Attributes:
+        number: its id in binary files.
+        focal_lengths: how many focal lengths precede the principal point, 1 or 2.
+        coefficients: names of the distortion coefficients after the principal point.
+        formula: maps points to distorted points; None: a pinhole.
+        fisheye: whether it distorts with all coefficients zero.
     """
 
     number: int
@@ -68,17 +72,17 @@ class CameraModel:
 
     @property
     def parameters(self) -> int:
-        """How many numbers a camera of this model has."""
+        """The number of parameters of a camera of this model."""
         return self.focal_lengths + 2 + len(self.coefficients)
 
 
 def _squared(points: np.ndarray) -> np.ndarray:
-    """x^2 + y^2 of points [...,2], [...,1]; numpy's sums of two numbers take much longer."""
+    """Return x^2 + y^2 of points [...,2], as [...,1]. numpy's sums over two numbers are much slower."""
     return points[..., :1] ** 2 + points[..., 1:] ** 2
 
 
 def _flattened(points: np.ndarray) -> np.ndarray:
-    """Points at depth 1 as an equidistant fisheye shows them: at the angle from the axis, not at its tangent."""
+    """Project points at depth 1 by an equidistant fisheye: the radius is the angle from the axis, not its tangent."""
     radius = np.sqrt(_squared(points))
     with np.errstate(invalid="ignore", divide="ignore"):
         return points * np.where(radius > 1e-12, np.arctan(radius) / radius, 1)
@@ -110,7 +114,10 @@ def _thin_prism(
 
 
 def _rad_tan_thin_prism(points: np.ndarray, *coefficients: float) -> np.ndarray:
-    """x_r = x (1 + k0 t^2 + ... + k5 t^12) of the fisheye's x; then x_r + 2 x_r (p . x_r) + p r^2 + s0 r^2 + s1 r^4."""
+    """Distort by x_r = x (1 + k0 t^2 + ... + k5 t^12) of the fisheye's x, then by a tangential and a thin-prism term.
+
+    The result is x_r + 2 x_r (p . x_r) + p r^2 + s0 r^2 + s1 r^4.
+    """
     k, p, s = coefficients[:6], np.array(coefficients[6:8]), np.array(coefficients[8:]).reshape(2, 2)
     flat = _flattened(points)
     t2 = _squared(flat)
@@ -128,7 +135,7 @@ def _field_of_view(points: np.ndarray, omega: float) -> np.ndarray:
 
 
 def _division(points: np.ndarray, k: float) -> np.ndarray:
-    """The inverse of x / (1 + k r^2)."""
+    """Invert x / (1 + k r^2)."""
     with np.errstate(invalid="ignore"):
         return points * 2 / (1 + np.sqrt(1 - 4 * k * _squared(points)))
 
@@ -163,27 +170,41 @@ COLMAP_MODELS = {
 
 
 @dataclass(frozen=True)
-class Lens:
-    """How a camera departs from a pinhole: a formula, its coefficients, and words for it."""
+class Distortion:
+    """Distortion of a camera's lens: a formula, its coefficients, and a description for messages."""
 
     formula: Formula
     coefficients: tuple[float, ...]
-    words: str
+    description: str
     fisheye: bool = False
 
-    def distorted(self, points: np.ndarray) -> np.ndarray:
-        """Where points [...,2] at depth 1 are seen, [...,2] float64, in units of the focal lengths; NaN where no lens
-        of this kind shows them."""
+    def distort(self, points: np.ndarray) -> np.ndarray:
+        """Distort points.
+
+        Args:
+            points: [...,2], x/z and y/z in camera axes.
+
+        Returns:
+            Distorted points, [...,2] float64, in units of the focal lengths; NaN where no such lens shows them.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             return self.formula(np.asarray(points, np.float64), *self.coefficients)
 
 
-def lens_of(name: str, coefficients: Sequence[float]) -> Lens | None:
-    """The lens of a camera of COLMAP's model `name`; None where it is a pinhole, as with all coefficients zero."""
+def lens_distortion(name: str, coefficients: Sequence[float]) -> Distortion | None:
+    """Return the distortion of a camera of a COLMAP model.
+
+    Args:
+        name: the model's name, a key of COLMAP_MODELS.
+        coefficients: in the model's order.
+
+    Returns:
+        The distortion; None for a pinhole, also where all coefficients are zero.
+    """
     model = COLMAP_MODELS[name]
     # With alpha zero EUCM is a pinhole, whatever beta is
     bends = model.fisheye or any(coefficients[:1] if name == "EUCM" else coefficients)
     if model.formula is None or not bends:
         return None
-    said = ", ".join(f"{key} {value:g}" for key, value in zip(model.coefficients, coefficients))
-    return Lens(model.formula, tuple(coefficients), f"{name} {said}".strip(), model.fisheye)
+    values = ", ".join(f"{key} {value:g}" for key, value in zip(model.coefficients, coefficients))
+    return Distortion(model.formula, tuple(coefficients), f"{name} {values}".strip(), model.fisheye)

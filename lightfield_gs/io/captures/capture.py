@@ -13,37 +13,43 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.captures.app_captures import app_shots
-from lightfield_gs.io.captures.camera_models import Lens
-from lightfield_gs.io.captures.colmap import colmap_shots, model_folder
-from lightfield_gs.io.captures.masks import masks_for
+from lightfield_gs.io.captures.app_captures import read_app_capture
+from lightfield_gs.io.captures.camera_models import Distortion
+from lightfield_gs.io.captures.colmap import model_folder, read_colmap_capture
+from lightfield_gs.io.captures.masks import find_capture_masks
 from lightfield_gs.io.captures.photo_files import first_names
-from lightfield_gs.io.captures.photograph import Photograph, Shot, Shots
-from lightfield_gs.io.captures.transforms import has_frames, transforms_file, transforms_shots
+from lightfield_gs.io.captures.photograph import Photograph, PosedCapture, PosedPhotograph
+from lightfield_gs.io.captures.transforms import has_frames, read_transforms_capture, transforms_file
 from lightfield_gs.io.captures.undistortion import LARGEST_FOLDED_FRACTION, folded_fraction
 from lightfield_gs.io.images import read_info
 
-EVERY = 8  # one of so many photographs is held out where nothing says which
+EVERY = 8  # one in EVERY photographs is held out by default
 TestEvery = int | Literal["own"] | None  # see Capture.split
-_ONE_PLACE = 1e-12  # of places' distance from the origin: cameras less far apart differ by rounding alone
-_SMALLEST_PX = 16  # of a photograph's longer side that is asked for
+_SAME_POSITION = 1e-12  # of the distance from the origin: closer centres differ by rounding
+_SMALLEST_PX = 16  # least longest_px
 _ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\xfd7zXZ", b"BZh")
 _TAR = 257, b"ustar"
-_FARTHEST = 1e4  # times the points' median distance from their median place: no structure from motion is that sure
-_STRETCH = 0.01  # by which the two axes of a resized photograph may differ, beside the rounding of its size
+_FARTHEST = 1e4  # times the points' median distance from their median: beyond, structure from motion is unreliable
+_STRETCH = 0.01  # largest difference in scale of the two axes of a resized photograph, beside rounding
 _MARGIN = 1.1  # Kerbl et al.
-_OUTLIER = 3.0  # times the median distance: from there on a camera does not count
+_OUTLIER = 3.0  # times the median distance: cameras beyond are outliers
 
 
 @dataclass(frozen=True)
 class Capture:
     """C photographs with their cameras, and P points.
 
-    folder: where it is. names: sorted, relative to the folder of images, with / between folders. world_to_camera:
-    [C,4,4] float64, OpenCV axes. intrinsics: [C,4] float64, (fx, fy, cx, cy), and sizes_px: [C,2] int, width and
-    height, of what image(i) gives: undistorted, scaled, in pixels from the outer corner of the first. points: [P,3]
-    float64, may be none; colours: [P,3] uint8. photographs: C, where image and mask come from. held_out: names of
-    those that the capture itself keeps for tests; held_by: what says so.
+    Attributes:
+        folder: the capture's folder.
+        names: sorted, relative to the folder of images, with / between folders.
+        world_to_camera: [C,4,4] float64, OpenCV axes.
+        intrinsics: [C,4] float64, (fx, fy, cx, cy) of image(i), in pixels from the outer corner of the first.
+        sizes_px: [C,2] int, width and height of image(i): undistorted and reduced.
+        points: [P,3] float64; P may be 0.
+        colours: [P,3] uint8.
+        photographs: C, the files of images and masks.
+        held_out: names of the photographs that the capture itself holds out for tests.
+        held_by: the file or field that holds them out.
     """
 
     folder: Path
@@ -58,40 +64,49 @@ class Capture:
     held_by: str = ""
 
     def image(self, index: int) -> np.ndarray:
-        """Photograph `index`, uint8 [H,W,3], sRGB, undistorted and scaled; decoded now. Raises InputError."""
+        """Decode a photograph: uint8 [H,W,3], sRGB, undistorted and reduced. Raises InputError."""
         return self.photographs[index].image()
 
     def mask(self, index: int) -> np.ndarray | None:
-        """What of photograph `index` counts, uint8 [H,W]: 255 does, 0 does not; None where all does. The least of its
-        mask's file, its alpha, and what lies within the distorted frame. Raises InputError."""
+        """Return the mask of a photograph: uint8 [H,W], 255 where it counts and 0 where not; None where all counts.
+
+        It is the least of the mask's file, the photograph's alpha and its valid area. Raises InputError.
+        """
         return self.photographs[index].mask()
 
     def opacity(self, index: int) -> np.ndarray | None:
-        """As mask, of the mask's file and the alpha alone: where they are the target of the scene's alpha."""
+        """Return the mask of the mask's file and the alpha alone: the target of the scene's alpha. See `mask`."""
         return self.photographs[index].opacity()
 
-    def frame(self, index: int) -> np.ndarray | None:
-        """As mask, of the distorted frame alone: nothing is known beyond it."""
-        return self.photographs[index].frame()
+    def valid_area(self, index: int) -> np.ndarray | None:
+        """Return the mask of the distorted photograph's frame alone: nothing is known beyond it. See `mask`."""
+        return self.photographs[index].valid_area()
 
     @property
     def centres(self) -> np.ndarray:
-        """Where the cameras stand, [C,3] float64."""
+        """Camera centres, [C,3] float64."""
         rotations, translations = self.world_to_camera[:, :3, :3], self.world_to_camera[:, :3, 3]
         return -(rotations.swapaxes(1, 2) @ translations[..., None])[..., 0]
 
     @property
     def extent(self) -> float:
-        """The length that steps of positions are measured by, scene units, > 0; see spread.extent_of."""
+        """The length that steps of positions are measured by, scene units, > 0. See scene_extent."""
         return scene_extent(self.centres, self.points)
 
     def split(self, test_every: TestEvery = "own", names: list[str] | None = None) -> tuple[list[int], list[int]]:
-        """Indices of the photographs to fit to and of those held out to test, in order.
+        """Split the photographs into those to fit to and those held out for tests.
 
-        test_every: k holds out index % k == k // 2, the middle of every k, so that the ends of an arc are never
-        extrapolated; None: none; "own": those that the capture itself keeps for tests, which is said, or the middle of
-        every EVERY. names: those to hold out instead, as in `names` or by their last part. Raises InputError for names
-        that there are not, and where nothing is left to fit to.
+        Args:
+            test_every: k holds out index % k == k // 2, the middle of every k, so that the ends of an arc are never
+                extrapolated. None holds out none. "own" holds out the capture's own test photographs, with a note, or
+                else the middle of every EVERY.
+            names: photographs to hold out instead, as in `names` or by their file names.
+
+        Returns:
+            Indices to fit to and indices to test, both in order.
+
+        Raises:
+            InputError: for unknown names, and where nothing is left to fit to.
         """
         if names is not None:
             test = sorted({self.index_of(name, "test photograph") for name in names})
@@ -112,7 +127,15 @@ class Capture:
         return train, test
 
     def index_of(self, name: str, what: str = "photograph") -> int:
-        """The index of a photograph by its name, or the last part of it; `what` it is for. Raises InputError."""
+        """Return the index of a photograph by its name or its file name.
+
+        Args:
+            name: as in `names`, or its last part.
+            what: the kind of photograph, for the message.
+
+        Raises:
+            InputError: where no photograph, or several, have this name.
+        """
         if name in self.names:
             return self.names.index(name)
         found = [index for index, known in enumerate(self.names) if known.rsplit("/", 1)[-1] == name]
@@ -132,56 +155,62 @@ def read_capture(
     scale: float | None = None,
     longest_px: int | None = None,
 ) -> Capture:
-    """The capture in a folder: photographs that COLMAP posed (sparse/0, sparse, or the files of a model in the folder),
-    or those of a transforms.json, which may be given itself, or of transforms_train.json with its tests beside it; what
-    Polycam and Record3D keep, and a cameras.json beside photographs. Photographs that are missing or damaged are left
-    out, as long as enough are left.
+    """Read a capture.
 
-    images: the folder of the photographs, absolute or below `folder`; None: images, or what else has them. The size of
-    the files is what counts: intrinsics are scaled by its ratio to the model's cameras, for each axis. masks: the
-    folder of masks; None: masks, where there is one. scale: 0..1, shrinks the photographs in memory by an area filter;
-    longest_px: shrinks those whose longer side is longer. What is assumed is said (base/assumptions.py). Raises
-    InputError that names what is missing or wrong.
+    Layouts are a COLMAP model (sparse/0, sparse, or the folder itself), a transforms.json, Polycam's or Record3D's
+    data, and a cameras.json beside photographs. Missing and damaged photographs are left out as long as enough are
+    left. Every assumption is noted (base/assumptions.py).
+
+    Args:
+        folder: the capture, or a transforms.json itself; transforms_train.json brings its tests along.
+        images: the folder of the photographs, absolute or below `folder`; None: the layout's own. The size of the
+            files counts: each axis of the intrinsics is scaled by the ratio to the model's cameras.
+        masks: the folder of masks; None: one of the usual names, where there is one.
+        scale: reduces the photographs by an area filter, 0.001..1.
+        longest_px: reduces photographs whose longer side is longer.
+
+    Raises:
+        InputError: names the missing or wrong file or field.
     """
     folder = checked_path(folder)
     if scale is not None and longest_px is not None:
         raise InputError("expected scale or longest_px, got both")
-    share = 1.0 if scale is None else real_number("scale", scale, 1e-3, 1)
+    scale = 1.0 if scale is None else real_number("scale", scale, 1e-3, 1)
     longest = None if longest_px is None else whole_number("longest_px", longest_px, _SMALLEST_PX, 1 << 20)
     root = folder.parent if folder.is_file() else folder
     masks_at = None if masks is None else folder_in("masks", root, masks)
-    found = _read_layout(folder, None if images is None else folder_in("images", root, images), masks_at)
-    shots = sorted(found.shots, key=lambda shot: shot.name)
-    photographs = _photographs(found, shots, root, masks_at, share, longest)
-    points, colours = _usable_points(found)
+    layout = _read_layout(folder, None if images is None else folder_in("images", root, images), masks_at)
+    posed = sorted(layout.photographs, key=lambda photograph: photograph.name)
+    photographs = _photographs(layout, posed, root, masks_at, scale, longest)
+    points, colours = _usable_points(layout)
     if not len(points):
-        assume(f"{found.source} has no points of the scene: a fit begins at random ones")
-    _say_one_place([shot.world_to_camera for shot in shots])
+        assume(f"{layout.source} has no points of the scene: a fit begins at random ones")
+    _note_single_position([photograph.world_to_camera for photograph in posed])
     sizes = np.array([photograph.size_px for photograph in photographs])
     stored = np.array([photograph.stored_px for photograph in photographs])
     return Capture(
         root,
-        [shot.name for shot in shots],
-        np.stack([shot.world_to_camera for shot in shots]),
+        [photograph.name for photograph in posed],
+        np.stack([photograph.world_to_camera for photograph in posed]),
         np.array([photograph.intrinsics for photograph in photographs]) * np.tile(sizes / stored, 2),
         sizes,
         points,
         colours,
         photographs,
-        found.held_out,
-        found.held_by,
+        layout.held_out,
+        layout.held_by,
     )
 
 
-def _say_one_place(world_to_camera: Sequence[np.ndarray]) -> None:
-    """Says where no two cameras [4,4] are apart."""
+def _note_single_position(world_to_camera: Sequence[np.ndarray]) -> None:
+    """Note that all cameras [4,4] stand in one place."""
     centres = [-pose[:3, :3].T @ pose[:3, 3] for pose in world_to_camera]
-    if len(centres) > 1 and float(np.ptp(centres, axis=0).max()) <= _ONE_PLACE * float(np.abs(centres).max()):
+    if len(centres) > 1 and float(np.ptp(centres, axis=0).max()) <= _SAME_POSITION * float(np.abs(centres).max()):
         assume(f"all {len(centres)} photographs are from one place: nothing says how far away what they show is")
 
 
-def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots:
-    """What the capture says, by what is in its folder; raises InputError."""
+def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> PosedCapture:
+    """Read the capture by the files in its folder. Raises InputError."""
     if not folder.exists():
         raise InputError(f"{folder}: no such folder: expected a capture, with sparse/0 or transforms.json")
     file = transforms_file(folder)
@@ -189,13 +218,13 @@ def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots
     if model is not None:
         if file is not None:
             assume(f"the COLMAP model {model} is read, not {file}: give that file itself to read it")
-        return colmap_shots(folder, images, masks)
-    if (file is None or file == folder) and (found := app_shots(folder, images)) is not None:
+        return read_colmap_capture(folder, images, masks)
+    if (file is None or file == folder) and (found := read_app_capture(folder, images)) is not None:
         return found
     if file is not None:
-        return transforms_shots(file, images, file == folder)
+        return read_transforms_capture(file, images, file == folder)
     if folder.is_file():
-        raise InputError(f"{folder}: {_what_to_give(folder)}")
+        raise InputError(f"{folder}: {_explain_file(folder)}")
     if (above := _capture_above(folder)) is not None:
         raise InputError(f"{folder}: is one folder of a capture: give the folder above, {above}")
     if below := _captures_below(folder):
@@ -209,14 +238,13 @@ def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Shots
 
 
 def _capture_above(folder: Path) -> Path | None:
-    """The nearest of the two folders above that is a capture; None where neither is."""
+    """Return the nearest of the two folders above that is a capture; None where neither is."""
     above = folder.absolute().parents[:2]
     return next((path for path in above if model_folder(path) is not None or transforms_file(path) is not None), None)
 
 
 def _captures_below(folder: Path) -> list[Path]:
-    """What is a capture in a folder that is none: files of frames by other names than usual, or else the folders that
-    are, as deep as COLMAP's dense/0."""
+    """Return captures in a folder that is none: JSON files with frames, or folders, as deep as COLMAP's dense/0."""
     with reading(folder):
         if files := [path for path in sorted(folder.glob("*.json")) if has_frames(path)]:
             return files
@@ -225,8 +253,8 @@ def _captures_below(folder: Path) -> list[Path]:
     return [path for path in found if not any(other in path.parents for other in found)]
 
 
-def _what_to_give(file: Path) -> str:
-    """What a file is that is no capture, and the way out."""
+def _explain_file(file: Path) -> str:
+    """Tell the kind of a file that is no capture, and the way out."""
     with reading(file), file.open("rb") as opened:
         start = opened.read(512)
     if start.startswith(_ARCHIVES) or start[_TAR[0] :].startswith(_TAR[1]):
@@ -240,7 +268,7 @@ def _what_to_give(file: Path) -> str:
 
 
 def folder_in(what: str, capture: Path, given: str | Path) -> Path:
-    """A folder that was given by its path, or by its name below the capture; raises InputError."""
+    """Return a folder that was given by its path, or by its name below the capture. Raises InputError."""
     below = capture / checked_path(given)
     for path in (below, Path(given)):
         if path.is_dir():
@@ -249,30 +277,46 @@ def folder_in(what: str, capture: Path, given: str | Path) -> Path:
 
 
 def _photographs(
-    found: Shots, shots: Sequence[Shot], folder: Path, masks: Path | None, share: float, longest_px: int | None
+    layout: PosedCapture,
+    posed: Sequence[PosedPhotograph],
+    folder: Path,
+    masks: Path | None,
+    scale: float,
+    longest_px: int | None,
 ) -> list[Photograph]:
-    """The photographs of these shots, made smaller by `share`, and to `longest_px` where they are longer."""
-    infos = [read_info(shot.path) for shot in shots]
+    """Make the photographs of a capture from its posed files.
+
+    Args:
+        layout: the capture as its layout has it, for masks and messages.
+        posed: its photographs, sorted.
+        folder: the capture's folder.
+        masks: the folder of masks that was given.
+        scale: reduces all photographs.
+        longest_px: reduces those that are longer; takes the place of `scale`.
+    """
+    infos = [read_info(photograph.path) for photograph in posed]
     alphas = [info.has_alpha for info in infos]
-    mask_paths = masks_for(found, shots, folder, masks, alphas)
+    mask_paths = find_capture_masks(layout, posed, folder, masks, alphas)
     photographs, checked = [], set()
-    for shot, info, mask, alpha in zip(shots, infos, mask_paths, alphas):
+    for photograph, info, mask, alpha in zip(posed, infos, mask_paths, alphas):
         stored = info.width_px, info.height_px
-        _check_size(shot, stored, info.orientation)
-        ratio = np.array(stored) / shot.camera_px
-        intrinsics = tuple((shot.intrinsics * np.tile(ratio, 2)).tolist())
-        if shot.lens is not None and (key := (shot.lens, intrinsics, stored)) not in checked:
+        _check_aspect(photograph, stored, info.orientation)
+        ratio = np.array(stored) / photograph.camera_px
+        intrinsics = tuple((photograph.intrinsics * np.tile(ratio, 2)).tolist())
+        if photograph.distortion is not None and (key := (photograph.distortion, intrinsics, stored)) not in checked:
             checked.add(key)
-            _check_lens(shot, shot.lens, np.array(intrinsics), stored)
-        size = _size(stored, share, longest_px)
-        photographs.append(Photograph(shot.path, stored, size, intrinsics, shot.lens, mask, alpha, info.orientation))
-    _say_sizes(shots, photographs)
+            _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored)
+        size = _reduced_size(stored, scale, longest_px)
+        photographs.append(
+            Photograph(photograph.path, stored, size, intrinsics, photograph.distortion, mask, alpha, info.orientation)
+        )
+    _note_resized(posed, photographs)
     return photographs
 
 
-def _usable_points(found: Shots) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P,3] and colours [P,3] without those that are not finite or absurdly far away."""
-    points = found.points
+def _usable_points(layout: PosedCapture) -> tuple[np.ndarray, np.ndarray]:
+    """Return points [P,3] and colours [P,3] without points that are not finite or absurdly far away."""
+    points = layout.points
     good = np.isfinite(points).all(1) & (np.abs(points).max(1, initial=0) < 1e12)
     if good.any():
         away = np.full(len(points), np.inf)
@@ -280,20 +324,20 @@ def _usable_points(found: Shots) -> tuple[np.ndarray, np.ndarray]:
         good &= away <= max(_FARTHEST * float(np.median(away[good])), 1e-9)
     if not good.all():
         words = counted(int((~good).sum()), "point", len(good), "are not finite or absurdly far, and left out")
-        assume(f"{found.source}: {words}")
-    return points[good], found.colours[good]
+        assume(f"{layout.source}: {words}")
+    return points[good], layout.colours[good]
 
 
-def _size(stored: tuple[int, int], share: float, longest_px: int | None) -> tuple[int, int]:
+def _reduced_size(stored: tuple[int, int], scale: float, longest_px: int | None) -> tuple[int, int]:
     if longest_px is not None:
-        share = min(1.0, longest_px / max(stored))
-    width, height = (max(1, round(side * share)) for side in stored)
+        scale = min(1.0, longest_px / max(stored))
+    width, height = (max(1, round(side * scale)) for side in stored)
     return width, height
 
 
-def _check_size(shot: Shot, stored: tuple[int, int], orientation: int) -> None:
-    """Raises InputError for a file whose shape is not that of its camera's pictures, up to rounding."""
-    (width, height), (camera_width, camera_height) = stored, shot.camera_px
+def _check_aspect(photograph: PosedPhotograph, stored: tuple[int, int], orientation: int) -> None:
+    """Raise InputError for a file whose aspect is not that of its camera's images, up to rounding."""
+    (width, height), (camera_width, camera_height) = stored, photograph.camera_px
     # The size was rounded up or down by less than a pixel, each way
     slack = 1 / min(width, height) + 1 / min(camera_width, camera_height) + _STRETCH
     if abs(width * camera_height / (height * camera_width) - 1) <= slack:
@@ -306,46 +350,52 @@ def _check_size(shot: Shot, stored: tuple[int, int], orientation: int) -> None:
         else ": a photograph may be resized, but not cropped or turned, after it was posed"
     )
     raise InputError(
-        f"{shot.path}: expected the shape of its camera's pictures, {camera_width} x {camera_height}, got "
+        f"{photograph.path}: expected the shape of its camera's pictures, {camera_width} x {camera_height}, got "
         f"{width} x {height}{way_out}"
     )
 
 
-def _check_lens(shot: Shot, lens: Lens, intrinsics: np.ndarray, stored: tuple[int, int]) -> None:
-    """Raises InputError for a lens that makes no picture; says what of a fisheye's is seen."""
-    if (lost := folded_fraction(lens, intrinsics, *stored)) > LARGEST_FOLDED_FRACTION:
+def _check_distortion(
+    photograph: PosedPhotograph, distortion: Distortion, intrinsics: np.ndarray, stored: tuple[int, int]
+) -> None:
+    """Raise InputError for a distortion that makes no image; note the visible angles of a fisheye."""
+    if (lost := folded_fraction(distortion, intrinsics, *stored)) > LARGEST_FOLDED_FRACTION:
         raise InputError(
-            f"{shot.path}: the lens {lens.words} folds {lost:.0%} of the picture onto the rest: expected "
-            "coefficients that straighten it; pose the photographs again with a simpler camera model"
+            f"{photograph.path}: the lens {distortion.description} folds {lost:.0%} of the picture onto the rest: "
+            "expected coefficients that straighten it; pose the photographs again with a simpler camera model"
         )
-    if lens.fisheye:
+    if distortion.fisheye:
         before, after = intrinsics[2:] / intrinsics[:2], (stored - intrinsics[2:]) / intrinsics[:2]
         wide, high = np.degrees(np.arctan(before) + np.arctan(after))
         assume(
-            f"fisheye photographs as {shot.name} are seen as a pinhole of their focal length sees the scene, "
+            f"fisheye photographs as {photograph.name} are seen as a pinhole of their focal length sees the scene, "
             f"{wide:.0f} x {high:.0f} degrees; what they show beyond is not used"
         )
 
 
-def _say_sizes(shots: Sequence[Shot], photographs: Sequence[Photograph]) -> None:
-    resized = [photo for shot, photo in zip(shots, photographs) if photo.stored_px != shot.camera_px]
+def _note_resized(posed: Sequence[PosedPhotograph], photographs: Sequence[Photograph]) -> None:
+    resized = [photo for photograph, photo in zip(posed, photographs) if photo.stored_px != photograph.camera_px]
     if resized:
         first = resized[0]
-        was = next(shot.camera_px for shot, photo in zip(shots, photographs) if photo is first)
+        was = next(photograph.camera_px for photograph, photo in zip(posed, photographs) if photo is first)
         assume(
-            f"{counted(len(resized), 'photograph', len(shots), 'are not of the posed size and were resized')}: "
+            f"{counted(len(resized), 'photograph', len(posed), 'are not of the posed size and were resized')}: "
             f"{first.path.name} is {first.stored_px[0]} x {first.stored_px[1]}, its camera {was[0]} x {was[1]}; "
             "intrinsics are scaled by the ratio of each axis"
         )
 
 
 def scene_extent(centres: np.ndarray, points: np.ndarray) -> float:
-    """The extent of a scene, scene units, > 0, from where cameras stand [C,3] and points [P,3].
+    """Return the extent of a scene, scene units, > 0.
 
-    As Kerbl et al., "3D Gaussian Splatting" (2023), have it: 1.1 times the largest distance of a camera from the mean
-    of all; but of those cameras alone that stand within 3 times the median distance from the median place (of each
-    coordinate), so that one pose that is wrong does not blow it up. For a ring of cameras it is 1.1 times the radius.
-    Where all cameras stand at one place: the median distance of the points from it; without points, 1.
+    As in Kerbl et al., "3D Gaussian Splatting" (2023): 1.1 times the largest distance of a camera from the mean of
+    all. Only cameras within 3 times the median distance from the median centre count, so that one wrong pose does not
+    blow it up. For a ring of cameras it is 1.1 times the radius. Where all cameras stand in one place, it is the
+    median distance of the points from there, or 1 without points.
+
+    Args:
+        centres: camera centres, [C,3].
+        points: [P,3].
     """
     away = np.linalg.norm(centres - np.median(centres, 0), axis=1)
     kept = centres[away <= max(_OUTLIER * float(np.median(away)), 1e-12 * float(np.abs(centres).max()))]

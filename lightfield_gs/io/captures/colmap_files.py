@@ -39,10 +39,10 @@ from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
 from lightfield_gs.io.captures.camera_models import COLMAP_MODELS
 from lightfield_gs.io.captures.pinhole import pose_matrix
-from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.text_files import read_text
 
 _MAX_SIZE_PX = 1 << 20
-_LONGEST_NAME = 4096  # more than any system lets a path have
+_LONGEST_NAME = 4096  # longer than any path
 _OBSERVATION_BYTES, _TRACK_BYTES = 24, 8
 _POINT = struct.Struct("<Q3d3BdQ")
 _COUNT, _SENSOR, _POSE = struct.Struct("<I"), struct.Struct("<iI"), struct.Struct("<4d3d")
@@ -51,10 +51,13 @@ _LIMIT_BYTES = 8 << 30
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """A camera: the name of its model, the size of its pictures, and its parameters in COLMAP's order.
+    """A camera of a COLMAP model.
 
-    intrinsics: [4] float64, (fx, fy, cx, cy) in pixels from the outer corner of the first. coefficients: those of the
-    model's formula.
+    Attributes:
+        model: name of its camera model.
+        width_px, height_px: size of its images.
+        intrinsics: [4] float64, (fx, fy, cx, cy) in pixels from the outer corner of the first.
+        coefficients: of the model's formula, in COLMAP's order.
     """
 
     model: str
@@ -66,9 +69,14 @@ class ColmapCamera:
 
 @dataclass(frozen=True)
 class ColmapImage:
-    """A photograph: its name (with / between folders), its camera's number, world_to_camera [4,4] float64 (OpenCV
-    axes); None where the file has no pose of it; and its own number. A name that is no UTF-8 has its bytes as Python's
-    surrogates, until names_decoded knows better."""
+    """An image of a COLMAP model.
+
+    Attributes:
+        name: with / between folders. Bytes that are no UTF-8 are Python's surrogates until colmap.decode_names.
+        camera: its camera's id.
+        world_to_camera: [4,4] float64, OpenCV axes; None where the file has no pose.
+        number: its id.
+    """
 
     name: str
     camera: int
@@ -76,26 +84,31 @@ class ColmapImage:
     number: int = 0
 
 
-Sensor = tuple[int, int]  # kind and number; CAMERA is a kind, and its number that of a camera
+Sensor = tuple[int, int]  # kind and id; of the kind CAMERA the id is a camera's
 
 CAMERA = 0
 
 
 @dataclass(frozen=True)
 class ColmapFrame:
-    """What one rig saw at one time: world to rig [4,4] float64, None where it has no pose, and the photographs' numbers
-    by the cameras that took them."""
+    """The images of one rig at one time.
+
+    Attributes:
+        rig: the rig's id.
+        world_to_rig: [4,4] float64; None where it has no pose.
+        images: ids of images by their sensors.
+    """
 
     rig: int
     world_to_rig: np.ndarray | None
     images: dict[Sensor, int]
 
 
-Rigs = dict[int, dict[Sensor, np.ndarray | None]]  # by number: rig to sensor [4,4] float64, None where it is not known
+Rigs = dict[int, dict[Sensor, np.ndarray | None]]  # by id: rig to sensor [4,4] float64, None where unknown
 
 
 def camera_record(model: str, width: int, height: int, parameters: Sequence[float]) -> ColmapCamera:
-    """A camera of these numbers. Raises InputError where they make none."""
+    """Make a camera. Raises InputError where the numbers make none."""
     if model not in COLMAP_MODELS:
         raise InputError(f"camera model: expected one of {', '.join(COLMAP_MODELS)}, got {shown(model)}")
     kind = COLMAP_MODELS[model]
@@ -117,7 +130,10 @@ def camera_record(model: str, width: int, height: int, parameters: Sequence[floa
 def image_record(
     name: str, camera: int, quaternion: Sequence[float], translation: Sequence[float], number: int = 0
 ) -> ColmapImage:
-    """A photograph of these numbers: quaternion w, x, y, z of any length, and translation, world to camera."""
+    """Make an image from a quaternion w, x, y, z of any length and a translation, world to camera.
+
+    Raises InputError.
+    """
     if not name.strip() or "\0" in name or len(name) > _LONGEST_NAME:
         raise InputError(f"images: expected the name of a photograph, got {shown(name)}")
     name = name if is_undecoded(name) else name.replace("\\", "/")  # in some code pages a backslash is half a letter
@@ -125,51 +141,51 @@ def image_record(
 
 
 def is_undecoded(name: str) -> bool:
-    """Whether a name holds bytes that are no UTF-8, as surrogates."""
+    """Return whether a name holds bytes that are no UTF-8, as surrogates."""
     return any("\ud800" <= letter <= "\udfff" for letter in name)
 
 
-class _Bytes:
-    """Bytes of a file, read from the front. Raises InputError where they end too early."""
+class _ByteReader:
+    """Reads bytes from the front. Raises InputError where they end too early."""
 
     def __init__(self, data: bytes):
-        self.data, self.place = data, 0
+        self.data, self.offset = data, 0
 
     def take(self, form: struct.Struct) -> tuple:
         self.need(form.size)
-        values = form.unpack_from(self.data, self.place)
-        self.place += form.size
+        values = form.unpack_from(self.data, self.offset)
+        self.offset += form.size
         return values
 
     def count(self, least_bytes: int) -> int:
-        """A count of records that have so many bytes or more."""
+        """Read a count of records that have at least so many bytes each."""
         (count,) = self.take(struct.Struct("<Q"))
         self.need(count * least_bytes)
         return count
 
     def text(self) -> str:
-        end = self.data.find(b"\0", self.place)
+        end = self.data.find(b"\0", self.offset)
         if end < 0:
             raise InputError("damaged: the name of a photograph does not end")
-        raw, self.place = self.data[self.place : end], end + 1
+        raw, self.offset = self.data[self.offset : end], end + 1
         return raw.decode(errors="surrogateescape")
 
     def skip(self, count: int) -> None:
         self.need(count)
-        self.place += count
+        self.offset += count
 
     def need(self, count: int) -> None:
-        if count > len(self.data) - self.place:
+        if count > len(self.data) - self.offset:
             raise InputError(
-                f"damaged or cut: expected {count} more bytes at byte {self.place}, got {len(self.data) - self.place}: "
-                "copy the model again"
+                f"damaged or cut: expected {count} more bytes at byte {self.offset}, got "
+                f"{len(self.data) - self.offset}: copy the model again"
             )
 
 
 def binary_cameras(data: bytes) -> list[tuple[int, ColmapCamera]]:
-    """Numbers and cameras of a cameras.bin. Raises InputError."""
+    """Read ids and cameras of a cameras.bin. Raises InputError."""
     names = {model.number: name for name, model in COLMAP_MODELS.items()}
-    source, cameras = _Bytes(data), []
+    source, cameras = _ByteReader(data), []
     for _ in range(source.count(24)):
         number, model, width, height = source.take(struct.Struct("<iiQQ"))
         if model not in names:
@@ -180,8 +196,8 @@ def binary_cameras(data: bytes) -> list[tuple[int, ColmapCamera]]:
 
 
 def binary_images(data: bytes) -> list[ColmapImage]:
-    """The photographs of an images.bin. Raises InputError."""
-    source, images = _Bytes(data), []
+    """Read the images of an images.bin. Raises InputError."""
+    source, images = _ByteReader(data), []
     form = struct.Struct("<I4d3dI")
     for _ in range(source.count(form.size + 9)):
         number, *pose, camera = source.take(form)
@@ -192,8 +208,8 @@ def binary_images(data: bytes) -> list[ColmapImage]:
 
 
 def binary_points(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P,3] float64 and colours [P,3] uint8 of a points3D.bin. Raises InputError."""
-    source = _Bytes(data)
+    """Read points [P,3] float64 and colours [P,3] uint8 of a points3D.bin. Raises InputError."""
+    source = _ByteReader(data)
     count = source.count(_POINT.size)
     points, colours = np.empty((count, 3)), np.empty((count, 3), np.uint8)
     for index in range(count):
@@ -204,8 +220,8 @@ def binary_points(data: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def binary_rigs(data: bytes) -> Rigs:
-    """The rigs of a rigs.bin. Raises InputError."""
-    source = _Bytes(data)
+    """Read the rigs of a rigs.bin. Raises InputError."""
+    source = _ByteReader(data)
     rigs: Rigs = {}
     for _ in range(source.count(8)):
         number, count = source.take(struct.Struct("<II"))
@@ -221,8 +237,8 @@ def binary_rigs(data: bytes) -> Rigs:
 
 
 def binary_frames(data: bytes) -> list[ColmapFrame]:
-    """The frames of a frames.bin. Raises InputError."""
-    source, frames = _Bytes(data), []
+    """Read the frames of a frames.bin. Raises InputError."""
+    source, frames = _ByteReader(data), []
     for _ in range(source.count(68)):
         _, rig = source.take(struct.Struct("<II"))
         pose = source.take(_POSE)
@@ -234,37 +250,39 @@ def binary_frames(data: bytes) -> list[ColmapFrame]:
 
 
 def text_cameras(text: str) -> list[tuple[int, ColmapCamera]]:
-    """Numbers and cameras of a cameras.txt. Raises InputError."""
+    """Read ids and cameras of a cameras.txt. Raises InputError."""
     cameras = []
     for number, line in _lines(text):
         words = line.split()
         if len(words) < 5:
             raise InputError(f"line {number}: expected number, model, width, height, parameters, got {shown(line)}")
-        size = _numbers(number, [words[0], *words[2:4]], int)
-        cameras.append((size[0], camera_record(words[1], size[1], size[2], _numbers(number, words[4:], float))))
+        size = _parse_numbers(number, [words[0], *words[2:4]], int)
+        cameras.append((size[0], camera_record(words[1], size[1], size[2], _parse_numbers(number, words[4:], float))))
     return cameras
 
 
 def text_images(text: str) -> list[ColmapImage]:
-    """The photographs of an images.txt. Some programs leave out the lines of observations, which is said. Raises
-    InputError."""
+    """Read the images of an images.txt.
+
+    Some programs leave out the lines of observations, which is noted. Raises InputError.
+    """
     images, lines = [], text.split("\n")
-    place = without = 0
-    while place < len(lines):
-        line = lines[place].strip()
-        place += 1
+    line_number = without = 0
+    while line_number < len(lines):
+        line = lines[line_number].strip()
+        line_number += 1
         if not line or line.startswith("#"):
             continue
         words = line.split(None, 9)  # a name may have spaces
         if len(words) < 10:
-            raise InputError(f"line {place}: expected number, pose (7 numbers), camera, name, got {shown(line)}")
-        number, camera = _numbers(place, [words[0], words[8]], int)
-        pose = _numbers(place, words[1:8], float)
+            raise InputError(f"line {line_number}: expected number, pose (7 numbers), camera, name, got {shown(line)}")
+        number, camera = _parse_numbers(line_number, [words[0], words[8]], int)
+        pose = _parse_numbers(line_number, words[1:8], float)
         images.append(image_record(words[9], camera, pose[:4], pose[4:], number))
-        if place < len(lines) and _is_photograph(lines[place]):
+        if line_number < len(lines) and _is_image_line(lines[line_number]):
             without += 1
         else:
-            place += 1  # its observations, even where there are none
+            line_number += 1  # the line of observations, which may be empty
     if without:
         assume(
             f"{without} of {len(images)} photographs in images.txt have no line of observations: the next line is a "
@@ -273,8 +291,8 @@ def text_images(text: str) -> list[ColmapImage]:
     return images
 
 
-def _is_photograph(line: str) -> bool:
-    """Whether a line where observations are expected is a photograph's: these are three numbers each."""
+def _is_image_line(line: str) -> bool:
+    """Return whether a line in the place of observations, which are three numbers each, is an image."""
     words = line.split(None, 9)
     if len(words) < 10 or not (_is_number(words[0], int) and _is_number(words[8], int)):
         return False
@@ -285,14 +303,14 @@ def _is_photograph(line: str) -> bool:
 
 
 def text_points(text: str) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P,3] float64 and colours [P,3] uint8 of a points3D.txt. Raises InputError."""
+    """Read points [P,3] float64 and colours [P,3] uint8 of a points3D.txt. Raises InputError."""
     points, colours = [], []
     for number, line in _lines(text):
         words = line.split(None, 7)
         if len(words) < 8:
             raise InputError(f"line {number}: expected number, x, y, z, r, g, b, error, track, got {shown(line)}")
-        points.append(_numbers(number, words[1:4], float))
-        colours.append(_numbers(number, words[4:7], int))
+        points.append(_parse_numbers(number, words[1:4], float))
+        colours.append(_parse_numbers(number, words[4:7], int))
     found = np.array(colours, np.int64).reshape(-1, 3)
     if ((found < 0) | (found > 255)).any():
         raise InputError("expected colours of 0..255")
@@ -300,55 +318,55 @@ def text_points(text: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def text_rigs(text: str) -> Rigs:
-    """The rigs of a rigs.txt. Raises InputError."""
+    """Read the rigs of a rigs.txt. Raises InputError."""
     rigs: Rigs = {}
-    for place, line in _lines(text):
+    for line_number, line in _lines(text):
         words = iter(line.split())
-        number, count = _taken(place, words, 2, int)
+        number, count = _take_numbers(line_number, words, 2, int)
         rigs[number] = {}
         for index in range(count):
-            sensor = _sensor(place, words)
+            sensor = _take_sensor(line_number, words)
             pose = None
-            if index and _taken(place, words, 1, int)[0]:
-                numbers = _taken(place, words, 7, float)
+            if index and _take_numbers(line_number, words, 1, int)[0]:
+                numbers = _take_numbers(line_number, words, 7, float)
                 pose = pose_matrix(numbers[:4], numbers[4:])
             rigs[number][sensor] = pose if index else np.eye(4)
     return rigs
 
 
 def text_frames(text: str) -> list[ColmapFrame]:
-    """The frames of a frames.txt. Raises InputError."""
+    """Read the frames of a frames.txt. Raises InputError."""
     frames = []
-    for place, line in _lines(text):
+    for line_number, line in _lines(text):
         words = iter(line.split())
-        _, rig = _taken(place, words, 2, int)
-        pose = _taken(place, words, 7, float)
+        _, rig = _take_numbers(line_number, words, 2, int)
+        pose = _take_numbers(line_number, words, 7, float)
         images = {}
-        for _ in range(_taken(place, words, 1, int)[0]):
-            sensor = _sensor(place, words)
-            (image,) = _taken(place, words, 1, int)
+        for _ in range(_take_numbers(line_number, words, 1, int)[0]):
+            sensor = _take_sensor(line_number, words)
+            (image,) = _take_numbers(line_number, words, 1, int)
             if sensor[0] == CAMERA:
                 images[sensor] = image
         frames.append(ColmapFrame(rig, pose_matrix(pose[:4], pose[4:]), images))
     return frames
 
 
-def _sensor(line: int, words: Iterator[str]) -> Sensor:
-    """The kind and the number of a sensor, the next two words; raises InputError."""
+def _take_sensor(line: int, words: Iterator[str]) -> Sensor:
+    """Take the next two words as the kind and the id of a sensor. Raises InputError."""
     kind = next(words, "")
-    return CAMERA if kind == "CAMERA" else CAMERA + 1, _taken(line, words, 1, int)[0]
+    return CAMERA if kind == "CAMERA" else CAMERA + 1, _take_numbers(line, words, 1, int)[0]
 
 
-def _taken(line: int, words: Iterator[str], count: int, kind: type) -> list:
-    """The next words as numbers; raises InputError where the line ends before."""
+def _take_numbers(line: int, words: Iterator[str], count: int, kind: type) -> list:
+    """Take the next words as numbers. Raises InputError where the line ends before."""
     found = list(islice(words, count))
     if len(found) < count:
         raise InputError(f"line {line}: expected {count - len(found)} more numbers: copy the model again")
-    return _numbers(line, found, kind)
+    return _parse_numbers(line, found, kind)
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
-    """Numbers and contents of the lines that say something."""
+    """Return numbers and contents of the lines that are neither empty nor comments."""
     lines = ((number, line.strip()) for number, line in enumerate(text.split("\n"), 1))
     return [(number, line) for number, line in lines if line and not line.startswith("#")]
 
@@ -361,8 +379,8 @@ def _is_number(word: str, kind: type) -> bool:
     return True
 
 
-def _whole(word: str) -> int:
-    """A whole number, also one that was written as 200.0; raises ValueError."""
+def _parse_whole(word: str) -> int:
+    """Parse a whole number, also one that was written as 200.0. Raises ValueError."""
     try:
         return int(word)
     except ValueError:
@@ -372,10 +390,10 @@ def _whole(word: str) -> int:
         return int(value)
 
 
-def _numbers(line: int, words: list[str], kind: type) -> list:
-    """`words` as numbers, whole ones where `kind` is int; raises InputError."""
+def _parse_numbers(line: int, words: list[str], kind: type) -> list:
+    """Parse words as numbers, whole ones where `kind` is int. Raises InputError."""
     try:
-        values = [_whole(word) if kind is int else kind(word) for word in words]
+        values = [_parse_whole(word) if kind is int else kind(word) for word in words]
     except (ValueError, OverflowError):
         wanted = "whole numbers" if kind is int else "numbers"
         raise InputError(f"line {line}: expected {wanted}, got {shown(' '.join(words))}") from None
@@ -401,11 +419,21 @@ _TEXT = {
 
 
 def read_model_file(path: Path, kind: str) -> Any:
-    """What a file of `kind` (cameras, images, points3D, rigs or frames) holds, by its suffix, as the functions of
-    colmap_binary and colmap_text give it. Raises InputError that names the file."""
+    """Read one file of a model, binary or text by its suffix.
+
+    Args:
+        path: the file.
+        kind: cameras, images, points3D, rigs or frames.
+
+    Returns:
+        The value of the function in _BINARY or _TEXT.
+
+    Raises:
+        InputError: names the file.
+    """
     if path.suffix == ".txt":
         text = read_text(path, _LIMIT_BYTES, "text of a COLMAP model", errors="surrogateescape")
-        if not text.strip():  # even a model of nothing has its comments
+        if not text.strip():  # even an empty model has comments
             raise InputError(f"{path} is empty: copy the model again")
         with named(path):
             return _TEXT[kind](text)

@@ -36,20 +36,20 @@ import numpy as np
 from lightfield_gs.base.checks import counted, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import BROWN_COEFFICIENTS
-from lightfield_gs.io.captures.masks import masks_beside
-from lightfield_gs.io.captures.photo_files import IMAGE_SUFFIXES, is_hidden, named_image
+from lightfield_gs.io.captures.masks import find_object_masks
+from lightfield_gs.io.captures.photo_files import IMAGE_SUFFIXES, find_image, is_hidden
 from lightfield_gs.io.captures.pinhole import (
     PINHOLE_MODELS,
     TO_OPENCV,
     check_intrinsics,
     check_pose,
     focal_lengths,
-    say_scales,
-    unscaled,
+    note_scales,
+    remove_scale,
 )
 from lightfield_gs.io.captures.undistortion import check_distortion
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.text_files import read_object
 
 _LIMIT_BYTES = 64 << 20
 _FISHEYE = ("is_fisheye", "fisheye")
@@ -61,13 +61,18 @@ _OPENCV_AXES = f"OpenCV axes, x right, y down, z forward: from OpenGL axes, {_NE
 
 
 @dataclass(frozen=True)
-class ObjectViews:
-    """V views of one object, all of one size.
+class ObjectImages:
+    """V images of one object with their cameras, all of one size.
 
-    image_paths: V files. camera_to_world: [V,4,4] float64. intrinsics: [V,4] float64, (fx, fy, cx, cy) in pixels of a
-    width_px x height_px image, as stored (an Exif orientation is not applied). size_field: where that size is said.
-    mask_paths: V files, where there are masks. distortion: [V,6] float64, as in lens.py, of the stored images; those
-    that are read have none. None: none.
+    Attributes:
+        name: of the object.
+        image_paths: V files.
+        camera_to_world: [V,4,4] float64, OpenCV axes.
+        intrinsics: [V,4] float64, (fx, fy, cx, cy) in pixels of the images as stored, whatever their Exif orientation.
+        width_px, height_px: size of the images.
+        size_field: the file and field of that size, for messages.
+        mask_paths: V files; None: no masks.
+        distortion: [V,6] float64 of the stored images, in the order of BROWN_COEFFICIENTS; None: none.
     """
 
     name: str
@@ -82,31 +87,38 @@ class ObjectViews:
 
 
 def point_looked_at(camera_to_world: np.ndarray) -> np.ndarray:
-    """The point [3] nearest to all optical axes (least squares; the mean camera distance where they are parallel)."""
+    """Return the point [3] nearest to all optical axes (least squares.
+
+    The mean camera distance where they are parallel).
+    """
     positions, directions = camera_to_world[:, :3, 3], camera_to_world[:, :3, 2]
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     return np.linalg.lstsq(across.sum(0), (across @ positions[:, :, None]).sum(0)[:, 0], rcond=1e-6)[0]
 
 
-def depths_of_object(camera_to_world: np.ndarray) -> np.ndarray:
-    """Depth [V] of the point looked at before each camera, scene units; negative behind it."""
+def object_depths(camera_to_world: np.ndarray) -> np.ndarray:
+    """Return the depth [V] of the point looked at in each camera, scene units; negative behind it."""
     towards = point_looked_at(camera_to_world) - camera_to_world[:, :3, 3]
     return (towards * camera_to_world[:, :3, 2]).sum(-1)
 
 
 def check_looking_at_object(where: str, camera_to_world: np.ndarray, expected: str) -> None:
-    """Raise InputError when the cameras look away from the point that their axes meet in.
+    """Raise InputError when the cameras look away from the point in which their axes meet.
 
-    expected: the axes that the layout asks for, and how other ones are mended.
+    Args:
+        where: the file and field, for the message.
+        camera_to_world: [V,4,4].
+        expected: the axes of the layout, and how other axes are converted.
     """
-    if len(camera_to_world) > 1 and (depths_of_object(camera_to_world) < 0).mean() > 0.5:
+    if len(camera_to_world) > 1 and (object_depths(camera_to_world) < 0).mean() > 0.5:
         raise InputError(f"{where}: wrong handedness: the cameras look away from the object; expected {expected}")
 
 
-def read_transforms(path: Path) -> ObjectViews:
-    """Read the cameras of a transforms file, and find its images (not decoded here).
+def read_nerf_object(path: Path) -> ObjectImages:
+    """Read the cameras of a transforms file, and find its images, which are not decoded here.
 
-    Raises InputError that names file and field of the first thing wrong.
+    Raises:
+        InputError: names file and field of the first mistake.
     """
     path = Path(path)
     data = read_object(path, _LIMIT_BYTES)
@@ -118,13 +130,15 @@ def read_transforms(path: Path) -> ObjectViews:
         if not isinstance(frame, dict):
             raise InputError(f"{field}: expected an object with file_path and transform_matrix, got {shown(frame)}")
     images = [
-        named_image(f"{field}.file_path", path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)
+        find_image(f"{field}.file_path", path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)
     ]
     found, scales = zip(*(_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)))
-    say_scales(path, scales)
+    note_scales(path, scales)
     poses = np.stack(found)
     check_looking_at_object(f"{path}: transform_matrix", poses, _OPENGL_AXES)
-    sizes, intrinsics, lenses = zip(*(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames)))
+    sizes, intrinsics, distortions = zip(
+        *(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames))
+    )
     for field, size in zip(fields, sizes):
         if size != sizes[0]:
             raise InputError(
@@ -133,7 +147,7 @@ def read_transforms(path: Path) -> ObjectViews:
             )
     masks = _masks(fields, frames, path.parent, images)
     width, height = sizes[0]
-    return ObjectViews(
+    return ObjectImages(
         path.parent.name,
         tuple(images),
         poses,
@@ -142,27 +156,27 @@ def read_transforms(path: Path) -> ObjectViews:
         height,
         f"{path}: w, h",
         masks,
-        np.stack(lenses) if np.any(lenses) else None,
+        np.stack(distortions) if np.any(distortions) else None,
     )
 
 
 def _masks(
     fields: list[str], frames: list[dict[str, Any]], folder: Path, images: list[Path]
 ) -> tuple[Path, ...] | None:
-    """The mask of each frame: what mask_path names, or else what lies in masks/; None where there is neither."""
+    """Return the mask of each frame, by mask_path or else in masks/; None where there is neither."""
     given = [frame.get("mask_path") is not None for frame in frames]
     if not any(given):
-        return masks_beside(folder, images)
+        return find_object_masks(folder, images)
     if not all(given):
         raise InputError(
             f"{fields[given.index(False)]}: missing mask_path: "
             f"{counted(sum(given), 'frame', len(frames), 'have')} one; give each frame one, or none"
         )
-    return tuple(named_image(f"{field}.mask_path", folder, frame["mask_path"]) for field, frame in zip(fields, frames))
+    return tuple(find_image(f"{field}.mask_path", folder, frame["mask_path"]) for field, frame in zip(fields, frames))
 
 
 def _pose(field: str, frame: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """The camera-to-world matrix of a frame, float64 [4,4], OpenCV axes, and the scale that it was divided by."""
+    """Return camera to world [4,4] float64 of a frame, OpenCV axes, and the scale of its rotation in the file."""
     try:
         pose = np.array(frame.get("transform_matrix"))
     except ValueError:
@@ -170,7 +184,7 @@ def _pose(field: str, frame: dict[str, Any]) -> tuple[np.ndarray, float]:
     if pose.shape != (4, 4) or pose.dtype.kind not in "iuf":
         raise InputError(f"{field}: bad pose: expected 4 rows of 4 numbers, got {pose.dtype} {list(pose.shape)}")
     pose = pose.astype(np.float64)
-    pose[:3, :3], scale = unscaled(pose[:3, :3])
+    pose[:3, :3], scale = remove_scale(pose[:3, :3])
     check_pose(field, pose)
     return pose @ TO_OPENCV, scale
 
@@ -178,7 +192,10 @@ def _pose(field: str, frame: dict[str, Any]) -> tuple[np.ndarray, float]:
 def _camera(
     field: str, shared: dict[str, Any], frame: dict[str, Any], first_image: Path
 ) -> tuple[tuple[int, int], np.ndarray, np.ndarray]:
-    """Image size (w, h), (fx, fy, cx, cy) and lens distortion of a frame; what it does not say is shared by all."""
+    """Return image size (w, h), (fx, fy, cx, cy) and distortion of a frame.
+
+    Fields at the top of the file are its defaults.
+    """
 
     def number(key: str) -> float | None:
         value = frame.get(key, shared.get(key))
@@ -203,14 +220,14 @@ def _camera(
     cx, cy = number("cx"), number("cy")
     intrinsics = np.array([*found, width / 2 if cx is None else cx, height / 2 if cy is None else cy], np.float64)
     check_intrinsics(field, intrinsics, width, height)
-    lens = np.array([number(key) or 0 for key in BROWN_COEFFICIENTS], np.float64)
-    if lens.any():
-        check_distortion(field, intrinsics, lens, int(width), int(height))
-    return (int(width), int(height)), intrinsics, lens
+    distortion = np.array([number(key) or 0 for key in BROWN_COEFFICIENTS], np.float64)
+    if distortion.any():
+        check_distortion(field, intrinsics, distortion, int(width), int(height))
+    return (int(width), int(height)), intrinsics, distortion
 
 
 def _check_model(field: str, camera: dict[str, Any]) -> None:
-    """Raises InputError for a camera that this reader cannot draw, by its model's name or further coefficients."""
+    """Raise InputError for a camera that this reader cannot undistort, by its model's name or further coefficients."""
     model = camera.get("camera_model") or "PINHOLE"
     fisheye = [key for key in _FISHEYE if camera.get(key)]
     if model not in PINHOLE_MODELS or fisheye:
@@ -226,8 +243,8 @@ def _check_model(field: str, camera: dict[str, Any]) -> None:
 
 
 @dataclass(frozen=True)
-class Intrinsics:
-    """Pinhole camera: focal length and principal point in pixels of a width_px x height_px image."""
+class SrnIntrinsics:
+    """Camera of an intrinsics.txt: focal length and principal point in pixels of a width_px x height_px image."""
 
     focal_px: float
     centre_x_px: float
@@ -238,7 +255,7 @@ class Intrinsics:
 
 
 def _numbers(path: Path) -> list[list[float]]:
-    """All numbers of a text file, line by line, empty lines left out."""
+    """Read all numbers of a text file, line by line without empty lines. Raises InputError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
         return [[float(word) for word in line.split()] for line in text.splitlines() if line.strip()]
@@ -246,8 +263,8 @@ def _numbers(path: Path) -> list[list[float]]:
         raise InputError(f"{path}: expected lines of numbers, but {str(error)[:100]}") from None
 
 
-def read_intrinsics(path: Path) -> Intrinsics:
-    """Read intrinsics.txt. Raises InputError when a line is missing or its numbers make no camera."""
+def read_intrinsics(path: Path) -> SrnIntrinsics:
+    """Read an intrinsics.txt. Raises InputError when a line is missing or its numbers make no camera."""
     lines = _numbers(path)
     if len(lines) < 4 or len(lines[0]) < 3 or len(lines[3]) != 2:
         raise InputError(f'{path}: bad intrinsics: expected lines "focal cx cy 0", barycentre, scale, "height width"')
@@ -255,11 +272,11 @@ def read_intrinsics(path: Path) -> Intrinsics:
     height, width = lines[3]
     check_intrinsics(str(path), np.array([focal, focal, centre_x, centre_y]), width, height)
     inverted = len(lines) > 4 and bool(lines[4][0])
-    return Intrinsics(focal, centre_x, centre_y, int(width), int(height), inverted)
+    return SrnIntrinsics(focal, centre_x, centre_y, int(width), int(height), inverted)
 
 
 def read_pose(path: Path) -> np.ndarray:
-    """Read one pose file as a 4x4 float64 matrix. Raises InputError unless it is a proper rigid motion."""
+    """Read a pose file as a 4x4 float64 matrix. Raises InputError unless it is a proper rigid motion."""
     values = [value for line in _numbers(path) for value in line]
     if len(values) != 16:
         raise InputError(f"{path}: bad pose: expected 16 numbers, got {len(values)}")
@@ -269,7 +286,7 @@ def read_pose(path: Path) -> np.ndarray:
 
 
 def _paired_files(folder: Path) -> list[tuple[Path, Path]]:
-    """Images and the pose file of each, by name; raises InputError that names what has no partner."""
+    """Return each image with the pose file of its name. Raises InputError that names files without a partner."""
     for part in PARTS:
         if not (folder / part).exists():
             raise InputError(f"{folder}: missing {part}: expected rgb/, pose/ and intrinsics.txt")
@@ -289,10 +306,11 @@ def _paired_files(folder: Path) -> list[tuple[Path, Path]]:
     return [(images[name], poses[name]) for name in images]
 
 
-def read_srn(folder: Path) -> ObjectViews:
-    """Read poses and intrinsics of one object folder, and find its images (not decoded here).
+def read_srn_object(folder: Path) -> ObjectImages:
+    """Read poses and intrinsics of an object's folder, and find its images, which are not decoded here.
 
-    Raises InputError that names the first thing wrong: missing parts, bad intrinsics, bad or missing poses, handedness.
+    Raises:
+        InputError: names the first mistake: missing parts, bad intrinsics, bad or missing poses, handedness.
     """
     folder = Path(folder)
     pairs = _paired_files(folder)
@@ -303,7 +321,7 @@ def read_srn(folder: Path) -> ObjectViews:
     check_looking_at_object(f"{folder}/pose", poses, _OPENCV_AXES)
     row = (camera.focal_px, camera.focal_px, camera.centre_x_px, camera.centre_y_px)
     images = [image for image, _ in pairs]
-    return ObjectViews(
+    return ObjectImages(
         folder.name,
         tuple(images),
         poses,
@@ -311,5 +329,5 @@ def read_srn(folder: Path) -> ObjectViews:
         camera.width_px,
         camera.height_px,
         f"{folder / 'intrinsics.txt'}: height width",
-        masks_beside(folder, images),
+        find_object_masks(folder, images),
     )

@@ -18,21 +18,23 @@ from lightfield_gs.base.errors import InputError, reading
 IMAGE_SUFFIXES = (".png", ".webp", ".jpg", ".jpeg")
 PHOTO_SUFFIXES = (*IMAGE_SUFFIXES, ".tif", ".tiff", ".bmp", ".avif", ".heic", ".heif")
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
-# Photographs only where the model names them so, or where there are no others: beside these they are maps of depth
+# Photographs only where the model names them, or where there are no others; else they are depth maps
 _FURTHER_SUFFIXES = (".exr", ".hdr", ".jxl", ".jp2", ".tga", ".ppm", *RAW_SUFFIXES)
 _MAPS = ("mask", "depth", "normal", "segm", "semantic", "alpha")  # what folders of other pictures' names begin with
 MASK_FOLDERS = ("masks", "mask")
 MASK_ENDINGS = (".mask", "_mask")  # after a photograph's name, before .png: RealityScan's and Metashape's
-_LEAST_PHOTOGRAPHS = 3  # that have to be left of more; a model of fewer needs all
+_LEAST_PHOTOGRAPHS = 3  # least number of readable photographs; a model of fewer needs all of them
 
 
 class PhotoFiles:
-    """The pictures in and below a folder, by their paths in it: in any case and Unicode form, and with another
-    extension, as sets that were reduced have them. Links are followed; what is hidden is no photograph.
+    """The image files in and below a folder, by their paths in it.
+
+    Names match in any case and Unicode form, and with another extension, as in reduced copies of a set. Links are
+    followed; hidden files are left out.
 
     Args:
-        folder: where they are.
-        others: further extensions that pictures have here, in lower case.
+        folder: the folder.
+        others: further extensions of images, in lower case.
     """
 
     def __init__(self, folder: Path, others: Collection[str] = ()):
@@ -48,7 +50,7 @@ class PhotoFiles:
             self._stems.setdefault(_stem(name), []).append(path)
 
     def find(self, name: str) -> Path | None:
-        """The picture of this name; None where there is none, or several that it may mean."""
+        """Return the file of this name; None where there is none, or several may be meant."""
         for found in ([self.paths[name]] if name in self.paths else [], self._folded.get(_folded(name), [])):
             if len(found) == 1:
                 return found[0]
@@ -56,11 +58,11 @@ class PhotoFiles:
         return stems[0] if len(stems) == 1 else None
 
     def find_elsewhere(self, names: Sequence[str]) -> dict[str, Path]:
-        """Pictures of these names in other folders than the names say: all of a folder are in one other folder.
+        """Find files of these names in other folders than the names have: all names of a folder in one other folder.
 
-        That is the one with which the names' folder shares the most last parts; of several, that which has the most of
-        its names, and then the outermost. Where two are alike, or a picture has two names, none is found. Folders of
-        masks and the like are none, whose pictures have the same names.
+        That folder shares the most last parts with the names' folder; of several, it has the most of its names, and
+        then is the outermost. Where two are alike, or a file has two names, none is found. Folders of masks, depth
+        maps and the like, whose files have the same names, are left out.
         """
         here, groups = _by_folder(list(self.paths)), _by_folder(names)
         known = {
@@ -84,47 +86,59 @@ class PhotoFiles:
 
     @property
     def photographs(self) -> list[str]:
-        """Names of the pictures that are no masks: neither in a folder of masks beside others, nor named as the mask of
-        a picture beside them."""
+        """Names of the files that are no masks.
+
+        A mask is in a folder of masks beside other images, or is named as the mask of an image beside it.
+        """
         unmasked = [name for name in self.paths if not _in_mask_folder(name)]
         return [name for name in unmasked or self.paths if not self._masks_another(name)]
 
     def without(self, names: Collection[Path]) -> list[str]:
-        """Names of the photographs that are not among these."""
+        """Return the names of the photographs that are not among these files."""
         used = set(names)
         return [name for name in self.photographs if self.paths[name] not in used]
 
     def _masks_another(self, name: str) -> bool:
-        """Whether a picture is named as the mask of one that lies beside it."""
+        """Return whether a file is named as the mask of one beside it."""
         stem = _stem(name)
         owners = [stem.removesuffix(ending) for ending in MASK_ENDINGS if stem.endswith(ending)]
         return any(owner in self._folded or owner in self._stems for owner in owners)
 
 
-Places = dict[str, tuple[str, Path]]  # by a model's names of photographs: their names in their folder, and paths
+# Name in its folder and path of each photograph, by its name in the model
+LocatedFiles = dict[str, tuple[str, Path]]
 
 
 @dataclass(frozen=True)
 class FoundPhotographs:
-    """Photographs in and below a folder, of which it has others too. Those that are missing have no place."""
+    """Photographs that were found.
+
+    Attributes:
+        folder: the folder that they are in or below.
+        files: by a model's names, without missing ones.
+        others: names of other photographs in and below that folder.
+    """
 
     folder: Path
-    places: Places
+    files: LocatedFiles
     others: list[str]
 
 
-def photographs_in(folders: Sequence[Path], names: Sequence[str], known: Places | None = None) -> FoundPhotographs:
-    """The photographs of these names in the first of these folders that has them all, or else the most of them.
+def find_photographs(
+    folders: Sequence[Path], names: Sequence[str], known: LocatedFiles | None = None
+) -> FoundPhotographs:
+    """Find photographs in the first of these folders that has all of them, or else the most of them.
 
-    Where a folder has none by their whole names, they are looked for by their last parts. What is found otherwise than
-    named, and what is left out as missing, is said.
+    Where a folder has none by their whole names, they are looked for by the last parts. Other names and missing files
+    are noted.
 
     Args:
         folders: where they may be, the likeliest first.
         names: as the model has them, with / between folders.
-        known: places of some of them, which are kept.
+        known: files of some of them, which are kept.
 
-    Raises InputError where too few are there, with how many and the first three.
+    Raises:
+        InputError: where too few are found; it names three that are missing.
     """
     there = [folder for folder in folders if folder.is_dir()]
     if not there:
@@ -132,15 +146,15 @@ def photographs_in(folders: Sequence[Path], names: Sequence[str], known: Places 
             f"missing folder of photographs: expected {' or '.join(str(folder) for folder in folders[:4])}; give its "
             "place as images"
         )
-    named_so = {PurePosixPath(name).suffix.lower() for name in names} - {""}
-    places = dict(known or {})
-    wanted = [name for name in names if name not in places]
-    best = _most((PhotoFiles(folder, named_so) for folder in there), wanted)
+    suffixes = {PurePosixPath(name).suffix.lower() for name in names} - {""}
+    located = dict(known or {})
+    wanted = [name for name in names if name not in located]
+    best = _best_folder((PhotoFiles(folder, suffixes) for folder in there), wanted)
     if not best[1]:
-        best = _most((PhotoFiles(folder, {*named_so, *_FURTHER_SUFFIXES}) for folder in there), wanted)
-    if elsewhere := not best[1] and not places:
-        sets = (PhotoFiles(folder, {*named_so, *more}) for folder in there for more in ((), _FURTHER_SUFFIXES))
-        best = _most(sets, wanted, elsewhere=True)
+        best = _best_folder((PhotoFiles(folder, {*suffixes, *_FURTHER_SUFFIXES}) for folder in there), wanted)
+    if elsewhere := not best[1] and not located:
+        sets = (PhotoFiles(folder, {*suffixes, *more}) for folder in there for more in ((), _FURTHER_SUFFIXES))
+        best = _best_folder(sets, wanted, elsewhere=True)
     files, found = best
     relative = {path: name for name, path in files.paths.items()}
     inner = (
@@ -151,32 +165,32 @@ def photographs_in(folders: Sequence[Path], names: Sequence[str], known: Places 
     folder = files.folder / inner
     for name in wanted:
         if (path := found.get(name)) is not None:
-            places[name] = (path.relative_to(folder).as_posix() if elsewhere else name, path)
-    _say_other_names({name: relative[path] for name, path in found.items()}, len(names))
-    if missing := [name for name in names if name not in places]:
-        if too_few(len(places), len(names)):
-            raise InputError(missing_photographs(folder, missing, len(names)))
+            located[name] = (path.relative_to(folder).as_posix() if elsewhere else name, path)
+    _note_other_names({name: relative[path] for name, path in found.items()}, len(names))
+    if missing := [name for name in names if name not in located]:
+        if is_too_few(len(located), len(names)):
+            raise InputError(missing_message(folder, missing, len(names)))
         words = counted(len(missing), "photograph", len(names), "are missing and left out")
         assume(f"{folder}: {words}: {first_names(missing)}")
-    others = [files.folder / name for name in files.without([path for _, path in places.values()])]
+    others = [files.folder / name for name in files.without([path for _, path in located.values()])]
     within = [path.relative_to(folder).as_posix() for path in others if path.is_relative_to(folder)]
-    return FoundPhotographs(folder, places, within)
+    return FoundPhotographs(folder, located, within)
 
 
-def how_many_there(folders: Sequence[Path], names: Sequence[str]) -> int:
-    """Of how many of these names there are files in or below the folders, by the last parts."""
+def count_found(folders: Sequence[Path], names: Sequence[str]) -> int:
+    """Return how many of these names have files in or below the folders, by their last parts."""
     sets = [PhotoFiles(folder) for folder in folders if folder.is_dir()]
     stems = {_last(_stem(name)) for files in sets for name in files.paths}
     return sum(_last(_stem(name)) in stems for name in names)
 
 
-def too_few(left: int, count: int) -> bool:
-    """Whether `left` of `count` photographs are too few to go on with."""
+def is_too_few(left: int, count: int) -> bool:
+    """Return whether `left` of `count` photographs are too few to go on with."""
     return left < min(count, _LEAST_PHOTOGRAPHS)
 
 
-def missing_photographs(folder: Path, missing: Sequence[str], count: int) -> str:
-    """That `missing` of `count` photographs are not there, in words."""
+def missing_message(folder: Path, missing: Sequence[str], count: int) -> str:
+    """Return the message about missing photographs."""
     return (
         f"{folder}: missing {len(missing)} of {count} photographs: {first_names(missing)}: put them there, or give "
         "the folder that has them as images"
@@ -184,14 +198,14 @@ def missing_photographs(folder: Path, missing: Sequence[str], count: int) -> str
 
 
 def first_names(names: Sequence[str]) -> str:
-    """The first three; of long ones, the end."""
+    """List the first three names; of long ones, the end."""
     return ", ".join(name[-80:] for name in names[:3]) + (", ..." if len(names) > 3 else "")
 
 
-def _most(
+def _best_folder(
     sets: Iterable[PhotoFiles], names: Sequence[str], elsewhere: bool = False
 ) -> tuple[PhotoFiles, dict[str, Path]]:
-    """The first of these folders that has the most photographs of these names, and their paths."""
+    """Return the first of these folders with the most photographs of these names, and their paths."""
     best: tuple[PhotoFiles, dict[str, Path]] | None = None
     for files in sets:
         if elsewhere:
@@ -206,8 +220,8 @@ def _most(
     return best
 
 
-def _say_other_names(found: dict[str, str], count: int) -> None:
-    """Says of which of `count` photographs the folder or the extension is another than the model's names have."""
+def _note_other_names(found: dict[str, str], count: int) -> None:
+    """Note photographs whose folder or extension differs from the model's names."""
     others = [(name, file) for name, file in found.items() if _folded(file) != _folded(name)]
     if others:
         name, file = others[0]
@@ -216,7 +230,10 @@ def _say_other_names(found: dict[str, str], count: int) -> None:
 
 
 def _files_below(folder: Path, above: tuple[str, ...] = ()) -> Iterator[Path]:
-    """Files in and below a folder, but hidden ones. above: the real paths of folders above it, where links end."""
+    """Yield visible files in and below a folder.
+
+    above: real paths of the folders above it, where circular links end.
+    """
     real = os.path.realpath(folder)
     if real in above:
         return
@@ -233,7 +250,7 @@ def _files_below(folder: Path, above: tuple[str, ...] = ()) -> Iterator[Path]:
 
 
 def _shared_parts(one: str, other: str) -> int:
-    """How many last parts two paths of folders have in common."""
+    """Return how many last parts two paths of folders have in common."""
     pairs = zip(reversed(PurePosixPath(_folded(one)).parts), reversed(PurePosixPath(_folded(other)).parts))
     count = 0
     for first, second in pairs:
@@ -244,7 +261,7 @@ def _shared_parts(one: str, other: str) -> int:
 
 
 def _by_folder(names: Sequence[str]) -> dict[str, list[str]]:
-    """Names by their folders."""
+    """Group names by their folders."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(PurePosixPath(name).parent.as_posix(), []).append(name)
@@ -256,17 +273,17 @@ def _last(name: str) -> str:
 
 
 def _folded(name: str) -> str:
-    """A name without its case and its form of Unicode: macOS takes letters with accents apart."""
+    """Fold the case and the Unicode form of a name: macOS stores accents as separate characters."""
     return unicodedata.normalize("NFC", name).lower()
 
 
-def outside(masks: Path | None, folder: Path, names: Sequence[str]) -> list[str]:
-    """The names of pictures in a folder that are not in a folder of masks."""
+def names_outside(masks: Path | None, folder: Path, names: Sequence[str]) -> list[str]:
+    """Return the names of files in a folder that are not in a folder of masks."""
     return [name for name in names if masks is None or not (folder / name).absolute().is_relative_to(masks.absolute())]
 
 
 def is_hidden(name: str) -> bool:
-    """Whether the name of a file or folder is that of a hidden one."""
+    """Return whether a file or folder of this name is hidden."""
     return name.startswith(".")
 
 
@@ -279,24 +296,31 @@ def _stem(name: str) -> str:
     return path.with_suffix("").as_posix() if path.name else path.as_posix()
 
 
-def named_image(field: str, folder: Path, name: Any) -> Path:
-    """The image in or below `folder` that a data file names: with / or \\ between folders, with or without its
-    extension, in whatever case.
+def find_image(field: str, folder: Path, name: Any) -> Path:
+    r"""Return the image that a data file names, in or below a folder.
 
-    field: where the name stands, for messages. Raises InputError where there is none, or several that differ in case.
+    The name may have / or \ between folders, no extension, and another case than the file.
+
+    Args:
+        field: the file and field of the name, for messages.
+        folder: the folder that the name is relative to.
+        name: the field's value.
+
+    Raises:
+        InputError: where there is no such image, or several that differ in case.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{field}: expected the name of an image, got {shown(name)}")
     try:
-        return _found(field, folder, name)
+        return _find_file(field, folder, name)
     except (OSError, UnicodeEncodeError) as error:
         raise InputError(f"{field}: {shown(name)}: {error.args[-1]}") from None
 
 
-def _found(field: str, folder: Path, name: str) -> Path:
-    """What named_image finds; raises OSError or UnicodeEncodeError for a name that no file can have."""
+def _find_file(field: str, folder: Path, name: str) -> Path:
+    """Find the image of find_image; raises also OSError and UnicodeEncodeError for a name that no file can have."""
     base = (folder / name).resolve()
-    if not base.is_file():  # Windows wrote it, unless the file's own name has a backslash
+    if not base.is_file():  # a backslash separates folders, unless the file has one in its name
         base = (folder / name.replace("\\", "/")).resolve()
     if not base.is_relative_to(folder.resolve()):
         raise InputError(f"{field}: {shown(name)} leads out of {folder}; put the images into that folder")
@@ -313,8 +337,10 @@ def _found(field: str, folder: Path, name: str) -> Path:
 
 
 def _files_named(base: Path, exact: bool) -> list[Path]:
-    """Images of this name, with its extension or the first of IMAGE_SUFFIXES that there is; or, if not `exact`, of
-    names that differ from it in case only, of folders too."""
+    """Return images of this name: with its extension, or the first of IMAGE_SUFFIXES that exists.
+
+    If not `exact`, names and folders may differ from it in case; then there may be several.
+    """
     names = [base.name + suffix for suffix in ("", *IMAGE_SUFFIXES)]
     if exact:
         found = [base.with_name(name) for name in names]
@@ -332,7 +358,7 @@ def _files_named(base: Path, exact: bool) -> list[Path]:
 
 
 def _folders_named(folder: Path) -> list[Path]:
-    """This folder; where there is none, those whose paths differ from it in case only."""
+    """Return this folder; where it does not exist, folders whose paths differ from it in case only."""
     if folder.is_dir() or folder.parent == folder:
         return [folder]
     return [

@@ -21,22 +21,24 @@ PINHOLE_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENC
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation that is nearest to a matrix [3,3] that nearly is one: files store few digits."""
+    """Return the rotation nearest to a matrix [3,3] that nearly is one: files store few digits."""
     left, _, right = np.linalg.svd(matrix)
     return left @ right
 
 
-def unscaled(matrix: np.ndarray) -> tuple[np.ndarray, float]:
-    """A matrix [3,3] without the one scale that its rows all have, and that; 1, and the matrix itself, where it is a
-    rotation already or nothing that a scale makes one."""
+def remove_scale(matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """Divide a matrix [3,3] by its uniform scale; return the rotation and the scale.
+
+    A rotation, and a matrix that no scale makes one, come back as they are, with 1.
+    """
     scale = float(np.linalg.norm(matrix)) / math.sqrt(3)
     if is_orthonormal(matrix) or not 1e-9 < scale < 1e9 or not is_orthonormal(matrix / scale):
         return matrix, 1.0
     return matrix / scale, scale
 
 
-def say_scales(path: str | Path, scales: Sequence[float]) -> None:
-    """Says what rotations of a file of cameras were divided by; nothing where all are rotations."""
+def note_scales(path: str | Path, scales: Sequence[float]) -> None:
+    """Note the scales that rotations of a file of cameras were divided by; nothing where all are 1."""
     if scaled := [scale for scale in scales if scale != 1]:
         assume(
             f"{path}: the rotations of {len(scaled)} of {len(scales)} cameras are scaled, the first by "
@@ -45,17 +47,21 @@ def say_scales(path: str | Path, scales: Sequence[float]) -> None:
 
 
 def is_orthonormal(matrix: np.ndarray) -> bool:
-    """Whether the rows of a matrix [3,3] are, up to the few digits that files have."""
+    """Return whether the rows of a matrix [3,3] are orthonormal, up to the few digits of files."""
     return bool(np.abs(matrix).max() <= 2 and np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3))
 
 
 def focal_lengths(
     number: Callable[[str], float | None], width_px: float, height_px: float
 ) -> tuple[float, float] | None:
-    """(fx, fy) in pixels, of fl_x and fl_y or else camera_angle_x and camera_angle_y, radians; the one that is missing
-    equals the other: square pixels. None where there is neither.
+    """Return (fx, fy) in pixels from fl_x and fl_y, or else from camera_angle_x and camera_angle_y.
 
-    number: the value of a key, or None where the file does not say it; of an angle within (0, pi).
+    Args:
+        number: returns the value of a key, or None where the file does not have it; angles within (0, pi) radians.
+        width_px, height_px: size of the image.
+
+    Returns:
+        (fx, fy); a missing one equals the other (square pixels). None where both are missing.
     """
     found = []
     for length_key, angle_key, size in (("fl_x", "camera_angle_x", width_px), ("fl_y", "camera_angle_y", height_px)):
@@ -102,7 +108,15 @@ def check_intrinsics(where: str, intrinsics: np.ndarray, width_px: float, height
 
 
 def pose_matrix(quaternion: Sequence[float], translation: Sequence[float]) -> np.ndarray | None:
-    """The pose [4,4] float64 of a quaternion w, x, y, z of any length and a translation; None where they are none."""
+    """Return a pose as a matrix.
+
+    Args:
+        quaternion: w, x, y, z, of any length but 0.
+        translation: x, y, z.
+
+    Returns:
+        [4,4] float64; None where the numbers make no pose.
+    """
     numbers = np.array([*quaternion, *translation], np.float64)
     if not (np.abs(numbers) < 1e12).all() or (length := np.linalg.norm(numbers[:4])) <= 1e-9:
         return None
@@ -112,7 +126,7 @@ def pose_matrix(quaternion: Sequence[float], translation: Sequence[float]) -> np
 
 
 def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation [3,3] of a unit quaternion w, x, y, z: v + 2 w (q x v) + 2 q x (q x v)."""
+    """Return the rotation [3,3] of a unit quaternion w, x, y, z: v + 2 w (q x v) + 2 q x (q x v)."""
     w, (x, y, z) = quaternion[0], quaternion[1:]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + 2 * w * cross + 2 * cross @ cross

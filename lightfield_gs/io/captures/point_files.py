@@ -1,4 +1,4 @@
-"""Points of a capture in .ply files: of other programs, and of scenes of Gaussians that were fitted before."""
+"""Points of a capture in .ply files: point clouds, and scenes of Gaussians that were fitted before."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.scenes.ply_data import read_elements
-from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
+from lightfield_gs.io.ply_file import HEADER_LIMIT_BYTES, read_elements, read_header
 
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _HARMONICS = ("f_dc_0", "f_dc_1", "f_dc_2")  # of a scene of Gaussians
@@ -19,16 +18,19 @@ _NAMES = ("sparse_pc.ply", "points3d.ply", "point_cloud.ply", "pointcloud.ply", 
 
 
 def no_points() -> tuple[np.ndarray, np.ndarray]:
-    """None: points [0,3] float64 and colours [0,3] uint8."""
+    """Return no points: [0,3] float64, and colours [0,3] uint8."""
     return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
 
 
-def points_beside(model: Path | None, folders: Sequence[Path]) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P,3] float64 and colours [P,3] uint8 of a .ply that nothing names, in the world of the poses; says which.
+def find_points(model: Path | None, folders: Sequence[Path]) -> tuple[np.ndarray, np.ndarray]:
+    """Find a .ply that no layout names, and read its points, in the world of the poses, with a note.
 
     Args:
-        model: a folder of COLMAP's files; a .ply there may have any name if it is the only one.
-        folders: where one of the usual name is taken.
+        model: a folder of COLMAP's files; a single .ply there may have any name.
+        folders: where a .ply of a usual name is taken.
+
+    Returns:
+        Points [P,3] float64 and colours [P,3] uint8.
     """
     places = [*([] if model is None else [model]), *folders]
     for place in dict.fromkeys(places):
@@ -48,8 +50,14 @@ def points_beside(model: Path | None, folders: Sequence[Path]) -> tuple[np.ndarr
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P,3] float64 and colours [P,3] uint8 of a .ply; of Gaussians their centres, and their colours as seen
-    from all around. Grey, and said, where the file has no colours. Raises InputError."""
+    """Read the points of a .ply; of Gaussians their centres, and their colours averaged over all directions.
+
+    Returns:
+        Points [P,3] float64 and colours [P,3] uint8. Where the file has no colours they are grey, with a note.
+
+    Raises:
+        InputError: names the file.
+    """
     with reading(path), path.open("rb") as file:
         header = read_header(path, file.read(HEADER_LIMIT_BYTES))
         vertices = read_elements(path, header).get("vertex")
@@ -59,7 +67,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     points = np.stack([vertices[key].astype(np.float64) for key in "xyz"], 1)
     names = next((names for names in _COLOURS if set(names) & set(columns)), ())
     if not names and set(_HARMONICS) <= set(columns):
-        return points, _of_harmonics(np.stack([vertices[key] for key in _HARMONICS], 1))
+        return points, _harmonics_colours(np.stack([vertices[key] for key in _HARMONICS], 1))
     colours = np.full(points.shape, 128, np.uint8)
     if not names and len(points):
         assume(f"{path}: the points have no colours (red, green, blue) and are grey")
@@ -71,8 +79,8 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return points, colours
 
 
-def _of_harmonics(coefficients: np.ndarray) -> np.ndarray:
-    """Colours uint8 of harmonics of degree 0 [P,3]."""
-    from lightfield_gs.base.harmonics import SH_CONSTANT  # whose module takes torch's time to import
+def _harmonics_colours(coefficients: np.ndarray) -> np.ndarray:
+    """Return the colours uint8 of harmonics of degree 0 [P,3]."""
+    from lightfield_gs.base.harmonics import SH_CONSTANT  # imports torch, which is slow
 
     return np.rint(255 * np.nan_to_num(np.clip(0.5 + SH_CONSTANT * coefficients, 0, 1))).astype(np.uint8)

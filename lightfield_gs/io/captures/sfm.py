@@ -2,7 +2,7 @@
 
 Source: Schönberger and Frahm, "Structure-from-Motion Revisited", CVPR 2016, through its package pycolmap, an optional
 dependency. COLMAP's own settings want an initial pair 16 degrees apart and photographs that determine the focal
-length; where they pose few photographs, mapping is tried again with other settings.
+length. Where they pose few photographs, mapping is tried again with other settings.
 """
 
 from __future__ import annotations
@@ -24,41 +24,51 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import scratch_folder
-from lightfield_gs.io.captures.photo_files import PhotoFiles, outside
+from lightfield_gs.io.captures.photo_files import PhotoFiles, names_outside
 from lightfield_gs.io.images import as_floats, read_info, read_picture
 
 _LEAST_PHOTOGRAPHS = 3
-_MOST_FOR_ALL_PAIRS = 200  # beyond, photographs are matched with those that follow them: all pairs would take hours
+_MOST_FOR_ALL_PAIRS = 200  # beyond, only successive photographs are matched: all pairs take hours
 _EXIF, _ORIENTATION = 0x8769, 0x0112
 _MAKE_MODEL = (0x010F, 0x0110)
 _FOCAL_MM, _FOCAL_35_MM, _LENS_MODEL = 0x920A, 0xA405, 0xA434
-_DIGITS = 3  # of a focal length in mm: phones write the same one with other digits behind
+_DIGITS = 3  # of a focal length in mm: further digits of one phone differ
 _COLMAP_READS = (b"\xff\xd8", b"\x89PNG", b"II*\0", b"MM\0*", b"BM")  # how files of JPEG, PNG, TIFF and BMP begin
-_MOST_SAID = 4
-Camera = tuple[Any, ...]
+_MOST_LISTED = 4
+CameraKey = tuple[Any, ...]
 Progress = Callable[[str], None]
-_ENOUGH = 0.9  # of the photographs: nothing else is tried then
-# Focal lengths of the photographs' longer side that cameras have: from 9 mm to 144 mm, as of 35 mm film
+_ENOUGH = 0.9  # fraction of posed photographs that ends the tries
+# Range of focal lengths, of the longer side: 9 mm to 144 mm on 35 mm film
 _SHORTEST, _LONGEST = 0.25, 4.0
-# The most degrees between directions that tell little of a focal length, which then is within _LARGEST_CHANGE of what
-# COLMAP guesses, of the longer side
+# Directions within _NARROW_DEG hardly determine a focal length; then it must be within a factor _LARGEST_CHANGE of
+# COLMAP's guess, which is relative to the longer side
 _NARROW_DEG, _GUESS = 10.0, 1.2
-_LARGEST_CHANGE = 2.0  # of a focal length by the last refinement: beyond, the photographs do not determine it
+_LARGEST_CHANGE = 2.0  # factor of the last refinement: beyond, the photographs do not determine the focal length
 
 
 def structure_from_motion(
     photographs: str | Path, output: str | Path, progress: Progress = lambda words: None, masks: Path | None = None
 ) -> Path:
-    """Poses the photographs in and below a folder, and writes the model to output/sparse/0, whole or not at all.
+    """Find the poses of the photographs in and below a folder, and write the model to output/sparse/0.
 
-    Returns that folder, for read_capture(output, images=photographs). progress: is told in words what is being done.
-    Photographs of one size and lens, by their Exif, are taken as one camera (COLMAP's SIMPLE_RADIAL). Masks among them
-    are not posed, nor are pictures in the folder `masks`. read_capture says which photographs did not pose. Raises
-    InputError where pycolmap is missing, there are too few photographs, or they do not pose.
+    The model appears whole or not at all. Photographs of one size and lens, by their Exif, share a camera
+    (SIMPLE_RADIAL). Masks among them are not posed. read_capture notes photographs without a pose.
+
+    Args:
+        photographs: the folder.
+        output: the folder of the new capture.
+        progress: called with messages about the current stage.
+        masks: a folder of masks, whose images are not posed.
+
+    Returns:
+        The model's folder, for read_capture(output, images=photographs).
+
+    Raises:
+        InputError: where pycolmap is missing, there are too few photographs, or they do not pose.
     """
     pycolmap = _pycolmap()
-    files = PhotoFiles(_existing(photographs))
-    names = outside(masks, files.folder, files.photographs)
+    files = PhotoFiles(_photograph_folder(photographs))
+    names = names_outside(masks, files.folder, files.photographs)
     if len(names) < _LEAST_PHOTOGRAPHS:
         raise InputError(f"{photographs}: expected {_LEAST_PHOTOGRAPHS} photographs or more, got {len(names)}")
     if others := len(files.paths) - len(names):
@@ -68,7 +78,7 @@ def structure_from_motion(
         raise InputError(f"{target}: there is a model already: read it without --sfm, or remove it")
     target.parent.parent.mkdir(parents=True, exist_ok=True)
     with scratch_folder(target.parent.parent / "sfm") as work:
-        best = _posed(pycolmap, files, names, work, progress)
+        best = _reconstruct(pycolmap, files, names, work, progress)
         model = work / "best"
         model.mkdir()
         best.write(str(model))
@@ -78,8 +88,8 @@ def structure_from_motion(
     return target
 
 
-def _posed(pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], work: Path, progress: Progress) -> Any:
-    """The largest of pycolmap's reconstructions; raises InputError where there is none."""
+def _reconstruct(pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], work: Path, progress: Progress) -> Any:
+    """Return the largest of pycolmap's reconstructions. Raises InputError where there is none."""
     paths, database = {name: files.paths[name] for name in names}, work / "database.db"
     cameras = group_by_camera(paths)
     photographs = files_for_colmap(paths, files.folder, work)
@@ -103,8 +113,8 @@ def _posed(pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], work: 
         raise InputError(f"{files.folder}: COLMAP failed: {' '.join(str(error).split())[:300]}") from error
     if best is None:
         raise InputError(
-            f"{files.folder}: the {len(names)} photographs did not pose in {len(TRIES)} tries: expected sharp ones of "
-            "a scene that stands still, each overlapping the next by two thirds, from many places"
+            f"{files.folder}: the {len(names)} photographs did not pose in {len(MAPPING_SETTINGS)} tries: expected "
+            "sharp ones of a scene that stands still, each overlapping the next by two thirds, from many places"
         )
     return best
 
@@ -116,11 +126,11 @@ def _pycolmap() -> ModuleType:
         raise InputError(
             f"--sfm poses photographs by pycolmap, which cannot be imported ({error}): pip install lightfield-gs[sfm]"
         ) from None
-    pycolmap.logging.minloglevel = 2  # errors: what else it tells is for its own developers
+    pycolmap.logging.minloglevel = 2  # errors only
     return pycolmap
 
 
-def _existing(folder: str | Path) -> Path:
+def _photograph_folder(folder: str | Path) -> Path:
     folder = checked_path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of photographs, there is none")
@@ -128,27 +138,29 @@ def _existing(folder: str | Path) -> Path:
 
 
 def group_by_camera(paths: Mapping[str, Path]) -> list[list[str]]:
-    """Names of photographs by the camera that took them: of one size, and with one lens by their Exif, where they have
-    any. Says which. Raises InputError for what is no photograph."""
-    groups: dict[Camera, list[str]] = defaultdict(list)
+    """Group names of photographs by size and, where they have Exif, by lens, with a note. Raises InputError."""
+    groups: dict[CameraKey, list[str]] = defaultdict(list)
     for name, path in paths.items():
         info = read_info(path)
-        groups[(info.width_px, info.height_px, *_lens(path))].append(name)
+        groups[(info.width_px, info.height_px, *_lens_key(path))].append(name)
     if len(groups) == 1:
         assume(f"the {len(paths)} photographs are of one camera")
     else:
-        words = [f"{len(names)} of {_words(camera)}" for camera, names in groups.items()]
-        more = f" and {len(words) - _MOST_SAID} more" if len(words) > _MOST_SAID else ""
+        words = [f"{len(names)} of {_describe(camera)}" for camera, names in groups.items()]
+        more = f" and {len(words) - _MOST_LISTED} more" if len(words) > _MOST_LISTED else ""
         assume(
             f"the {len(paths)} photographs are of {len(groups)} cameras, by size and Exif: "
-            f"{', '.join(words[:_MOST_SAID])}{more}"
+            f"{', '.join(words[:_MOST_LISTED])}{more}"
         )
     return list(groups.values())
 
 
 def files_for_colmap(paths: Mapping[str, Path], folder: Path, work: Path) -> Path:
-    """The folder of the photographs, if COLMAP reads all of them; else one in `work` with links to those that it reads
-    and JPEG files, with the same Exif, of the others, all by their names. Raises InputError."""
+    """Return a folder with all photographs in formats that COLMAP reads.
+
+    That is their own folder, if COLMAP reads all of them. Else it is one in `work`, with links, and with JPEG copies
+    of other formats, which keep the Exif and the name. Raises InputError.
+    """
     others = [name for name, path in paths.items() if not _start(path).startswith(_COLMAP_READS)]
     if not others:
         return folder
@@ -173,8 +185,8 @@ def _kinds(names: Sequence[str]) -> str:
     return " or ".join(sorted({Path(name).suffix.lower() for name in names}))
 
 
-def _lens(path: Path) -> tuple[Any, ...]:
-    """What Exif says of the camera and its lens: make, model, lens and focal lengths, as far as it does."""
+def _lens_key(path: Path) -> tuple[Any, ...]:
+    """Return make, model, lens and focal lengths by the Exif, as far as it has them."""
     exif = _exif(path)
     inner = exif.get_ifd(_EXIF)
     words = [str(exif.get(tag, "")).strip("\0 ") for tag in _MAKE_MODEL] + [
@@ -184,21 +196,21 @@ def _lens(path: Path) -> tuple[Any, ...]:
 
 
 def _millimetres(value: Any) -> float:
-    """A focal length to _DIGITS digits; 0 where there is none."""
+    """Return a focal length rounded to _DIGITS digits; 0 where there is none."""
     with contextlib.suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
         number = float(value)
         return float(f"{number:.{_DIGITS}g}") if 0 < number < np.inf else 0.0
     return 0.0
 
 
-def _words(camera: Camera) -> str:
+def _describe(camera: CameraKey) -> str:
     width, height, *_, focal, equivalent = camera
     length = f" at {equivalent:g} mm (35 mm film)" if equivalent else f" at {focal:g} mm" if focal else ""
     return f"{width} x {height}{length}"
 
 
 def _exif(path: Path) -> Any:
-    """Pillow's Exif of a photograph that read_info read; empty where Pillow finds none."""
+    """Return Pillow's Exif of a photograph that read_info read; empty where Pillow finds none."""
     from PIL import Image
 
     with warnings.catch_warnings(), contextlib.suppress(OSError, ValueError, SyntaxError, RuntimeError, EOFError):
@@ -211,7 +223,7 @@ def _exif(path: Path) -> Any:
 
 
 def _write_jpeg(path: Path, target: Path) -> None:
-    """A photograph as stored, as JPEG; its Exif too, but for the orientation, which COLMAP and poses leave alone."""
+    """Write a photograph as stored as JPEG, with its Exif without the orientation, which COLMAP and poses ignore."""
     from PIL import Image
 
     pixels = as_floats(read_picture(path, turn=False).pixels)
@@ -223,7 +235,7 @@ def _write_jpeg(path: Path, target: Path) -> None:
 
 
 def _link(path: Path, target: Path) -> None:
-    """A link to a file, or a copy where there are no links."""
+    """Link to a file, or copy it where the system has no links."""
     try:
         target.symlink_to(path.resolve())
     except OSError:
@@ -231,10 +243,15 @@ def _link(path: Path, target: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Try:
-    """Settings of a try: least angle at a point between the two photographs that a model begins with, degrees, and
-    between any others; focal length to begin with, of the photographs' longer side, where Exif has none. It stands
-    still until all are posed. None: COLMAP's own settings."""
+class MappingSettings:
+    """Settings of a try of COLMAP's mapping. None: COLMAP's own.
+
+    Attributes:
+        first_deg: least angle at a point between the two initial photographs, degrees.
+        other_deg: least angle between any others, degrees.
+        focal: initial focal length in units of the photographs' longer side, where Exif has none. It stays fixed until
+            all photographs are posed.
+    """
 
     first_deg: float | None = None
     other_deg: float | None = None
@@ -250,37 +267,51 @@ class Try:
         )
 
 
-# Phones' wide cameras have a focal length of 0.72 of the longer side, their telephotos and most others one above 1
-TRIES = (Try(), Try(4, 1.5, 1.2), Try(4, 1.5, 0.75), Try(1.5, 0.5, 1.2))
+# Focal length of phones: wide cameras 0.72 of the longer side; telephoto and most other cameras above 1
+MAPPING_SETTINGS = (
+    MappingSettings(),
+    MappingSettings(4, 1.5, 1.2),
+    MappingSettings(4, 1.5, 0.75),
+    MappingSettings(1.5, 0.5, 1.2),
+)
 
 
 def best_model(pycolmap: ModuleType, database: Path, photographs: Path, count: int, progress: Progress) -> Any:
-    """The reconstruction with the most of `count` photographs, whose features match in a database; None where no try
-    finds one. Tries again, each said, until nearly all are posed with focal lengths that may be; of such models those
-    with half of the photographs or more go before others. Raises what pycolmap raises."""
-    best, chosen, guessed, rank = None, TRIES[0], _without_focal(pycolmap, database), (False, 0)
-    for number, settings in enumerate(TRIES, 1):
-        if settings.focal not in (None, TRIES[1].focal) and not guessed:
+    """Reconstruct with one setting after the other, and return the best reconstruction; None where none is found.
+
+    Tries end when nearly all photographs are posed with plausible focal lengths. Plausible models of at least half of
+    the photographs go before others; then the number of photographs decides. Raises the errors of pycolmap.
+
+    Args:
+        pycolmap: the module.
+        database: COLMAP's, with features and matches.
+        photographs: their folder.
+        count: their number.
+        progress: called with a message about each try.
+    """
+    best, chosen, guessed, rank = None, MAPPING_SETTINGS[0], _cameras_without_focal(pycolmap, database), (False, 0)
+    for number, settings in enumerate(MAPPING_SETTINGS, 1):
+        if settings.focal not in (None, MAPPING_SETTINGS[1].focal) and not guessed:
             continue  # Exif has all focal lengths, and nothing else differs
         if settings.focal is not None:
-            _begin_with(pycolmap, database, guessed, settings.focal)
-        model = _mapped(pycolmap, database, photographs, settings, progress)
+            _set_focal_lengths(pycolmap, database, guessed, settings.focal)
+        model = _map(pycolmap, database, photographs, settings, progress)
         posed = 0 if model is None else model.num_reg_images()
-        wrong = None if model is None else _doubtful_focal(model, guessed)
+        wrong = None if model is None else _implausible_focal_length(model, guessed)
         found = f"{posed} of {count} photographs" if posed else "none posed"
         progress(f"poses, try {number}, {settings.words}: {found}{'' if wrong is None else f', {wrong}'}")
         if posed and (own := (wrong is None and 2 * posed >= count, posed)) > rank:
             best, chosen, rank = model, settings, own
         if rank >= (True, _ENOUGH * count):
             break
-    if best is not None and (wrong := _doubtful_focal(best, guessed)) is not None:
+    if best is not None and (wrong := _implausible_focal_length(best, guessed)) is not None:
         assume(
             f"COLMAP finds {wrong}, which the photographs hardly determine: depths and angles may be wrong; "
             "photographs that keep their Exif, or from farther apart, are surer"
         )
     if best is None or chosen.focal is None:
         return best
-    best = _refined(pycolmap, best)
+    best = _refine_focal_lengths(pycolmap, best)
     lengths = ", ".join(f"{camera.mean_focal_length():.0f}" for camera in list(best.cameras.values())[:3])
     assume(
         f"the photographs' directions hardly differ: poses are {chosen.words}, refined to {lengths} px; depths are "
@@ -289,8 +320,8 @@ def best_model(pycolmap: ModuleType, database: Path, photographs: Path, count: i
     return best
 
 
-def _mapped(pycolmap: ModuleType, database: Path, photographs: Path, settings: Try, progress: Progress) -> Any:
-    """The largest reconstruction by these settings; None where there is none."""
+def _map(pycolmap: ModuleType, database: Path, photographs: Path, settings: MappingSettings, progress: Progress) -> Any:
+    """Return the largest reconstruction by these settings; None where there is none."""
     options = pycolmap.IncrementalPipelineOptions()
     if settings.focal is not None:
         options.mapper.init_min_tri_angle = settings.first_deg
@@ -299,7 +330,7 @@ def _mapped(pycolmap: ModuleType, database: Path, photographs: Path, settings: T
         options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
     models = database.with_name("models")
     models.mkdir(exist_ok=True)
-    begun, posed = _counted(progress)
+    begun, posed = _posed_counters(progress)
     found = pycolmap.incremental_mapping(
         str(database),
         str(photographs),
@@ -311,15 +342,14 @@ def _mapped(pycolmap: ModuleType, database: Path, photographs: Path, settings: T
     return max(found.values(), key=lambda model: model.num_reg_images(), default=None)
 
 
-def _without_focal(pycolmap: ModuleType, database: Path) -> list[int]:
-    """The cameras whose focal length is COLMAP's guess, for Exif has none."""
+def _cameras_without_focal(pycolmap: ModuleType, database: Path) -> list[int]:
+    """Return the cameras whose focal length is COLMAP's guess, since Exif has none."""
     with pycolmap.Database.open(str(database)) as opened:
         return [camera.camera_id for camera in opened.read_all_cameras() if not camera.has_prior_focal_length]
 
 
-def _doubtful_focal(model: Any, guessed: Sequence[int]) -> str | None:
-    """A focal length of a reconstruction, in words, that hardly is the camera's: that of one of the cameras `guessed`,
-    of which nothing is known beforehand; None where all may be."""
+def _implausible_focal_length(model: Any, guessed: Sequence[int]) -> str | None:
+    """Describe a focal length, of the cameras `guessed`, that is hardly the camera's; None where all are plausible."""
     directions = np.array([image.viewing_direction() for image in model.images.values() if image.has_pose])
     least = float((directions @ directions.T).min(initial=1.0)) if len(directions) else 1.0
     low, high = _SHORTEST, _LONGEST
@@ -332,8 +362,8 @@ def _doubtful_focal(model: Any, guessed: Sequence[int]) -> str | None:
     return None
 
 
-def _begin_with(pycolmap: ModuleType, database: Path, cameras: Sequence[int], focal: float) -> None:
-    """Takes the focal lengths of these cameras as known, of their longer side, and verifies the matches anew by it."""
+def _set_focal_lengths(pycolmap: ModuleType, database: Path, cameras: Sequence[int], focal: float) -> None:
+    """Set the focal lengths of these cameras, in units of the longer side, as known, and verify the matches again."""
     with pycolmap.Database.open(str(database)) as opened:
         for camera in opened.read_all_cameras():
             if camera.camera_id in cameras:
@@ -344,8 +374,8 @@ def _begin_with(pycolmap: ModuleType, database: Path, cameras: Sequence[int], fo
     pycolmap.geometric_verification(str(database))
 
 
-def _refined(pycolmap: ModuleType, model: Any) -> Any:
-    """A reconstruction with its focal lengths refined; as it was where the photographs do not determine them."""
+def _refine_focal_lengths(pycolmap: ModuleType, model: Any) -> Any:
+    """Refine the focal lengths of a reconstruction; keep it as it was where the photographs do not determine them."""
     refined = copy.deepcopy(model)
     options = pycolmap.BundleAdjustmentOptions()
     options.refine_extra_params = options.print_summary = False
@@ -357,8 +387,8 @@ def _refined(pycolmap: ModuleType, model: Any) -> Any:
     return refined if sane else model
 
 
-def _counted(progress: Progress) -> tuple[Callable[[], None], Callable[[], None]]:
-    """What tells of a model that is begun with two photographs, and of each that is posed after them."""
+def _posed_counters(progress: Progress) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Return callbacks for the initial pair of a model, and for each photograph that is posed after it."""
     count = 0
 
     def begun() -> None:

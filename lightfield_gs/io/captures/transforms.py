@@ -28,14 +28,14 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import (
     BROWN_COEFFICIENTS,
     COLMAP_MODELS,
-    Lens,
+    Distortion,
     describe_coefficients,
     distort_brown,
-    lens_of,
+    lens_distortion,
 )
-from lightfield_gs.io.captures.colmap import model_folder, points_of_model
-from lightfield_gs.io.captures.photo_files import Places, first_names, named_image, photographs_in
-from lightfield_gs.io.captures.photograph import Shot, Shots, readable
+from lightfield_gs.io.captures.colmap import model_folder, read_model_points
+from lightfield_gs.io.captures.photo_files import LocatedFiles, find_image, find_photographs, first_names
+from lightfield_gs.io.captures.photograph import PosedCapture, PosedPhotograph, readable_files
 from lightfield_gs.io.captures.pinhole import (
     PINHOLE_MODELS,
     TO_OPENCV,
@@ -43,51 +43,65 @@ from lightfield_gs.io.captures.pinhole import (
     check_pose,
     focal_lengths,
     nearest_rotation,
-    say_scales,
-    unscaled,
+    note_scales,
+    remove_scale,
 )
-from lightfield_gs.io.captures.point_files import points_beside, read_points
+from lightfield_gs.io.captures.point_files import find_points, read_points
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.text_files import read_object
 
 _LIMIT_BYTES = 256 << 20
 _WHOLE, _TRAIN = "transforms.json", "transforms_train.json"
 _TESTS = ("transforms_test.json", "transforms_val.json")  # the first that there is holds out
 _TRAIN_KEY, _TEST_KEYS = "train_filenames", ("val_filenames", "test_filenames")
-_ANGLES_DIFFER = 0.02  # of an angle of view: what lens distortion and rounding make of one camera is less
+_ANGLES_DIFFER = 0.02  # relative tolerance of an angle of view; distortion and rounding make less
 _FURTHER = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")  # of lenses that are none of PINHOLE_MODELS
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One frame that has a pose. where: its place, for messages. name: of its photograph, with / between folders.
-    fields: its own, and those at the top of its file. is_held: whether it is kept for tests."""
+class TransformsFrame:
+    """A frame that has a pose.
+
+    Attributes:
+        where: file and index, for messages.
+        name: of its photograph, with / between folders.
+        fields: its own, and those at the top of its file.
+        is_held_out: whether it is held out for tests.
+    """
 
     where: str
     name: str
     fields: dict[str, Any]
-    is_held: bool = False
+    is_held_out: bool = False
 
 
 @dataclass(frozen=True)
-class Frames:
-    """What is fitted to or tested by. data: what stands at the top of the file. held_by: what keeps some for tests."""
+class TransformsFrames:
+    """The frames to fit to and to test by.
+
+    Attributes:
+        data: the fields at the top of the file.
+        frames: with poses.
+        held_by: the field or file that holds some out for tests.
+    """
 
     data: dict[str, Any]
-    frames: list[Frame]
+    frames: list[TransformsFrame]
     held_by: str = ""
 
 
 def transforms_file(folder: Path) -> Path | None:
-    """The transforms.json of a capture, or transforms_train.json, or the file itself that was given; None where there
-    is none."""
+    """Return the transforms.json or transforms_train.json of a capture, or the file that was given.
+
+    None without one.
+    """
     if folder.suffix.lower() == ".json":
         return folder if folder.is_file() else None
     return next((folder / name for name in (_WHOLE, _TRAIN) if (folder / name).is_file()), None)
 
 
 def has_frames(path: Path) -> bool:
-    """Whether a JSON file has frames that name photographs; not one that cannot be read."""
+    """Return whether a JSON file has frames that name photographs; False where it cannot be read."""
     try:
         frames = read_object(path, _LIMIT_BYTES).get("frames")
     except InputError:
@@ -95,25 +109,26 @@ def has_frames(path: Path) -> bool:
     return isinstance(frames, list) and any(isinstance(frame, dict) and "file_path" in frame for frame in frames[:1])
 
 
-def read_frames(path: Path, given: bool) -> Frames:
-    """The frames of a capture that a file tells of; says which are left out.
+def read_frames(path: Path, given: bool) -> TransformsFrames:
+    """Read the frames of a capture, with a note of those that are left out.
 
     Args:
         path: a transforms.json, or one of another name.
-        given: whether it was given itself; a transforms_train.json of a folder brings its tests along.
+        given: whether the file itself was given. The transforms_train.json of a folder brings its tests along.
 
-    Raises InputError that names file and field.
+    Raises:
+        InputError: names file and field.
     """
     data, frames = _frames(path)
     if not given and path.name == _TRAIN:
-        return _with_tests(path, data, frames)
+        return _add_test_frames(path, data, frames)
     if not given and path.name == _WHOLE and (path.parent / _TRAIN).is_file():
         assume(f"{path} is read, not {_TRAIN} beside it: give that file itself to read it")
-    return _split(path, data, frames)
+    return _split_by_names(path, data, frames)
 
 
-def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
-    """What stands at the top of one file, and its frames that have poses."""
+def _frames(path: Path) -> tuple[dict[str, Any], list[TransformsFrame]]:
+    """Return the fields at the top of a file, and its frames that have poses."""
     data = read_object(path, _LIMIT_BYTES)
     entries = data.get("frames")
     if not isinstance(entries, list) or not entries:
@@ -125,8 +140,8 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
         name = entry.get("file_path") if isinstance(entry, dict) else None
         if not isinstance(name, str) or not name.strip() or "\0" in name:
             raise InputError(f"{where}.file_path: expected the name of an image, got {shown(name)}")
-        frames.append(Frame(where, _plain(name), {**shared, **entry}))
-    frames = _once(path, frames)
+        frames.append(TransformsFrame(where, _normalised_name(name), {**shared, **entry}))
+    frames = _unique_frames(path, frames)
     posed = [frame for frame in frames if not _has_no_pose(frame.fields.get("transform_matrix"))]
     if not posed:
         raise InputError(f"{path}: frames: expected some with a pose (transform_matrix), got {len(frames)} without")
@@ -138,13 +153,15 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Frame]]:
     return shared, posed
 
 
-def _once(path: Path, frames: list[Frame]) -> list[Frame]:
-    """The frames without those that are the same as one before, which is said. Raises InputError where a photograph has
-    two poses or cameras."""
-    kept: dict[str, Frame] = {}
+def _unique_frames(path: Path, frames: list[TransformsFrame]) -> list[TransformsFrame]:
+    """Drop frames that repeat an earlier one, with a note.
+
+    Raises InputError where a photograph has two poses or cameras.
+    """
+    kept: dict[str, TransformsFrame] = {}
     for frame in frames:
         before = kept.setdefault(frame.name, frame)
-        if _apart_from_name(before) != _apart_from_name(frame):
+        if _fields_key(before) != _fields_key(frame):
             raise InputError(
                 f"{path}: frames: expected each photograph once, got {shown(frame.name)} twice, with different "
                 "poses or cameras: take one out"
@@ -154,18 +171,18 @@ def _once(path: Path, frames: list[Frame]) -> list[Frame]:
     return list(kept.values())
 
 
-def _apart_from_name(frame: Frame) -> str:
-    """What a frame says but for its name, to compare: NaN is the same as NaN."""
+def _fields_key(frame: TransformsFrame) -> str:
+    """Return the fields of a frame but for its name, in a form in which NaN equals NaN."""
     return repr({key: value for key, value in frame.fields.items() if key != "file_path"})
 
 
-def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
-    """The frames to fit to, and those of the file of tests beside theirs."""
+def _add_test_frames(path: Path, data: dict[str, Any], train: list[TransformsFrame]) -> TransformsFrames:
+    """Return the frames to fit to, and those of the test file beside theirs."""
     there = [name for name in _TESTS if (path.parent / name).is_file()]
     if not there:
-        return _split(path, data, train)
-    held = [replace(frame, is_held=True) for frame in _frames(path.parent / there[0])[1]]
-    names = {frame.name for frame in held}
+        return _split_by_names(path, data, train)
+    held_out = [replace(frame, is_held_out=True) for frame in _frames(path.parent / there[0])[1]]
+    names = {frame.name for frame in held_out}
     fitted = [frame for frame in train if frame.name not in names]
     if not fitted:
         raise InputError(f"{path.parent}: {there[0]} has all photographs of {_TRAIN}: expected others to test with")
@@ -174,11 +191,11 @@ def _with_tests(path: Path, data: dict[str, Any], train: list[Frame]) -> Frames:
         assume(f"{path.parent}: {words}")
     if unused := there[1:]:
         assume(f"{path.parent}: {unused[0]} is not read: {there[0]} holds out photographs already")
-    return Frames(data, [*fitted, *held], there[0])
+    return TransformsFrames(data, [*fitted, *held_out], there[0])
 
 
-def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
-    """The frames as the file's own lists of names part them. A list of those to fit to alone holds out the others."""
+def _split_by_names(path: Path, data: dict[str, Any], frames: list[TransformsFrame]) -> TransformsFrames:
+    """Split the frames by the file's own lists of names. A train list alone holds out all others."""
     known = {frame.name for frame in frames}
     train = known & _names(path, data, _TRAIN_KEY)
     keys = [key for key in _TEST_KEYS if data.get(key)]
@@ -186,104 +203,106 @@ def _split(path: Path, data: dict[str, Any], frames: list[Frame]) -> Frames:
     if strange := sorted((named | _names(path, data, _TRAIN_KEY)) - known):
         words = counted(len(strange), "name", does="in its lists of photographs are of no frame with a pose")
         assume(f"{path}: {words}: {first_names(strange)}")
-    held = named & known if keys else known - train if train else set()
-    if train and not train - held:
-        held -= train  # a file may test with what it fits to
-    if not held:
-        return Frames(data, frames)
-    left = known - train - held if train else set()
+    held_out = named & known if keys else known - train if train else set()
+    if train and not train - held_out:
+        held_out -= train  # a file may test with photographs that it fits to
+    if not held_out:
+        return TransformsFrames(data, frames)
+    left = known - train - held_out if train else set()
     if left:
         lists = f"in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and"
         words = counted(len(left), "photograph", does=f"are {lists} are left out")
         assume(f"{path}: {words}: {first_names(sorted(left))}")
-    kept = [replace(frame, is_held=frame.name in held) for frame in frames if frame.name not in left]
-    return Frames(data, kept, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
+    kept = [replace(frame, is_held_out=frame.name in held_out) for frame in frames if frame.name not in left]
+    return TransformsFrames(data, kept, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
 
 
 def _names(path: Path, data: dict[str, Any], key: str) -> set[str]:
-    """The names in a list of the file, none where there is no such list; raises InputError."""
+    """Return the names in a list of the file; none where there is no such list. Raises InputError."""
     names = data.get(key) or []
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{path}: {key}: expected a list of names, got {shown(names)}")
-    return {_plain(name) for name in names}
+    return {_normalised_name(name) for name in names}
 
 
-def _plain(name: str) -> str:
-    """A name with / between folders, without ./ and .. in its middle."""
+def _normalised_name(name: str) -> str:
+    """Return a name with / between folders, without ./ and inner .."""
     return PurePosixPath(os.path.normpath(name.replace("\\", "/"))).as_posix()
 
 
 def _has_no_pose(matrix: Any) -> bool:
-    """Whether a matrix is none: missing, empty, or with numbers that are none, as of an app that lost its way."""
+    """Return whether a matrix is missing, empty or not finite, as of an app that lost tracking."""
     if isinstance(matrix, list) and matrix:
         return any(_has_no_pose(entry) for entry in matrix)
     return matrix is None or matrix == [] or isinstance(matrix, float) and not math.isfinite(matrix)
 
 
-def transforms_shots(path: Path, images: Path | None, given: bool) -> Shots:
-    """What a transforms.json says of the photographs of a capture.
+def read_transforms_capture(path: Path, images: Path | None, given: bool) -> PosedCapture:
+    """Read the posed photographs of a transforms.json.
 
     Args:
-        path: of the file.
-        images: the folder of the photographs; None: where the file has them.
-        given: whether the file was given itself, not its folder.
+        path: the file.
+        images: the folder of the photographs; None: as the file names them.
+        given: whether the file itself was given, not its folder.
 
-    Raises InputError that names file and field.
+    Raises:
+        InputError: names file and field.
     """
     read = read_frames(path, given)
-    folder, places = _photographs(path, images, [frame.name for frame in read.frames])
-    places = readable(places, folder)
-    frames = [frame for frame in read.frames if frame.name in places]
-    shots, scales = [], []
+    folder, files = _find_photographs(path, images, [frame.name for frame in read.frames])
+    files = readable_files(files, folder)
+    frames = [frame for frame in read.frames if frame.name in files]
+    posed, scales = [], []
     for frame in frames:
         pose, scale = _world_to_camera(frame.where, frame.fields)
-        shots.append(_shot(frame.where, path.parent, frame.fields, *places[frame.name], pose))
+        posed.append(_posed_photograph(frame.where, path.parent, frame.fields, *files[frame.name], pose))
         scales.append(scale)
-    say_scales(path, scales)
-    _say_angles(path, list(zip(frames, shots)))
-    held = tuple(places[frame.name][0] for frame in frames if frame.is_held)
-    return Shots(
+    note_scales(path, scales)
+    _note_angles(path, list(zip(frames, posed)))
+    held_out = tuple(files[frame.name][0] for frame in frames if frame.is_held_out)
+    return PosedCapture(
         path,
         folder,
-        shots,
-        *_points(path, read.data.get("ply_file_path"), read.data.get("applied_transform"), shots),
-        held,
+        posed,
+        *_points(path, read.data.get("ply_file_path"), read.data.get("applied_transform"), posed),
+        held_out,
         read.held_by,
     )
 
 
-def _photographs(path: Path, images: Path | None, names: list[str]) -> tuple[Path, Places]:
-    """The folder of images, and by the names of the photographs their names in it and their files. Missing ones are
-    not there, which is said."""
-    common = _common([PurePosixPath(name).parent for name in names])
+def _find_photographs(path: Path, images: Path | None, names: list[str]) -> tuple[Path, LocatedFiles]:
+    """Return the folder of images, and the files of the photographs by their names; missing ones are noted."""
+    common = _common_folder([PurePosixPath(name).parent for name in names])
     inner = {name: PurePosixPath(name).relative_to(common).as_posix() if common else name for name in names}
     if images is not None:
-        found = photographs_in([images], list(inner.values()))
-        return found.folder, {name: found.places[inner[name]] for name in names if inner[name] in found.places}
-    known: Places = {}
+        found = find_photographs([images], list(inner.values()))
+        return found.folder, {name: found.files[inner[name]] for name in names if inner[name] in found.files}
+    known: LocatedFiles = {}
     for name in names:
         try:
-            known[name] = inner[name], named_image("file_path", path.parent, name)
+            known[name] = inner[name], find_image("file_path", path.parent, name)
         except InputError as error:
             if not any(words in str(error) for words in ("missing image", "leads out")):
                 raise InputError(f"{path}: {error}") from None
     if len(known) == len(names):
         return path.parent / common, known
-    found = photographs_in([path.parent / "images", path.parent], names, known)
+    found = find_photographs([path.parent / "images", path.parent], names, known)
     if known:
-        return path.parent / common, {name: (inner[name], file) for name, (_, file) in found.places.items()}
-    folder = found.folder / _common([PurePosixPath(within).parent for within, _ in found.places.values()])
-    return folder, {name: (file.relative_to(folder).as_posix(), file) for name, (_, file) in found.places.items()}
+        return path.parent / common, {name: (inner[name], file) for name, (_, file) in found.files.items()}
+    folder = found.folder / _common_folder([PurePosixPath(within).parent for within, _ in found.files.values()])
+    return folder, {name: (file.relative_to(folder).as_posix(), file) for name, (_, file) in found.files.items()}
 
 
-def _common(folders: list[PurePosixPath]) -> str:
-    """The folder that all of these lie in; none where only some begin at the root."""
+def _common_folder(folders: list[PurePosixPath]) -> str:
+    """Return the folder that contains all of these; "" where only some are absolute."""
     if len({folder.is_absolute() for folder in folders}) > 1:
         return ""
     return os.path.commonpath(folders)
 
 
-def _shot(where: str, folder: Path, fields: dict[str, Any], name: str, photo: Path, pose: np.ndarray) -> Shot:
+def _posed_photograph(
+    where: str, folder: Path, fields: dict[str, Any], name: str, photo: Path, pose: np.ndarray
+) -> PosedPhotograph:
     def number(key: str) -> float | None:
         is_angle = key.startswith("camera_angle")
         low, high = (1e-6, 3.14159) if is_angle else (-1e12, 1e12)
@@ -302,16 +321,16 @@ def _shot(where: str, folder: Path, fields: dict[str, Any], name: str, photo: Pa
     check_intrinsics(where, intrinsics, width, height)
     mask = None
     if fields.get("mask_path") is not None:
-        mask = named_image(f"{where}.mask_path", folder, fields["mask_path"])
+        mask = find_image(f"{where}.mask_path", folder, fields["mask_path"])
     size = int(width), int(height)
-    return Shot(name, photo, pose, intrinsics, size, _lens(where, fields, number), mask)
+    return PosedPhotograph(name, photo, pose, intrinsics, size, _lens(where, fields, number), mask)
 
 
-def _say_angles(path: Path, pairs: Sequence[tuple[Frame, Shot]]) -> None:
-    """Says of which frames camera_angle_x is another than that of fl_x, which is what counts."""
+def _note_angles(path: Path, pairs: Sequence[tuple[TransformsFrame, PosedPhotograph]]) -> None:
+    """Note frames whose camera_angle_x contradicts fl_x, which counts."""
     off = []
-    for frame, shot in pairs:
-        angle = 2 * math.atan(shot.camera_px[0] / 2 / shot.intrinsics[0])
+    for frame, photograph in pairs:
+        angle = 2 * math.atan(photograph.camera_px[0] / 2 / photograph.intrinsics[0])
         given = frame.fields.get("camera_angle_x")
         if isinstance(given, (int, float)) and abs(given - angle) > _ANGLES_DIFFER * angle:
             off.append((given, angle))
@@ -321,7 +340,7 @@ def _say_angles(path: Path, pairs: Sequence[tuple[Frame, Shot]]) -> None:
 
 
 def _world_to_camera(where: str, fields: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """World to camera [4,4] of a frame, OpenCV axes, and the scale that its rotation was divided by."""
+    """Return world to camera [4,4] of a frame, OpenCV axes, and the scale that its rotation was divided by."""
     where = f"{where}.transform_matrix"
     try:
         pose = np.array(fields.get("transform_matrix"))
@@ -330,7 +349,7 @@ def _world_to_camera(where: str, fields: dict[str, Any]) -> tuple[np.ndarray, fl
     if pose.shape not in ((4, 4), (3, 4)) or pose.dtype.kind not in "iuf":
         raise InputError(f"{where}: expected 4 rows of 4 numbers, got {pose.dtype} {list(pose.shape)}")
     pose = np.concatenate([pose[:3], [[0, 0, 0, 1]]]).astype(np.float64)
-    pose[:3, :3], scale = unscaled(pose[:3, :3])
+    pose[:3, :3], scale = remove_scale(pose[:3, :3])
     check_pose(where, pose)
     rotation = nearest_rotation((pose @ TO_OPENCV)[:3, :3]).T
     inverse = np.eye(4)
@@ -338,7 +357,7 @@ def _world_to_camera(where: str, fields: dict[str, Any]) -> tuple[np.ndarray, fl
     return inverse, scale
 
 
-def _lens(where: str, fields: dict[str, Any], number: Callable[[str], float | None]) -> Lens | None:
+def _lens(where: str, fields: dict[str, Any], number: Callable[[str], float | None]) -> Distortion | None:
     model = "OPENCV_FISHEYE" if fields.get("is_fisheye") is True else fields.get("camera_model") or "PINHOLE"
     if model in PINHOLE_MODELS:
         if unknown := [key for key in _FURTHER if number(key)]:
@@ -347,40 +366,42 @@ def _lens(where: str, fields: dict[str, Any], number: Callable[[str], float | No
                 f"{model}, got {shown(fields[unknown[0]])}"
             )
         coefficients = tuple(number(key) or 0.0 for key in BROWN_COEFFICIENTS)
-        said = describe_coefficients(np.array(coefficients))
-        return Lens(_brown, coefficients, f"{model} {said}") if any(coefficients) else None
+        coefficients_text = describe_coefficients(np.array(coefficients))
+        return Distortion(_brown, coefficients, f"{model} {coefficients_text}") if any(coefficients) else None
     if model not in COLMAP_MODELS:
         raise InputError(
             f"{where}.camera_model: expected one of {', '.join(COLMAP_MODELS)}, got {shown(model)}: make perspective "
             "photographs of these first"
         )
     keys = [("k1" if key == "k" else key) for key in COLMAP_MODELS[model].coefficients]
-    return lens_of(model, [number(key) or 0.0 for key in keys])
+    return lens_distortion(model, [number(key) or 0.0 for key in keys])
 
 
 def _brown(points: np.ndarray, *coefficients: float) -> np.ndarray:
     return distort_brown(points, np.array(coefficients))
 
 
-def _points(path: Path, name: Any, applied: Any, shots: Sequence[Shot]) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P,3] and colours [P,3] uint8 of the .ply that a transforms.json names, or else of files beside it that
-    have some; none where there are none.
+def _points(path: Path, name: Any, applied: Any, posed: Sequence[PosedPhotograph]) -> tuple[np.ndarray, np.ndarray]:
+    """Read the points of a transforms.json: from ply_file_path, or else from files beside it.
 
     Args:
-        path: of the file.
-        name: its ply_file_path.
-        applied: its applied_transform, of COLMAP's world to that of the poses.
-        shots: its photographs, which a model of COLMAP beside it may have too.
+        path: the file.
+        name: its ply_file_path, or None.
+        applied: its applied_transform, from COLMAP's world to that of the poses.
+        posed: its photographs, which a COLMAP model beside it may have too.
+
+    Returns:
+        Points [P,3] and colours [P,3] uint8.
     """
     if name is None:
-        points, colours = points_beside(None, [path.parent])
+        points, colours = find_points(None, [path.parent])
         if not len(points) and (model := model_folder(path.parent)) is not None:
-            points, colours = points_of_model(model, shots, applied)
+            points, colours = read_model_points(model, posed, applied)
         return points, colours
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{path}: ply_file_path: expected the name of a .ply file beside it, got {shown(name)}")
     named = path.parent / name
-    files = [named, *(path.parent / end for end in _ends(name))]
+    files = [named, *(path.parent / end for end in _path_suffixes(name))]
     ply = next((file for file in files if file.is_file()), None)
     if ply is None:
         raise InputError(f"{path}: ply_file_path: expected the name of a .ply file beside it, got {shown(name)}")
@@ -389,7 +410,7 @@ def _points(path: Path, name: Any, applied: Any, shots: Sequence[Shot]) -> tuple
     return read_points(ply)
 
 
-def _ends(name: str) -> list[PurePosixPath]:
-    """The last parts of a path, the longest first."""
+def _path_suffixes(name: str) -> list[PurePosixPath]:
+    """Return the last parts of a path, the longest first."""
     parts = PurePosixPath(name.replace("\\", "/")).parts
     return [PurePosixPath(*parts[first:]) for first in range(1 if PurePosixPath(name).is_absolute() else 0, len(parts))]

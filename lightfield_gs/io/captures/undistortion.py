@@ -7,38 +7,44 @@ from functools import lru_cache
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.camera_models import Lens, describe_coefficients, distort_brown
+from lightfield_gs.io.captures.camera_models import Distortion, describe_coefficients, distort_brown
 
-LARGEST_FOLDED_FRACTION = 0.25  # share of a picture that a lens may fold away: more is a mistake in its numbers
+LARGEST_FOLDED_FRACTION = 0.25  # of an image: more is a mistake in the coefficients
 _BAND = 256  # rows at a time: in float64 a whole photograph would take 100 bytes a pixel
-_LEAST_ALPHA = 1e-3  # of 255: less, after rounding of float32, is none
-_RAYS, _STEPS = 32, 2048  # where a lens is looked at for the place from which on it folds
+_LEAST_ALPHA = 1e-3  # of 255: less is a rounding error of float32
+_RAYS, _STEPS = 32, 2048  # directions and radii at which a lens is checked for folds
 
 
 def brown_source_positions(
     intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
 ) -> np.ndarray:
-    """Where in the stored picture each pixel of the undistorted one is, [H,W,2] float64: x and y in pixels from the
-    outer corner of the first; NaN where the polynomial folds the plane, so that no lens shows what is there.
+    """Return the position in the distorted image of each pixel of the undistorted one, by Brown's polynomial.
 
-    Both pictures have the intrinsics (fx, fy, cx, cy) and the size width_px x height_px.
+    Args:
+        intrinsics: (fx, fy, cx, cy) of both images.
+        coefficients: [6], in the order of BROWN_COEFFICIENTS.
+        width_px, height_px: size of both images.
+
+    Returns:
+        [H,W,2] float64, x and y in pixels from the outer corner of the first; NaN where the polynomial folds the
+            plane.
     """
     columns, rows = np.meshgrid(np.arange(width_px) + 0.5, np.arange(height_px) + 0.5)
     points = (np.stack([columns, rows], -1) - intrinsics[2:]) / intrinsics[:2]
     with np.errstate(over="ignore", invalid="ignore"):
-        places = distort_brown(points, coefficients) * intrinsics[:2] + intrinsics[2:]
+        positions = distort_brown(points, coefficients) * intrinsics[:2] + intrinsics[2:]
         k1, k2, k3, k4 = coefficients[:4]
         r2 = (points**2).sum(-1)
         growing = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * (7 * k3 + r2 * 9 * k4))) > 0  # d (r radial) / d r
     first_fold = r2[~growing].min(initial=np.inf)
-    places[(r2 >= first_fold) | ~np.isfinite(places).all(-1)] = np.nan
-    return places
+    positions[(r2 >= first_fold) | ~np.isfinite(positions).all(-1)] = np.nan
+    return positions
 
 
 def check_distortion(
     field: str, intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
 ) -> None:
-    """Raises InputError, beginning with `field`, for coefficients that leave much of the picture without a place."""
+    """Raise InputError, beginning with `field`, for coefficients that leave much of the image without a source."""
     lost = np.isnan(_coarse_source_positions(intrinsics, coefficients, width_px, height_px)).any(-1).mean()
     if lost > LARGEST_FOLDED_FRACTION:
         raise InputError(
@@ -49,10 +55,11 @@ def check_distortion(
 
 
 def fraction_beyond(intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int) -> float:
-    """The share 0..1 of the stored picture that lies beyond the frame of the undistorted one, to some 2 %."""
-    places = _coarse_source_positions(intrinsics, coefficients, width_px, height_px)
-    height, width = np.maximum(np.array(places.shape[:2]) // 2, 1)
-    cells = np.floor(places[~np.isnan(places).any(-1)] / 2).astype(int)  # of four pixels, so that few are leapt over
+    """Return the fraction 0..1 of the distorted image beyond the frame of the undistorted one, to some 2 %."""
+    positions = _coarse_source_positions(intrinsics, coefficients, width_px, height_px)
+    height, width = np.maximum(np.array(positions.shape[:2]) // 2, 1)
+    # Cells of four pixels, so that few are skipped
+    cells = np.floor(positions[~np.isnan(positions).any(-1)] / 2).astype(int)
     cells = cells[((cells >= 0) & (cells < (width, height))).all(-1)]
     return 1 - len(np.unique(cells @ (1, width))) / (width * height)
 
@@ -60,17 +67,18 @@ def fraction_beyond(intrinsics: np.ndarray, coefficients: np.ndarray, width_px: 
 def _coarse_source_positions(
     intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
 ) -> np.ndarray:
-    """brown_source_positions of a picture of some 128 pixels a side: enough to measure areas."""
+    """Return brown_source_positions of an image of some 128 pixels a side: enough to measure areas."""
     scale = 128 / max(width_px, height_px)
     width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
     return brown_source_positions(intrinsics * scale, coefficients, width, height)
 
 
-def undistort(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """A picture uint8 [H,W,C] looked up at places [H,W,2] of brown_source_positions, bilinearly; 0 beyond its edges."""
+def undistort(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Sample an image uint8 [H,W,C] bilinearly at source positions [H,W,2]; 0 beyond its edges."""
     height, width = image.shape[:2]
     padded = np.pad(image, ((1, 2), (1, 2), (0, 0))).astype(np.float32)
-    inside = np.nan_to_num(np.clip(places, -0.5, (width + 0.5, height + 0.5)), nan=-0.5) + 0.5  # pixel centres, padded
+    # Relative to pixel centres of the padded image
+    inside = np.nan_to_num(np.clip(positions, -0.5, (width + 0.5, height + 0.5)), nan=-0.5) + 0.5
     first = np.floor(inside).astype(np.int64)
     x, y = np.moveaxis(first, -1, 0)
     right, down = np.moveaxis((inside - first).astype(np.float32)[..., None], -2, 0)
@@ -80,76 +88,87 @@ def undistort(image: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def source_positions(
-    lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int, rows: range | None = None
+    distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int, rows: range | None = None
 ) -> np.ndarray:
-    """Where in the photograph each pixel of a pinhole's picture is, [H,W,2] float64: x and y in pixels from the outer
-    corner of the first; NaN where the lens folds the plane, so that it does not show what is there.
+    """Return the position in a photograph of each pixel of its pinhole image.
 
-    Both pictures have the intrinsics [4] (fx, fy, cx, cy) and this size. rows: those alone.
+    Args:
+        distortion: of the photograph's lens.
+        intrinsics: [4], (fx, fy, cx, cy) of both images.
+        width_px, height_px: size of both images.
+        rows: the rows to return; None: all.
+
+    Returns:
+        [H,W,2] float64, x and y in pixels from the outer corner of the first; NaN where the lens folds the plane.
     """
     y, x = np.meshgrid(
         np.arange(height_px)[range(height_px) if rows is None else rows] + 0.5, np.arange(width_px) + 0.5
     )
     points = (np.stack([x.T, y.T], -1) - intrinsics[2:]) / intrinsics[:2]
-    places = lens.distorted(points) * intrinsics[:2] + intrinsics[2:]
+    positions = distortion.distort(points) * intrinsics[:2] + intrinsics[2:]
     corners = (np.array([(0, 0), (0, height_px), (width_px, 0), (width_px, height_px)]) - intrinsics[2:]) / intrinsics[
         :2
     ]
-    fold = fold_radius(lens, float(np.linalg.norm(corners, axis=1).max()))
-    beyond = points[..., 0] ** 2 + points[..., 1] ** 2 >= fold**2  # numpy is slow at sums of two
-    places[beyond | ~np.isfinite(places[..., 0] + places[..., 1])] = np.nan
-    return places
+    fold = fold_radius(distortion, float(np.linalg.norm(corners, axis=1).max()))
+    beyond = points[..., 0] ** 2 + points[..., 1] ** 2 >= fold**2  # numpy is slow at sums over two numbers
+    positions[beyond | ~np.isfinite(positions[..., 0] + positions[..., 1])] = np.nan
+    return positions
 
 
 @lru_cache(maxsize=16)  # of the bands of one picture
-def fold_radius(lens: Lens, largest: float) -> float:
-    """The radius at depth 1, up to `largest`, from which on the lens shows a point further out nearer to the middle
-    than one before it; infinity where there is none. To a thousandth of `largest`."""
+def fold_radius(distortion: Distortion, largest: float) -> float:
+    """Return the radius at depth 1 where the lens begins to fold: a point further out appears nearer to the middle.
+
+    It is infinite where the lens does not fold up to `largest`, and exact to a thousandth of that.
+    """
     angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
     outward = np.stack([np.cos(angles), np.sin(angles)], -1)[:, None]
     radii = np.linspace(0, largest, _STEPS)
-    along = (lens.distorted(outward * radii[:, None]) * outward).sum(-1)
+    along = (distortion.distort(outward * radii[:, None]) * outward).sum(-1)
     with np.errstate(invalid="ignore"):
         grows = (np.diff(along, axis=1) > 0).all(0)
     return np.inf if grows.all() else float(radii[grows.argmin()])
 
 
-def folded_fraction(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
-    """The share 0..1 of the pinhole's picture that the lens does not show at all, to some 2 %."""
+def folded_fraction(distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
+    """Return the fraction 0..1 of the pinhole image that the lens does not show at all, to some 2 %."""
     scale = 128 / max(width_px, height_px)
     width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
     ratio = np.array([width / width_px, height / height_px] * 2)
-    return float(np.isnan(source_positions(lens, intrinsics * ratio, width, height)).any(-1).mean())
+    return float(np.isnan(source_positions(distortion, intrinsics * ratio, width, height)).any(-1).mean())
 
 
 @lru_cache(maxsize=2)  # photographs of one camera follow each other
-def straightening(lens: Lens, intrinsics: tuple[float, ...], width_px: int, height_px: int) -> Straightening:
-    """What takes the lens out of photographs of this size; intrinsics: (fx, fy, cx, cy) of the pinhole, too."""
-    return Straightening(lens, np.array(intrinsics), width_px, height_px)
+def undistortion(distortion: Distortion, intrinsics: tuple[float, ...], width_px: int, height_px: int) -> Undistortion:
+    """Return the undistortion of photographs of this size, cached. intrinsics: (fx, fy, cx, cy) of the photograph."""
+    return Undistortion(distortion, np.array(intrinsics), width_px, height_px)
 
 
-class Straightening:
-    """Pictures of one camera without its lens. frame: uint8 [H,W], 255 within the distorted photograph and 0 beyond;
-    None where all is within."""
+class Undistortion:
+    """Undistorts images of one camera.
 
-    def __init__(self, lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int):
+    Attributes:
+        valid_area: uint8 [H,W], 255 within the distorted photograph and 0 beyond; None where all is within.
+        grid: [1,H,W,2] float32, positions in -1..1 for grid_sample.
+    """
+
+    def __init__(self, distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int):
         import torch
 
-        shares = np.empty((1, height_px, width_px, 2), np.float32)  # -1..1 across the photograph, as grid_sample wants
-        frame = np.empty((height_px, width_px), np.uint8)
+        grid = np.empty((1, height_px, width_px, 2), np.float32)  # -1..1 across the photograph, as grid_sample wants
+        valid_area = np.empty((height_px, width_px), np.uint8)
         for top in range(0, height_px, _BAND):
             rows = range(top, min(top + _BAND, height_px))
-            places = source_positions(lens, intrinsics, width_px, height_px, rows)
-            good = (places >= 0) & (places <= (width_px, height_px))  # false for NaN
-            inside = good[..., 0] & good[..., 1]
-            frame[rows] = np.where(inside, 255, 0)
-            shares[0, rows] = np.nan_to_num(places / (width_px, height_px) * 2 - 1)
-        self.frame: np.ndarray | None = None if frame.all() else frame
-        self.grid = torch.from_numpy(shares)
+            positions = source_positions(distortion, intrinsics, width_px, height_px, rows)
+            is_valid = (positions >= 0) & (positions <= (width_px, height_px))  # false for NaN
+            inside = is_valid[..., 0] & is_valid[..., 1]
+            valid_area[rows] = np.where(inside, 255, 0)
+            grid[0, rows] = np.nan_to_num(positions / (width_px, height_px) * 2 - 1)
+        self.valid_area: np.ndarray | None = None if valid_area.all() else valid_area
+        self.grid = torch.from_numpy(grid)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """A photograph [H,W,C], or [H,W], without its lens, bilinearly; beyond its edges it is as these are. uint8, or
-        float32 of any range."""
+        """Undistort an image [H,W,C] or [H,W], uint8 or float32, bilinearly; its edge pixels extend beyond it."""
         import torch
 
         planes = torch.from_numpy(np.ascontiguousarray(image)).reshape(*image.shape[:2], -1)
@@ -161,35 +180,35 @@ class Straightening:
 
 
 def reduced(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """A picture [H,W,...], uint8 or float32, made as small as this: each pixel is the mean over its own area of it."""
+    """Reduce an image [H,W,...], uint8 or float32, to this size: each pixel is the mean over its own area."""
     found = image
     for axis, size in ((0, height_px), (1, width_px)):
         if found.shape[axis] != size:
-            found = _reduced_along(found, axis, size)
+            found = _reduce_along(found, axis, size)
     return found if found.dtype == image.dtype else np.rint(found).clip(0, 255).astype(np.uint8)
 
 
-def resampled(image: np.ndarray, lens: Straightening | None, width_px: int, height_px: int) -> np.ndarray:
-    """The colours uint8 [H,W,3] of a photograph uint8 [H,W,3 or 4] without its lens, as small as this.
+def resampled(image: np.ndarray, undistort: Undistortion | None, width_px: int, height_px: int) -> np.ndarray:
+    """Undistort and reduce a photograph uint8 [H,W,3 or 4]; return its colours uint8 [H,W,3].
 
-    Colours with alpha are weighed by it (Porter & Duff, "Compositing digital images", 1984): what is transparent has a
-    colour in the file that nobody is to see, and none of it gets into the edges. All transparent pixels are black.
+    Colours are weighted by alpha (Porter & Duff, "Compositing digital images", 1984), so that colours of transparent
+    pixels do not reach the edges. Transparent pixels are black.
     """
     size = (width_px, height_px)
-    if lens is None and image.shape[1::-1] == size:
+    if undistort is None and image.shape[1::-1] == size:
         return image[..., :3]
     if image.shape[2] == 3 or image[..., 3].min() == 255:
         colours = image[..., :3]
-        return reduced(colours if lens is None else lens(colours), *size)
-    weighed = image.astype(np.float32)
-    weighed[..., :3] *= weighed[..., 3:] / 255
-    weighed = reduced(weighed if lens is None else lens(weighed), *size)
-    colours = weighed[..., :3] * 255 / np.maximum(weighed[..., 3:], _LEAST_ALPHA)
+        return reduced(colours if undistort is None else undistort(colours), *size)
+    weighted = image.astype(np.float32)
+    weighted[..., :3] *= weighted[..., 3:] / 255
+    weighted = reduced(weighted if undistort is None else undistort(weighted), *size)
+    colours = weighted[..., :3] * 255 / np.maximum(weighted[..., 3:], _LEAST_ALPHA)
     return np.rint(colours).clip(0, 255).astype(np.uint8)
 
 
-def _reduced_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:
-    """Means of `size` equal stretches along an axis, float32."""
+def _reduce_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:
+    """Return the means of `size` equal stretches along an axis, float32."""
     length = image.shape[axis]
     ratio = length / size
     edges = np.arange(size + 1) * ratio
@@ -198,7 +217,7 @@ def _reduced_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:
     means = np.zeros([size if place == axis else side for place, side in enumerate(image.shape)], np.float32)
     for tap in range(int(np.ceil(ratio)) + 1):
         pixel = first + tap
-        share = (np.minimum(pixel + 1, edges[1:]) - np.maximum(pixel, edges[:-1])).clip(0) / ratio
+        weight = (np.minimum(pixel + 1, edges[1:]) - np.maximum(pixel, edges[:-1])).clip(0) / ratio
         pixels = np.take(image, np.minimum(pixel, length - 1), axis)
-        means += pixels * share.astype(np.float32).reshape(shape)
+        means += pixels * weight.astype(np.float32).reshape(shape)
     return means

@@ -1,9 +1,10 @@
-"""The .ksplat of GaussianSplats3D (mkkellogg), versions 0.x, in the axes of the .ply it was made from.
+"""The .ksplat of GaussianSplats3D (mkkellogg), versions 0.x, in the axes of the original .ply.
 
-A header of 4096 bytes, one of 1024 for each section, then each section: the fill of its partly filled buckets and the
-buckets' centres, then its Gaussians: centre, three standard deviations, quaternion wxyz, four bytes of colour and
-opacity, and harmonics channel by channel for each degree (0..2; others write 3). Compression level 0 has floats; 1 and
-2 half floats, and centres as 16-bit offsets from those of their bucket; 2 harmonics as bytes. Layout: SplatBuffer.js.
+A header of 4096 bytes and one of 1024 bytes for each section precede the sections. A section has the fill of its partly
+filled buckets, the buckets' centres, and its Gaussians. A Gaussian has centre, three standard deviations, quaternion
+wxyz, four bytes of colour and opacity, and harmonics channel by channel for each degree (0..2; other programs write 3).
+Compression level 0 has floats. Levels 1 and 2 have half floats, and centres as 16-bit offsets from the centre of their
+bucket. Level 2 has harmonics as bytes. Layout: SplatBuffer.js.
 """
 
 from __future__ import annotations
@@ -16,8 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
-from lightfield_gs.io.scenes.stored_scene import StoredScene, expect_some, harmonics_of_colours, same_degree, settled
+from lightfield_gs.io.file_kinds import refuse_stand_in
+from lightfield_gs.io.scenes.scene_arrays import (
+    SceneArrays,
+    check_not_empty,
+    checked_fields,
+    concatenate_fields,
+    rgb_to_sh,
+)
 
 _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
 _HEADER = struct.Struct("<BB2xIIIIH2x3fff")
@@ -25,17 +32,28 @@ _SECTION = struct.Struct("<IIIIfH2xIIIIH")
 _CENTRE_BYTES = 12  # of a bucket
 _KINDS = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))  # by level: centre, shape, harmonics
 _RANGES = (1, 32767, 32767)  # by level: of a centre's offset, where a section does not say
-_RESTS = (0, 9, 24, 45)  # numbers of harmonics, by degree
-_SPANS = ((0, 3), (3, 8), (8, 15))  # coefficients of degrees 1, 2 and 3, of those above degree 0
+_RESTS = (0, 9, 24, 45)  # numbers of coefficients above degree 0, by degree
+_SPANS = ((0, 3), (3, 8), (8, 15))  # coefficients of degrees 1, 2 and 3 among those above degree 0
 _LIMIT = 1.5  # of harmonics as bytes, where the file does not say
 
 
 @dataclass
 class _Section:
-    """at: of its bytes in the file. count: of Gaussians. bucket_size (Gaussians), buckets, bucket_bytes, full and
-    partial (filled): of its buckets. step: of offsets, scene units. degree: of harmonics."""
+    """A section of the file.
 
-    at: int
+    Attributes:
+        offset: of its bytes in the file.
+        count: number of Gaussians.
+        bucket_size: Gaussians in a full bucket.
+        buckets: number of buckets.
+        bucket_bytes: size of a bucket's centre.
+        full, partial: numbers of full and of partly filled buckets.
+        step: of the offsets of centres, scene units.
+        half_range: offset of the bucket's centre.
+        degree: of harmonics.
+    """
+
+    offset: int
     count: int
     bucket_size: int
     buckets: int
@@ -56,13 +74,13 @@ class _Section:
         return 4 * self.partial + self.bucket_bytes * self.buckets
 
 
-def read(path: Path, skip_invalid: bool) -> StoredScene:
-    """See stored.py. Raises InputError."""
+def read(path: Path, skip_invalid: bool) -> SceneArrays:
+    """Read a .ksplat; see files.read_arrays."""
     if (size := path.stat().st_size) < _HEADER_BYTES:
         refuse_stand_in(path)
         raise InputError(f"{path}: a .ksplat has a header of {_HEADER_BYTES} bytes, and it has {size}; it is cut")
     with open(path, "rb") as file:
-        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # so that no more is read than is used
+        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # reads no more than is used
     major, minor, sections, _, _, _, level, *_, low, high = _HEADER.unpack_from(data)
     if major != 0 or level >= len(_KINDS):
         raise InputError(
@@ -72,15 +90,17 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
     if low == high == 0:
         low, high = -_LIMIT, _LIMIT
     found = _sections(path, data, sections, level)
-    expect_some(path, sum(section.count for section in found))
+    check_not_empty(path, sum(section.count for section in found))
     parts = [_gaussians(path, data, section, level, (low, high)) for section in found if section.count]
-    fields, notes = settled(path, same_degree(parts), skip_invalid)
-    return StoredScene(fields, notes=notes, kind=f".ksplat version {major}.{minor}, compression level {level}")
+    fields, notes = checked_fields(path, concatenate_fields(parts), skip_invalid)
+    return SceneArrays(fields, notes=notes, kind=f".ksplat version {major}.{minor}, compression level {level}")
 
 
 def _sections(path: Path, data: mmap.mmap, sections: int, level: int) -> list[_Section]:
-    """All that there is room for, as full as they can be, which is what the viewer reads: the counts of what was loaded
-    may be zero in a file that is whole. Raises InputError where they are not within the file."""
+    """Read the headers of all sections at their full sizes, as the viewer does; raise InputError for a cut file.
+
+    The counts of loaded Gaussians may be zero in a whole file.
+    """
     at = _HEADER_BYTES + sections * _SECTION_BYTES
     if at > len(data):
         raise InputError(
@@ -111,8 +131,8 @@ def _sections(path: Path, data: mmap.mmap, sections: int, level: int) -> list[_S
 def _gaussians(
     path: Path, data: mmap.mmap, section: _Section, level: int, limits: tuple[float, float]
 ) -> dict[str, np.ndarray]:
-    """The fields of a section's Gaussians, float64."""
-    rows = np.frombuffer(data, section.record(level), section.count, section.at + section.buckets_bytes)
+    """Return the fields of a section's Gaussians, float64."""
+    rows = np.frombuffer(data, section.record(level), section.count, section.offset + section.buckets_bytes)
     with np.errstate(over="ignore", invalid="ignore"):
         means = rows["means"].astype(np.float64)
         if level > 0:
@@ -121,7 +141,7 @@ def _gaussians(
         if level == 2:
             rest = limits[0] + (limits[1] - limits[0]) * rest / 255
         colours = rows["rgba"] / 255
-        first = harmonics_of_colours(colours[:, None, :3])
+        first = rgb_to_sh(colours[:, None, :3])
         return {
             "means": means,
             "quaternions": rows["rotation"].astype(np.float64),
@@ -132,21 +152,21 @@ def _gaussians(
 
 
 def _degrees(rest: np.ndarray, degree: int) -> list[np.ndarray]:
-    """Of the numbers [N, 3 (K - 1)], for each degree the coefficients [N, 2 degree + 1, 3]."""
+    """Split the numbers [N, 3 (K - 1)] into coefficients [N, 2 degree + 1, 3] of each degree."""
     return [rest[:, 3 * a : 3 * b].reshape(len(rest), 3, b - a).transpose(0, 2, 1) for a, b in _SPANS[:degree]]
 
 
 def _bucket_centres(path: Path, data: mmap.mmap, section: _Section) -> np.ndarray:
-    """For each Gaussian the centre of its bucket, [N, 3]: full buckets come first, then those filled as far as said."""
-    fills = np.frombuffer(data, "<u4", section.partial, section.at).astype(np.int64)
-    centres = np.frombuffer(data, "<f4", 3 * section.buckets, section.at + 4 * section.partial).reshape(-1, 3)
+    """Return the centre of each Gaussian's bucket, [N, 3]; full buckets precede partly filled ones."""
+    fills = np.frombuffer(data, "<u4", section.partial, section.offset).astype(np.int64)
+    centres = np.frombuffer(data, "<f4", 3 * section.buckets, section.offset + 4 * section.partial).reshape(-1, 3)
     rows = np.arange(section.count)
     whole = section.full * section.bucket_size
-    of = rows // max(1, section.bucket_size)
-    of[whole:] = section.full + np.searchsorted(np.cumsum(fills), rows[whole:] - whole, side="right")
-    if int(of.max()) >= len(centres):
+    bucket = rows // max(1, section.bucket_size)
+    bucket[whole:] = section.full + np.searchsorted(np.cumsum(fills), rows[whole:] - whole, side="right")
+    if int(bucket.max()) >= len(centres):
         raise InputError(
             f"{path}: {section.buckets} buckets of {section.bucket_size} are too few for {section.count} Gaussians; "
             "its header is wrong"
         )
-    return centres.astype(np.float64)[of]
+    return centres.astype(np.float64)[bucket]

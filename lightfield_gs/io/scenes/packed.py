@@ -1,4 +1,4 @@
-"""Scenes inside something else: the one in a ZIP, one that gzip has packed, the last one of a trainer's folder."""
+"""Scenes inside another file or folder: in a ZIP, in gzip data, and the last scene in a trainer's folder."""
 
 from __future__ import annotations
 
@@ -13,11 +13,7 @@ from pathlib import Path, PurePosixPath
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import scratch_folder
-from lightfield_gs.io.scenes.bounded import ALWAYS_BYTES, MOST_RATIO, check_promise, gunzip
-from lightfield_gs.io.scenes.sog_files import BAD_ZIP, META
-from lightfield_gs.io.scenes.sog_streamed import LOD_META
-from lightfield_gs.io.scenes.spz_streams import GZIP_MAGIC, MAGIC
-from lightfield_gs.io.unread import (
+from lightfield_gs.io.file_kinds import (
     ARCHIVE,
     ARRAYS,
     CHECKPOINT,
@@ -26,23 +22,29 @@ from lightfield_gs.io.unread import (
     SCENE_SUFFIXES,
     USD,
     refuse_kind,
-    scenes_among,
+    select_scenes,
 )
+from lightfield_gs.io.scenes.plausibility import MAX_RATIO, MIN_LIMIT_BYTES, check_unpacked_size, gunzip
+from lightfield_gs.io.scenes.sog import LOD_META
+from lightfield_gs.io.scenes.sog_files import BAD_ZIP, META
+from lightfield_gs.io.scenes.spz import GZIP_MAGIC, MAGIC
 
 ZIP_MAGIC = b"PK\x03\x04"
-_ITERATION = re.compile(r"(?:(?:.*/)?point_cloud/)?iteration_(\d{1,9})/point_cloud\.ply")  # of 3DGS and what follows it
-_STEP = re.compile(r"(?:.*/)?ply/point_cloud_(\d{1,9})\.ply")  # of gsplat's simple_trainer
+_ITERATION_NAME = re.compile(
+    r"(?:(?:.*/)?point_cloud/)?iteration_(\d{1,9})/point_cloud\.ply"
+)  # of 3DGS and its descendants
+_STEP_NAME = re.compile(r"(?:.*/)?ply/point_cloud_(\d{1,9})\.ply")  # of gsplat's simple_trainer
 _PEEK_BYTES, _BLOCK_BYTES = 512, 1 << 20
 
 
 def is_packed_scene(path: Path) -> bool:
-    """Whether a path is, by its name or by what a folder holds, one that `unpacked` finds a scene in."""
+    """Tell whether `unpack` finds a scene in a path, by its name or by the contents of a folder."""
     name = path.name.lower()
-    return name.endswith(tuple(f"{suffix}.gz" for suffix in SCENE_SUFFIXES)) or bool(_trained(path))
+    return name.endswith(tuple(f"{suffix}.gz" for suffix in SCENE_SUFFIXES)) or bool(_trainer_scenes(path))
 
 
-def _trained(folder: Path) -> list[Path]:
-    """The scenes of a trainer's folder, the last one at the end."""
+def _trainer_scenes(folder: Path) -> list[Path]:
+    """Return the scenes of a trainer's folder, the last one at the end."""
     if not folder.is_dir():
         return []
     if re.fullmatch(r"iteration_\d{1,9}", folder.name) and (own := folder / "point_cloud.ply").is_file():
@@ -50,20 +52,28 @@ def _trained(folder: Path) -> list[Path]:
     found = [*folder.glob("point_cloud/iteration_*/point_cloud.ply"), *folder.glob("ply/point_cloud_*.ply")]
     if folder.name == "point_cloud":
         found += folder.glob("iteration_*/point_cloud.ply")
-    return [path for number, path in sorted((_number(path.as_posix()), path) for path in found) if number >= 0]
+    return [path for number, path in sorted((_step(path.as_posix()), path) for path in found) if number >= 0]
 
 
-def _number(name: str) -> int:
-    """The step of a trainer's scene, -1 where the name says none."""
-    match = _ITERATION.fullmatch(name) or _STEP.fullmatch(name)
+def _step(name: str) -> int:
+    """Return the step in the name of a trainer's scene, -1 without one."""
+    match = _ITERATION_NAME.fullmatch(name) or _STEP_NAME.fullmatch(name)
     return int(match[1]) if match else -1
 
 
 @contextmanager
-def unpacked(path: Path) -> Iterator[tuple[Path, list[str]]]:
-    """The file that holds the scene of a path, there until the end, and a note on how it was found where it is another
-    one. Raises InputError where none or several could be meant; errors meanwhile name what was given."""
-    if trained := _trained(path):
+def unpack(path: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Unpack the scene of a path, and keep it until the end of the context.
+
+    Errors within the context name the path that was given.
+
+    Yields:
+        The file with the scene, and a note where it is another file than the given one.
+
+    Raises:
+        InputError: there is no scene, or several.
+    """
+    if trained := _trainer_scenes(path):
         last = trained[-1].relative_to(path)
         yield trained[-1], [f"{last} is read, " + (f"the last of {len(trained)}" if len(trained) > 1 else "its scene")]
         return
@@ -85,7 +95,7 @@ def unpacked(path: Path) -> Iterator[tuple[Path, list[str]]]:
 
 @contextmanager
 def _scratch(path: Path, name: str) -> Iterator[Path]:
-    """Where a scene is unpacked to. Errors that name that file name what it was unpacked from instead."""
+    """Yield a temporary path; errors that name it name the packed file instead."""
     with scratch_folder() as folder:
         target = folder / f"scene{PurePosixPath(name).suffix.lower()}"
         try:
@@ -95,19 +105,22 @@ def _scratch(path: Path, name: str) -> Iterator[Path]:
 
 
 def _scene_in_zip(path: Path) -> str | None:
-    """The name of the one scene in a ZIP, or the last one of a trainer; None of a SOG. Raises InputError where there is
-    none, or several."""
+    """Return the name of the one scene in a ZIP, or a trainer's last one; None for a SOG.
+
+    Raises:
+        InputError: there is no scene, or several.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
             names = [name for name in archive.namelist() if not _is_hidden(name)]
     except BAD_ZIP:
-        return None  # the reader of SOG complains
+        return None  # the reader of SOG reports it
     if any(PurePosixPath(name).name == LOD_META for name in names):
         raise InputError(f"{path} is a streamed SOG in a ZIP; unpack it, and give its {LOD_META}")
     if any(PurePosixPath(name).name == META for name in names):
         return None
-    scenes = scenes_among(names)
-    if trained := [(number, name) for name in scenes if (number := _number(name)) >= 0]:
+    scenes = select_scenes(names)
+    if trained := [(number, name) for name in scenes if (number := _step(name)) >= 0]:
         return max(trained)[1]
     if len(scenes) > 1:
         raise InputError(
@@ -122,12 +135,12 @@ def _scene_in_zip(path: Path) -> str | None:
 
 
 def _is_hidden(name: str) -> bool:
-    """Whether an entry is a folder, or what macOS adds."""
+    """Tell whether an entry is a folder, or added by macOS."""
     return name.endswith("/") or any(part.startswith((".", "__MACOSX")) for part in PurePosixPath(name).parts)
 
 
 def _refuse_zip(path: Path, names: list[str]) -> None:
-    """Raises InputError that says what is in a ZIP without a scene, where that is known."""
+    """Raise InputError that describes the contents of a ZIP without a scene."""
     ends = [PurePosixPath(name).suffix.lower() for name in names]
     if any(PurePosixPath(name).name == "data.pkl" for name in names):
         refuse_kind(path, CHECKPOINT)
@@ -151,7 +164,7 @@ def _unzip(path: Path, name: str, target: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive, archive.open(name) as packed, open(target, "wb") as file:
             info = archive.getinfo(name)
-            check_promise(path, info.file_size, info.compress_size)
+            check_unpacked_size(path, info.file_size, info.compress_size)
             shutil.copyfileobj(packed, file, _BLOCK_BYTES)
     except BAD_ZIP as error:
         if isinstance(error, InputError):
@@ -161,8 +174,11 @@ def _unzip(path: Path, name: str, target: Path) -> None:
 
 
 def _scene_in_gzip(path: Path, start: bytes) -> str | None:
-    """A name for the scene that gzip has packed; None of an SPZ, which is packed so by itself. Raises InputError where
-    it is no scene."""
+    """Return a name for the scene in gzip data; None for an SPZ, which is gzip data itself.
+
+    Raises:
+        InputError: the data are no scene.
+    """
     if path.suffix.lower() == ".spz" or (inner := gunzip(path, start, _PEEK_BYTES))[:4] == MAGIC:
         return None
     if inner[:2] == GZIP_MAGIC and path.name.lower().endswith(".spz.gz"):
@@ -180,9 +196,9 @@ def _scene_in_gzip(path: Path, start: bytes) -> str | None:
 
 
 def _gunzip(path: Path, target: Path) -> None:
-    """Unpacks gzip data, no further than a file of its size can honestly need. Raises InputError."""
+    """Unpack gzip data, no further than a scene of this size can need; raise InputError."""
     packer = zlib.decompressobj(zlib.MAX_WBITS | 16)
-    left = max(ALWAYS_BYTES, MOST_RATIO * path.stat().st_size)
+    left = max(MIN_LIMIT_BYTES, MAX_RATIO * path.stat().st_size)
     try:
         with open(path, "rb") as packed, open(target, "wb") as file:
             block = packed.read(_BLOCK_BYTES)

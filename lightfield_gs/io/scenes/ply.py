@@ -1,13 +1,19 @@
-"""The standard .ply of 3D Gaussian splatting (Kerbl et al., 2023), one vertex a Gaussian.
+"""The .ply of 3D Gaussian splatting (Kerbl et al., 2023), one vertex a Gaussian, and the compressed .ply of SuperSplat.
 
-Stored are x y z, the log of the standard deviations (scale_0..2), the logit of the opacity, the quaternion wxyz
-(rot_0..3) and the spherical harmonics: f_dc_0..2, and f_rest_* channel by channel (all of red, then green, then blue).
-In place of f_dc there may be red, green and blue: colours, not coefficients. 2D Gaussians (2DGS) have no scale_2, and
-others an opacity of one byte. Gaussians that move have more properties: see motion.py.
+Stored are x y z, the log of the standard deviations (scale_0..2), the logit of the opacity and the quaternion wxyz
+(rot_0..3). Spherical harmonics are f_dc_0..2, and f_rest_* channel by channel: all of red, then green, then blue.
+Instead of f_dc there may be red, green and blue: colours, not coefficients. 2D Gaussians (2DGS) have no scale_2, and
+some files an opacity of one byte. Properties of other trainers: see ply_extensions.py.
+
+A compressed .ply has chunks of 256 Gaussians, each packed into 16 bytes between the extremes of its chunk.
+packed_position and packed_scale (logarithms) have 11, 10 and 11 bits, packed_color four bytes: colour and opacity
+itself. packed_rotation has the index of the largest component of wxyz, and the others in 10 bits within +-sqrt(1/2).
+An element "sh" may hold f_rest_* as bytes, 0..255 for -4..4. Layout: PlayCanvas, splat-transform and engine.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,31 +23,79 @@ from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.scenes import doubts, filter_3d, motion
-from lightfield_gs.io.scenes.invalid import check_or_skip
-from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header, Property
-from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE, MOST_BANDS
+from lightfield_gs.io.ply_file import HEADER_LIMIT_BYTES, Element, Header, Property, read_elements, read_header
+from lightfield_gs.io.scenes.plausibility import (
+    check_or_skip,
+    float32_step,
+    sample_median,
+    step_notes,
+    typical_size,
+    value_notes,
+)
+from lightfield_gs.io.scenes.ply_extensions import (
+    FILTER,
+    FILTER_NOTE,
+    apply_filter,
+    evaluate_motion,
+    has_motion,
+    holds_colours,
+    unknown_motion_notes,
+)
+from lightfield_gs.io.scenes.scene_arrays import (
+    HIGH_DEGREE_NOTE,
+    MAX_SH_REST,
+    TINY,
+    SceneArrays,
+    check_not_empty,
+    checked_fields,
+    complete_quaternions,
+    limit_degree,
+    rgb_to_sh,
+)
 
 _CENTRE = ("x", "y", "z")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _RGB = ("red", "green", "blue")
 _SHAPE = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
-_FLAT = "scale_2"  # which 2D Gaussians lack
+_FLAT = "scale_2"  # 2D Gaussians lack it
 _FLAT_NOTE = f"there is no {_FLAT}: they are 2D Gaussians (2DGS), and drawn as flat discs"
 _BYTE_OPACITY_NOTE = "opacity has one byte and is taken for 0..255"
 _ANCHORS = ("f_anchor_feat_", "f_offset_")
-_TENSORS = ("features_", "scaling", "rotation", "scales", "quats", "opacities", "sh0", "shN")  # names of trainers' own
+# Names that trainers give their tensors
+_TENSORS = ("features_", "scaling", "rotation", "scales", "quats", "opacities", "sh0", "shN")
 _REST_COUNTS = (0, 9, 24, 45, 72)  # 3 ((degree + 1)^2 - 1), degree 0..4
-_TINY = np.finfo(np.float32).tiny
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
-_ROWS_AT_ONCE = 2048  # so few that they and what becomes of them stay in the cache, which is eleven times as quick
-# Where rounding to float32 would move centres by more than this share of the usual Gaussian's size, they are given from
-# an origin
+_ROWS_AT_ONCE = 2048  # they and their conversions fit the cache: eleven times as quick
+# Of the typical Gaussian's size: where rounding to float32 moves centres by more, they are given from an origin
 _ORIGIN_STEP = 1e-3
+_CHUNK = 256  # Gaussians
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_BOUNDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz")
+_COLOURS = tuple(f"{end}_{name}" for end in ("min", "max") for name in "rgb")
 
 
-def check_header(path: Path, header: Header) -> None:
-    """Raises InputError unless the header is that of a file of Gaussians."""
+def read(path: Path, skip_invalid: bool, time: float | None = None) -> SceneArrays:
+    """Read a .ply, compressed or not; see files.read_arrays."""
+    with open(path, "rb") as file:
+        header = read_header(path, file.read(HEADER_LIMIT_BYTES))
+    if any(element.name == "chunk" for element in header.elements):
+        refuse_time(path, time)
+        _check_compressed_header(path, header)
+        return _read_compressed(path, header, read_elements(path, header), skip_invalid)
+    _check_header(path, header)
+    elements = read_elements(path, header)
+    fields, origin, notes = _read_fields(path, elements.pop("vertex"), skip_invalid, time)
+    return SceneArrays(fields, origin, header.comments, elements, notes, "3DGS .ply")
+
+
+def refuse_time(path: Path, time: float | None) -> None:
+    """Raise InputError if a time is given for a format without moving Gaussians."""
+    if time is not None:
+        raise InputError(f"{path}: its format holds no Gaussians that move; leave out --time (Python: time)")
+
+
+def _check_header(path: Path, header: Header) -> None:
+    """Raise InputError unless the header describes Gaussians."""
     elements = {element.name: element for element in reversed(header.elements)}
     if "vertex" not in elements:
         raise InputError(f"{path}: no element 'vertex'; this is not a file of Gaussians")
@@ -90,8 +144,10 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
 
 
 def _refuse_integers(path: Path, columns: list[Property]) -> None:
-    """Raises InputError where logarithms, logits or coefficients are integers; an opacity may have one byte, and
-    coordinates and quaternions may be whole numbers."""
+    """Raise InputError where logarithms, logits or coefficients are integers.
+
+    An opacity may have one byte, and coordinates and quaternions may be whole numbers.
+    """
     whole = [
         column
         for column in columns
@@ -110,7 +166,7 @@ def _refuse_integers(path: Path, columns: list[Property]) -> None:
 
 
 def _is_harmonic(names: Sequence[str]) -> bool:
-    """Whether colours are coefficients of harmonics (or nothing at all)."""
+    """Tell whether colours are coefficients of harmonics, or absent."""
     return any(name in names for name in _DC) or not all(name in names for name in _RGB)
 
 
@@ -118,16 +174,16 @@ def _rest_names(names: Sequence[str]) -> list[str]:
     return [f"f_rest_{i}" for i in range(sum(name.startswith("f_rest_") for name in names))]
 
 
-def fields_of(
-    path: Path, records: np.ndarray, skip_invalid: bool = False, time: float | None = None
+def _read_fields(
+    path: Path, records: np.ndarray, skip_invalid: bool, time: float | None
 ) -> tuple[dict[str, np.ndarray], tuple[float, float, float], list[str]]:
-    """The five fields of the Gaussians (see scene/gaussians.py) as float32 arrays, of vertices whose header has been
-    checked; the origin that their centres are given from; and notes on what looks wrong in them.
+    """Convert vertices, whose header has been checked, to fields.
 
-    An infinite logit is the opacity 1 or, as what underflows float32, the smallest normal number, which is never drawn;
-    so opacities are in (0, 1]. Scales likewise: the log -inf is a flat disc.
-    skip_invalid: leaves out the Gaussians that `check_or_skip` complains of. time: at which those that move are drawn,
-    see motion.py. Raises InputError.
+    An infinite logit is the opacity 1, or the smallest normal number, which is never drawn, as for all that underflows
+    float32: opacities are in (0, 1]. Likewise the log scale -inf is a flat disc.
+
+    Returns:
+        The five fields (see scene/gaussians.py) as float32 arrays, the origin of their centres, and notes.
     """
     names = records.dtype.names or ()
     log_scales, logits = _columns(records, [name for name in _SHAPE[1:4] if name in names]), None
@@ -142,9 +198,9 @@ def fields_of(
     if _FLAT not in names:
         scales = np.pad(scales, ((0, 0), (0, 1)))
         decided.append(_FLAT_NOTE)
-    has_filter = filter_3d.PROPERTY in names
+    has_filter = FILTER in names
     if has_filter:
-        scales, opacities = filter_3d.filtered(scales, opacities, _columns(records, (filter_3d.PROPERTY,))[:, 0])
+        scales, opacities = apply_filter(scales, opacities, _columns(records, (FILTER,))[:, 0])
     means, origin = _centres(records, scales)
     sh, notes = _harmonics(records)
     fields = {
@@ -154,25 +210,25 @@ def fields_of(
         "opacities": opacities,
         "sh": sh,
     }
-    if motion.is_moving(names):
-        moved = motion.moved(path, records, time)
+    if has_motion(names):
+        state = evaluate_motion(path, records, time)
         with np.errstate(over="ignore", invalid="ignore"):
-            fields["means"] = (means + moved.shifts).astype(np.float32)
-            fields["quaternions"] = (fields["quaternions"] + moved.turns).astype(np.float32)
-            fields["opacities"] = (opacities * moved.shares).astype(np.float32)
-        decided += moved.notes
+            fields["means"] = (means + state.offsets).astype(np.float32)
+            fields["quaternions"] = (fields["quaternions"] + state.quaternion_offsets).astype(np.float32)
+            fields["opacities"] = (opacities * state.opacity_factors).astype(np.float32)
+        decided += state.notes
     elif time is not None:
         raise InputError(f"{path}: no motion of its Gaussians is known (trbf_center, trbf_scale); leave out --time")
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
-    notes = [*decided, *notes, *motion.still_notes(path, names), *([filter_3d.NOTE] if has_filter else [])]
-    notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
+    notes = [*decided, *notes, *unknown_motion_notes(path, names), *([FILTER_NOTE] if has_filter else [])]
+    notes += [*skipped, *value_notes(log_scales, logits, means), *step_notes(records, scales)]
     for name in ("scales", "opacities"):
-        np.maximum(fields[name], _TINY, out=fields[name])
+        np.maximum(fields[name], TINY, out=fields[name])
     return fields, origin, notes
 
 
 def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """These properties as float32 [N, len(names)]."""
+    """Return these properties as float32 [N, len(names)]."""
     out = np.empty((len(records), len(names)), np.float32)
     with np.errstate(over="ignore"):
         for start in range(0, len(records), _ROWS_AT_ONCE):
@@ -183,29 +239,29 @@ def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 
 def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, tuple[float, float, float]]:
-    """Centres float32 [N, 3] and the origin they are given from, which is not zero only for doubles far from it."""
+    """Return centres, float32 [N, 3], and their origin, which is zero except for doubles far from zero."""
     if all(records.dtype[name] != np.float64 for name in _CENTRE):
         return _columns(records, _CENTRE), (0.0, 0.0, 0.0)
     exact = np.stack([records[name] for name in _CENTRE], 1, dtype=np.float64)
     origin = np.zeros(3)
     with np.errstate(over="ignore", invalid="ignore"):
-        usual = doubts.usual(exact)
-        if usual is not None and doubts.float_step(usual) > _ORIGIN_STEP * doubts.usual_size(scales):
-            origin = np.round(usual)
+        middle = sample_median(exact)
+        if middle is not None and float32_step(middle) > _ORIGIN_STEP * typical_size(scales):
+            origin = np.round(middle)
         return (exact - origin).astype(np.float32), tuple((origin + 0.0).tolist())
 
 
 def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """sh [N, K, 3], and notes on what was left out, or had to be guessed at."""
+    """Return sh [N, K, 3], and notes on omissions and guesses."""
     names = records.dtype.names or ()
     bands = len(_rest_names(names)) // 3
-    drawn = min(bands, MOST_BANDS)
+    drawn = min(bands, MAX_SH_REST)
     rest = [f"f_rest_{channel * bands + band}" for band in range(drawn) for channel in range(3)]
     first = _DC if _is_harmonic(names) else _RGB
     sh = _columns(records, (*first, *rest)).reshape(len(records), 1 + drawn, 3)
     notes = [HIGH_DEGREE_NOTE] if drawn < bands else []
-    if first is _DC and motion.is_moving(names):
-        are_colours, words = motion.holds_colours(sh[:, 0])
+    if first is _DC and has_motion(names):
+        are_colours, words = holds_colours(sh[:, 0])
         notes.append(words)
         if are_colours:
             sh[:, 0] = (sh[:, 0] - np.float32(0.5)) / np.float32(SH_CONSTANT)
@@ -224,7 +280,7 @@ def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
 def write(
     path: str | Path, fields: dict[str, np.ndarray], origin: tuple[float, float, float], comments: Sequence[str] = ()
 ) -> None:
-    """Writes the float64 fields of N >= 1 valid Gaussians; see Gaussians.save. Raises InputError."""
+    """Write the float64 fields of N >= 1 valid Gaussians; see files.write_arrays."""
     count, coefficients = fields["sh"].shape[:2]
     with np.errstate(divide="ignore"):
         logits = np.log(fields["opacities"]) - np.log1p(-fields["opacities"])
@@ -246,18 +302,18 @@ def write(
         casting="same_kind",
     )
     kinds = dict.fromkeys(_CENTRE, "double" if any(origin) else "float") | dict.fromkeys(names, "float")
-    header = _header(count, kinds, comments)
+    header = _format_header(count, kinds, comments)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(header)
         file.write(rows.tobytes())
 
 
-def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:
-    """Header for `count` vertices with properties of these kinds, by name. Raises InputError."""
+def _format_header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:
+    """Format the header of `count` vertices with properties of these kinds, by name; raise InputError."""
     columns = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
     header = (
         b"ply\nformat binary_little_endian 1.0\n"
-        + _comment_lines(comments)
+        + _format_comments(comments)
         + f"element vertex {count}\n{columns}end_header\n".encode()
     )
     if len(header) > HEADER_LIMIT_BYTES:
@@ -267,8 +323,8 @@ def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes
     return header
 
 
-def _comment_lines(comments: Sequence[str]) -> bytes:
-    """The comments as lines of the header. Raises InputError for texts that are no single lines."""
+def _format_comments(comments: Sequence[str]) -> bytes:
+    """Format comments as lines of the header; raise InputError for texts of several lines."""
     if not is_row(comments):
         raise InputError(f"comments: expected texts of one line each, got {shown(comments)}")
     lines = []
@@ -282,3 +338,95 @@ def _comment_lines(comments: Sequence[str]) -> bytes:
             raise InputError(f"comments: expected texts of one line each, got {shown(text)}")
         lines.append(line + b"\n")
     return b"".join(lines)
+
+
+# The compressed .ply
+
+
+def _check_compressed_header(path: Path, header: Header) -> None:
+    """Raise InputError unless the header describes a compressed .ply with enough chunks."""
+    elements = {element.name: element for element in reversed(header.elements)}
+    vertex = elements.get("vertex", Element("vertex", 0, []))
+    for element, names in ((elements["chunk"], _BOUNDS), (vertex, _PACKED)):
+        kinds = {column.name: column.kind for column in element.properties if column.length_kind is None}
+        if missing := [name for name in names if name not in kinds]:
+            raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a compressed .ply")
+        if element is vertex and any(kinds[name] != "u4" for name in names):
+            raise InputError(f"{path}: expected uint for {', '.join(names)}; export it again")
+        if element.has_lists:
+            raise InputError(f"{path}: element {element.name} has list properties; this is no compressed .ply")
+    check_not_empty(path, vertex.count)
+    if not vertex.count <= _CHUNK * elements["chunk"].count:
+        raise InputError(
+            f"{path}: {elements['chunk'].count} chunks are too few for {vertex.count} Gaussians, {_CHUNK} each; "
+            "its header is wrong"
+        )
+    if "sh" in elements:
+        _check_packed_rest(path, elements["sh"], vertex.count)
+
+
+def _check_packed_rest(path: Path, element: Element, count: int) -> None:
+    names = [column.name for column in element.properties]
+    if len(names) not in _REST_COUNTS[1:] or names != [f"f_rest_{i}" for i in range(len(names))] or element.has_lists:
+        raise InputError(
+            f"{path}: element sh: expected f_rest_0 on, 9, 24, 45 or 72 of them, got {len(names)} properties"
+        )
+    if element.count != count or any(column.kind != "u1" for column in element.properties):
+        raise InputError(f"{path}: element sh: expected a row of uchar for each of {count} Gaussians")
+
+
+def _read_compressed(path: Path, header: Header, elements: dict[str, np.ndarray], skip_invalid: bool) -> SceneArrays:
+    """Convert elements whose header has been checked."""
+    chunks, rows = elements.pop("chunk"), elements.pop("vertex")
+    chunk = np.arange(len(rows)) // _CHUNK
+    rest, left_out = limit_degree(_unpack_rest(elements.pop("sh", None), len(rows)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        logs = _interpolate(chunks, chunk, "scale_", _unpack_11_10_11(rows["packed_scale"]))
+        colours = _unpack_bytes(rows["packed_color"])
+        rgb = colours[:, :3]
+        if all(name in (chunks.dtype.names or ()) for name in _COLOURS):
+            rgb = _interpolate(chunks, chunk, "", rgb, "rgb")
+        fields = {
+            "means": _interpolate(chunks, chunk, "", _unpack_11_10_11(rows["packed_position"])),
+            "quaternions": _unpack_rotations(rows["packed_rotation"]),
+            "scales": np.exp(logs),
+            "opacities": colours[:, 3],
+            "sh": np.concatenate([rgb_to_sh(rgb)[:, None], rest], 1),
+        }
+    fields, notes = checked_fields(path, fields, skip_invalid)
+    return SceneArrays(
+        fields, comments=header.comments, elements=elements, notes=left_out + notes, kind="compressed .ply (SuperSplat)"
+    )
+
+
+def _interpolate(
+    chunks: np.ndarray, chunk: np.ndarray, prefix: str, fractions: np.ndarray, axes: str = "xyz"
+) -> np.ndarray:
+    """Interpolate between the extremes of the Gaussians' chunks, by fractions [N, 3] in 0..1."""
+    low, high = (
+        np.stack([chunks[f"{end}_{prefix}{axis}"] for axis in axes], 1).astype(np.float64)[chunk]
+        for end in ("min", "max")
+    )
+    return low + (high - low) * fractions
+
+
+def _unpack_11_10_11(words: np.ndarray) -> np.ndarray:
+    return np.stack([(words >> 21) / 2047, (words >> 11 & 1023) / 1023, (words & 2047) / 2047], 1)
+
+
+def _unpack_bytes(words: np.ndarray) -> np.ndarray:
+    return np.stack([(words >> shift & 255) / 255 for shift in (24, 16, 8, 0)], 1)
+
+
+def _unpack_rotations(words: np.ndarray) -> np.ndarray:
+    three = np.stack([(words >> shift & 1023) / 1023 for shift in (20, 10, 0)], 1)
+    return complete_quaternions((three - 0.5) * math.sqrt(2), words >> 30)
+
+
+def _unpack_rest(rows: np.ndarray | None, count: int) -> np.ndarray:
+    """Return harmonics above degree 0, [N, K - 1, 3]."""
+    if rows is None:
+        return np.zeros((count, 0, 3))
+    stored = np.stack([rows[name] for name in rows.dtype.names or ()], 1).astype(np.float64)
+    fractions = np.where(stored == 0, 0.0, np.where(stored == 255, 1.0, (stored + 0.5) / 256))
+    return ((fractions - 0.5) * 8).reshape(count, 3, -1).transpose(0, 2, 1)

@@ -1,73 +1,90 @@
-"""PlayCanvas' SOG, versions 1 and 2: a meta.json and images whose pixels are Gaussians, in a folder or a ZIP (.sog).
+"""PlayCanvas' SOG, versions 1 and 2 and streamed, and gsplat's PngCompression: images whose pixels are Gaussians.
 
-Centres have 16 bits on a scale of sign(x) log(1 + |x|); quaternions are wxyz by their three smallest components, and
-alpha - 252 says which is missing. Version 1 has scales (logarithms), colours and logits between extremes, version 2 by
-codebooks of 256 numbers, and opacities themselves. Harmonics above degree 0 are entries of a palette, 64 in a row.
-Specification: developer.playcanvas.com, "The SOG Format". It calls y up; the files that splat-transform writes keep the
-axes of the .ply they were made of, which are those given here.
+A SOG is a folder or a ZIP (.sog) of a meta.json and images. Centres have 16 bits on a scale of sign(x) log(1 + |x|).
+Quaternions are wxyz by their three smallest components; alpha - 252 is the index of the missing one. Version 1 has
+scales (logarithms), colours and logits between extremes, version 2 by codebooks of 256 numbers, and opacities
+themselves. Harmonics above degree 0 are entries of a palette, 64 in a row. Specification: developer.playcanvas.com,
+"The SOG Format". It calls y up, but files of splat-transform keep the axes of the original .ply, as this reader does.
+
+A streamed SOG is a lod-meta.json with a spatial tree, and SOG files of Gaussians in several levels. Each leaf lists for
+each level a file, an offset and a count. Level 0 is the finest, and is read with the environment, which has no levels.
+
+gsplat's PngCompression writes PNG files of fixed names and a meta.json with extremes, in the layout of SOG version 1
+except that quaternions have four components and that harmonics above degree 0 are in a palette in shN.npz.
 """
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from lightfield_gs.base.checks import is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.scenes import render_mode, sog_gsplat
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.npy import stored_arrays
+from lightfield_gs.io.scenes.comments import ANTIALIASED, is_antialiased
+from lightfield_gs.io.scenes.scene_arrays import (
+    SceneArrays,
+    checked_fields,
+    complete_quaternions,
+    concatenate_fields,
+    limit_degree,
+)
 from lightfield_gs.io.scenes.sog_files import META, SogFiles
-from lightfield_gs.io.scenes.stored_scene import StoredScene, completed, drawn_bands, settled
+from lightfield_gs.io.text_files import read_object
 
-_COEFFICIENTS = {1: 3, 2: 8, 3: 15, 4: 24}  # above degree 0, by bands
-_IN_A_ROW = 64  # entries of the palette
+LOD_META = "lod-meta.json"
+_COEFFICIENTS = {1: 3, 2: 8, 3: 15, 4: 24}  # above degree 0, by degree
+_ROW_ENTRIES = 64  # of the palette
 _MOST_ENTRIES = 1 << 16
-_MOST = (1 << 31) - 1  # Gaussians
-_LEAST_MODE = 252
-_FARTHEST = 80.0  # of log(1 + |x|), beyond which float32 ends
+_MOST_COUNT = (1 << 31) - 1  # Gaussians
+_LEAST_MODE = 252  # alpha of quaternions
+_FARTHEST = 80.0  # log(1 + |x|); float32 ends there
 _LOSSY_NOTE = "its images are lossy WebP, which a SOG should not have: values may be far off"
+_LOD_META_BYTES = 256 << 20
 _Meta = dict[str, Any]
 
 
-def read(path: Path, skip_invalid: bool) -> StoredScene:
-    """See stored.py. path: a folder, its meta.json or a ZIP. Raises InputError."""
+def read(path: Path, skip_invalid: bool) -> SceneArrays:
+    """Read a folder, its meta.json or a ZIP, of SOG or of gsplat; see files.read_arrays."""
     with SogFiles(path) as files, named(path), np.errstate(over="ignore"):
         meta = files.meta()
-        if sog_gsplat.is_compressed(meta):
-            fields, left_out = sog_gsplat.fields_of(files, meta)
-            fields, notes = settled(path, fields, skip_invalid)
-            return StoredScene(fields, notes=notes + left_out, kind=sog_gsplat.KIND)
+        if _is_gsplat(meta):
+            fields, left_out = _gsplat_fields(files, meta)
+            fields, notes = checked_fields(path, fields, skip_invalid)
+            return SceneArrays(fields, notes=notes + left_out, kind="gsplat's PNG compression")
         version = whole_number(f"{META}: version", meta.get("version", 1), 1, 2)
-        count = whole_number(f"{META}: count", _count(meta), 1, _MOST)
+        count = whole_number(f"{META}: count", _count(meta), 1, _MOST_COUNT)
         means, quats, scales, sh0 = (_part(meta, name) for name in ("means", "quats", "scales", "sh0"))
         colours = files.image(_file(sh0, 0), count)[:count]
         fields = {
-            "means": _centres(files, means, count),
-            "quaternions": _rotations(files.image(_file(quats, 0), count)[:count]),
-            "scales": np.exp(_values(scales, files.image(_file(scales, 0), count)[:count, :3])),
+            "means": _decode_centres(files, means, count),
+            "quaternions": _decode_rotations(files.image(_file(quats, 0), count)[:count]),
+            "scales": np.exp(_decode(scales, files.image(_file(scales, 0), count)[:count, :3])),
             "opacities": colours[:, 3] / 255,
-            "sh": _values(sh0, colours[:, :3], 4)[:, None],
+            "sh": _decode(sh0, colours[:, :3], 4)[:, None],
         }
         if "codebook" not in sh0:
             low, high = (_numbers(sh0, end, 4)[3] for end in ("mins", "maxs"))
             fields["opacities"] = 1 / (1 + np.exp(-(low + (high - low) * fields["opacities"])))
         notes_on_rest: list[str] = []
         if "shN" in meta:
-            rest, notes_on_rest = drawn_bands(_harmonics(files, _part(meta, "shN"), count))
+            rest, notes_on_rest = limit_degree(_decode_harmonics(files, _part(meta, "shN"), count))
             fields["sh"] = np.concatenate([fields["sh"], rest], 1)
         is_zip, is_lossy = not path.is_dir() and path.name.lower() != META, files.is_lossy
-    fields, notes = settled(path, fields, skip_invalid)
+    fields, notes = checked_fields(path, fields, skip_invalid)
     notes += notes_on_rest + ([_LOSSY_NOTE] if is_lossy else [])
     kind = f"SOG version {version}, {'a ZIP' if is_zip else 'a folder'}"
-    return StoredScene(fields, comments=_comments(meta), notes=notes, kind=kind)
+    return SceneArrays(fields, comments=_comments(meta), notes=notes, kind=kind)
 
 
 def _comments(meta: _Meta) -> tuple[str, ...]:
-    """How it was trained: by the key model, which older files call antialias."""
+    """Return the line on anti-aliasing, by the key model, which older files call antialias."""
     model = meta.get("model", meta.get("antialias"))
-    return (render_mode.ANTIALIASED,) if model is True or str(model).lower() == "antialiased" else ()
+    return (ANTIALIASED,) if model is True or str(model).lower() == "antialiased" else ()
 
 
 def _part(meta: _Meta, name: str) -> _Meta:
@@ -77,7 +94,7 @@ def _part(meta: _Meta, name: str) -> _Meta:
 
 
 def _count(meta: _Meta) -> Any:
-    """The number of Gaussians; version 1 has it as the first number of a shape."""
+    """Return the number of Gaussians; version 1 has it as the first number of a shape."""
     if "count" in meta:
         return meta["count"]
     shape = _part(meta, "means").get("shape")
@@ -92,7 +109,7 @@ def _file(part: _Meta, index: int) -> Any:
 
 
 def _numbers(part: _Meta, name: str, count: int) -> np.ndarray:
-    """A list of `count` finite numbers, or one for all; float64 [count]."""
+    """Return a list of `count` finite numbers, or one repeated; float64 [count]."""
     values = part.get(name)
     values = values if isinstance(values, list) else [values] * count
     if not is_row(values, count) or not all(type(value) in (int, float) and abs(value) < 1e30 for value in values):
@@ -100,15 +117,15 @@ def _numbers(part: _Meta, name: str, count: int) -> np.ndarray:
     return np.array(values, np.float64)
 
 
-def _values(part: _Meta, stored: np.ndarray, channels: int = 3) -> np.ndarray:
-    """What the bytes [N, 3] stand for, by a codebook or between extremes of so many channels."""
+def _decode(part: _Meta, stored: np.ndarray, channels: int = 3) -> np.ndarray:
+    """Decode bytes [N, 3] by a codebook, or between extremes of so many channels."""
     if "codebook" in part:
         return _numbers(part, "codebook", 256)[stored]
     low, high = (_numbers(part, end, channels)[:3] for end in ("mins", "maxs"))
     return low + (high - low) * (stored / 255)
 
 
-def _centres(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
+def _decode_centres(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
     lower, upper = (files.image(_file(part, index), count)[:count, :3].astype(np.int64) for index in (0, 1))
     low, high = (_numbers(part, end, 3) for end in ("mins", "maxs"))
     if max(np.abs(low).max(), np.abs(high).max()) > _FARTHEST:
@@ -117,29 +134,188 @@ def _centres(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
     return np.sign(logs) * np.expm1(np.abs(logs))
 
 
-def _rotations(stored: np.ndarray) -> np.ndarray:
+def _decode_rotations(stored: np.ndarray) -> np.ndarray:
     if (bad := stored[:, 3] < _LEAST_MODE).any():
         index = int(bad.argmax())
         raise InputError(f"quats: expected alpha 252..255, got {stored[index, 3]} of Gaussian {index}; a wrong image")
-    return completed((stored[:, :3] / 255 - 0.5) * math.sqrt(2), stored[:, 3].astype(np.int64) - _LEAST_MODE)
+    return complete_quaternions((stored[:, :3] / 255 - 0.5) * math.sqrt(2), stored[:, 3].astype(np.int64) - _LEAST_MODE)
 
 
-def _harmonics(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
-    """Coefficients above degree 0, [N, K - 1, 3]."""
+def _decode_harmonics(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
+    """Decode coefficients above degree 0, [N, K - 1, 3]."""
     labels = files.image(_file(part, 1), count)[:count].astype(np.int64)
     labels = labels[:, 0] | labels[:, 1] << 8
     entries = whole_number("shN: count", part.get("count", int(labels.max()) + 1), 1, _MOST_ENTRIES)
     if int(labels.max()) >= entries:
         raise InputError(f"shN: expected labels below {entries}, got {labels.max()}; a wrong image or count")
-    bands = whole_number("shN: bands", part["bands"] if "bands" in part else _bands(part), 1, len(_COEFFICIENTS))
-    each, rows = _COEFFICIENTS[bands], -(-entries // _IN_A_ROW)
-    width = _IN_A_ROW * each
+    bands = whole_number("shN: bands", part["bands"] if "bands" in part else _degree(part), 1, len(_COEFFICIENTS))
+    each, rows = _COEFFICIENTS[bands], -(-entries // _ROW_ENTRIES)
+    width = _ROW_ENTRIES * each
     palette = files.image(_file(part, 0), width * rows, width)[: width * rows, :3].reshape(-1, 3)
-    return _values(part, palette).reshape(-1, each, 3)[labels]
+    return _decode(part, palette).reshape(-1, each, 3)[labels]
 
 
-def _bands(part: _Meta) -> Any:
-    """Of version 1, which has the number of coefficients of three channels in a shape."""
+def _degree(part: _Meta) -> Any:
+    """Return the degree in version 1, which has the number of coefficients in a shape."""
     shape = part.get("shape")
     sizes = {each: b for b, each in _COEFFICIENTS.items()} | {3 * each: bands for bands, each in _COEFFICIENTS.items()}
     return sizes.get(shape[-1]) if isinstance(shape, list) and shape and isinstance(shape[-1], int) else None
+
+
+# gsplat's PngCompression
+
+
+def _is_gsplat(meta: _Meta) -> bool:
+    """Tell gsplat's meta.json from a SOG's."""
+    return all(isinstance(meta.get(name), dict) and "files" not in meta[name] for name in ("means", "opacities"))
+
+
+def _gsplat_fields(files: SogFiles, meta: _Meta) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the five fields, float64, and a note where harmonics of degree 4 were left out."""
+    count = whole_number(f"{META}: means: shape", (_shape(meta, "means") or [0])[0], 1, _MOST_COUNT)
+    lower, upper = (files.image(f"means_{end}.png", count)[:count, :3].astype(np.int64) for end in "lu")
+    logs = _interpolate(meta, "means", (upper << 8 | lower) / 65535)
+    if np.abs(logs).max() > _FARTHEST:
+        raise InputError(f"{META}: means: expected logarithms of 1 + |x| within {_FARTHEST:g}; its extremes are wrong")
+    logits = _interpolate(meta, "opacities", files.image("opacities.png", count)[:count, :1] / 255)[:, 0]
+    colours = _interpolate(meta, "sh0", files.image("sh0.png", count)[:count, :3] / 255)
+    rest, left_out = limit_degree(_gsplat_rest(files, meta, count) if "shN" in meta else np.zeros((count, 0, 3)))
+    with np.errstate(over="ignore"):
+        fields = {
+            "means": np.sign(logs) * np.expm1(np.abs(logs)),
+            "quaternions": _interpolate(meta, "quats", files.image("quats.png", count)[:count] / 255),
+            "scales": np.exp(_interpolate(meta, "scales", files.image("scales.png", count)[:count, :3] / 255)),
+            "opacities": 1 / (1 + np.exp(-logits)),
+            "sh": np.concatenate([colours[:, None], rest], 1),
+        }
+    return fields, left_out
+
+
+def _shape(meta: _Meta, name: str) -> list[Any]:
+    shape = _part(meta, name).get("shape")
+    return shape if isinstance(shape, list) else []
+
+
+def _interpolate(meta: _Meta, name: str, fractions: np.ndarray) -> np.ndarray:
+    """Interpolate by fractions [N, C] between the extremes of a part, given for each channel or once for all."""
+    low, high = (_gsplat_numbers(meta, name, end, fractions.shape[1]) for end in ("mins", "maxs"))
+    return low + (high - low) * fractions
+
+
+def _gsplat_numbers(meta: _Meta, name: str, end: str, channels: int) -> np.ndarray:
+    values: Any = _part(meta, name).get(end)
+    while is_row(values, 1) and isinstance(values[0], list):
+        values = values[0]
+    values = values if isinstance(values, list) else [values]
+    values = values * channels if len(values) == 1 else values
+    if len(values) != channels or not all(type(value) in (int, float) and abs(value) < 1e30 for value in values):
+        raise InputError(f"{META}: {name}: {end}: expected {channels} finite numbers, got {shown(values)}")
+    return np.array(values, np.float64)
+
+
+def _gsplat_rest(files: SogFiles, meta: _Meta, count: int) -> np.ndarray:
+    """Return harmonics above degree 0, [N, K - 1, 3]."""
+    each = (_shape(meta, "shN") + [0, 0])[1]
+    if each not in (0, *_COEFFICIENTS.values()):
+        raise InputError(f"{META}: shN: expected a shape of {count} times 0, 3, 8, 15 or 24 times 3, got {shown(each)}")
+    if each == 0:
+        return np.zeros((count, 0, 3))
+    bits = whole_number(f"{META}: shN: quantization", _part(meta, "shN").get("quantization", 8), 1, 16)
+    if files.folder is None:
+        raise InputError("its harmonics are in an archive inside the ZIP; unpack it, and give the folder")
+    arrays = stored_arrays(files.folder / "shN.npz")
+    if not {"centroids", "labels"} <= set(arrays):
+        raise InputError(f"shN.npz: expected arrays centroids and labels, got {', '.join(arrays)[:80] or 'none'}")
+    palette, labels = arrays["centroids"].read(), arrays["labels"].read().astype(np.int64)
+    fits = palette.ndim == 2 and palette.shape[1] == 3 * each and labels.shape == (count,)
+    if not fits or not 0 <= labels.min() <= labels.max() < len(palette):
+        raise InputError(
+            f"shN.npz: expected {count} labels of a palette of {3 * each} numbers, got {list(labels.shape)} and "
+            f"{list(palette.shape)}"
+        )
+    return _interpolate(meta, "shN", palette / ((1 << bits) - 1)).reshape(-1, each, 3)[labels]
+
+
+# The streamed SOG
+
+
+def is_streamed(path: Path) -> bool:
+    """Tell whether a path is a lod-meta.json, or its folder."""
+    return path.name.lower() == LOD_META or (path / LOD_META).is_file()
+
+
+def read_streamed(path: Path, skip_invalid: bool) -> SceneArrays:
+    """Read a streamed SOG, by its folder or its lod-meta.json; see files.read_arrays."""
+    file = path / LOD_META if path.is_dir() else path
+    with named(file):
+        meta = read_object(file, _LOD_META_BYTES)
+        whole_number("version", meta.get("version", 1), 1, 1)
+        names, parts = meta.get("filenames"), dict[int, list[tuple[int, int]]]()
+        if not isinstance(names, list) or not isinstance(meta.get("tree"), dict):
+            raise InputError("expected a list filenames and an object tree; this is no streamed SOG")
+        levels = _collect_finest(meta["tree"], len(names), parts)
+        paths = {_beside(file, names[index]): ranges for index, ranges in sorted(parts.items())}
+    scenes = [_select_rows(part, read(part, False), ranges) for part, ranges in paths.items()]
+    if meta.get("environment") is not None:
+        scenes.append(read(_beside(file, meta["environment"]), skip_invalid))
+    notes = [f"level 0, the finest of {levels}, is read of a streamed SOG"] if levels > 1 else []
+    notes += dict.fromkeys(words for scene in scenes for words in scene.notes)
+    are_antialiased = all(is_antialiased(scene.comments) for scene in scenes)
+    return SceneArrays(
+        concatenate_fields([scene.fields for scene in scenes]),
+        comments=(ANTIALIASED,) if are_antialiased else (),
+        notes=notes,
+        kind=f"streamed SOG, level 0 of {levels}, {len(scenes)} files",
+    )
+
+
+def _collect_finest(tree: Any, files: int, parts: dict[int, list[tuple[int, int]]]) -> int:
+    """Collect the finest level of each leaf of a tree; raise InputError for a malformed tree.
+
+    Args:
+        tree: root of the tree.
+        files: number of files.
+        parts: gets for each file the offset and count of its Gaussians in each leaf.
+
+    Returns:
+        The number of levels.
+    """
+    nodes, levels = [tree], 1
+    while nodes:
+        node = nodes.pop()
+        children, lods = (node.get("children") or [], node.get("lods") or {}) if isinstance(node, dict) else (0, 0)
+        if not isinstance(children, list) or not isinstance(lods, dict) or not all(map(str.isdecimal, lods)):
+            raise InputError(f"tree: expected nodes with children or lods, got {shown(node)}")
+        nodes += reversed(children)
+        if not lods:
+            continue
+        levels = max(levels, 1 + max(map(int, lods)))
+        finest = lods[min(lods, key=int)]
+        if not isinstance(finest, dict):
+            raise InputError(f"tree: expected file, offset and count of a level, got {shown(finest)}")
+        most = {"file": files - 1, "offset": _MOST_COUNT, "count": _MOST_COUNT}
+        file, offset, count = (whole_number(f"tree: {name}", finest.get(name), 0, most[name]) for name in most)
+        if count:
+            parts.setdefault(file, []).append((offset, count))
+    if not parts:
+        raise InputError("tree: expected leaves with lods, got none")
+    return levels
+
+
+def _beside(file: Path, name: Any) -> Path:
+    """Return the path of a file in the scene's folder; raise InputError for names of other places."""
+    parts = PurePosixPath(name).parts if isinstance(name, str) else ()
+    if not parts or ".." in parts or "\\" in name or PurePosixPath(name).is_absolute():
+        raise InputError(f"expected the name of a file in its folder, got {shown(name)}")
+    return checked_path(file.parent.joinpath(*parts))
+
+
+def _select_rows(path: Path, scene: SceneArrays, ranges: list[tuple[int, int]]) -> SceneArrays:
+    """Select ranges (offset, count) of a scene's Gaussians; raise InputError where it has fewer."""
+    count = len(scene.fields["means"])
+    if max(start + size for start, size in ranges) > count:
+        raise InputError(f"{path}: {LOD_META} expects more Gaussians than the {count} that it has; a wrong file")
+    if ranges != [(0, count)]:
+        rows = np.concatenate([np.arange(start, start + size) for start, size in ranges])
+        scene.fields = {name: array[rows] for name, array in scene.fields.items()}
+    return scene

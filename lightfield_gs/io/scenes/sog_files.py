@@ -1,4 +1,4 @@
-"""The files of a SOG: beside a meta.json, or in a ZIP, read without trust in names, sizes or counts."""
+"""The files of a SOG, in a folder or a ZIP; names, sizes and counts are checked before use."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from PIL import Image, features
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
-from lightfield_gs.io.scenes.bounded import check_promise
+from lightfield_gs.io.file_kinds import refuse_stand_in
+from lightfield_gs.io.scenes.plausibility import check_unpacked_size
+from lightfield_gs.io.text_files import parse_json
 
 META = "meta.json"
 _META_BYTES = 1 << 20
@@ -47,7 +47,16 @@ _LOSSY = b"VP8 "  # the chunk of a lossy WebP; a lossless one has VP8L
 
 
 class SogFiles:
-    """path: a folder, its meta.json, or a ZIP, whose `folder` is None. Raises InputError otherwise."""
+    """The files of a SOG.
+
+    Attributes:
+        path: the folder, its meta.json, or the ZIP.
+        folder: the folder; None for a ZIP.
+        is_lossy: an image read so far is a lossy WebP.
+
+    Raises:
+        InputError: the path is no such file.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path, self._zip = path, None
@@ -67,7 +76,7 @@ class SogFiles:
             ) from None
         if not names:
             raise InputError(f"{path} is an empty ZIP; export it or download it again")
-        if META not in names:  # as made by packing the folder
+        if META not in names:  # the ZIP of a folder
             inner = [name for name in names if name.endswith("/" + META) and not name.startswith("__MACOSX/")]
             if len(inner) != 1:
                 raise InputError(f"{path} is no .sog: the ZIP has no {META}")
@@ -81,7 +90,7 @@ class SogFiles:
             self._zip.close()
 
     def meta(self) -> dict[str, Any]:
-        """What meta.json says. Raises InputError."""
+        """Return the object in meta.json; raise InputError."""
         try:
             text = self._bytes(META, _META_BYTES).decode()
             data = parse_json(text)
@@ -94,8 +103,16 @@ class SogFiles:
         return data
 
     def image(self, name: Any, least: int, width: int | None = None) -> np.ndarray:
-        """The bytes [P, 4] of red, green, blue and alpha of an image of P >= `least` pixels, row by row, and of
-        `width` where it is given. Raises InputError."""
+        """Read the pixels of an image, row by row.
+
+        Args:
+            name: of the image, from meta.json.
+            least: smallest number of pixels.
+            width: required width, pixels; None for any.
+
+        Returns:
+            Red, green, blue and alpha, uint8 [P, 4] with P >= least.
+        """
         if not isinstance(name, str) or not _is_plain(name):
             raise InputError(f"{self.path}: {META}: expected the name of a file beside it, got {shown(name)}")
         if not features.check("webp"):
@@ -120,7 +137,7 @@ class SogFiles:
             raise InputError(
                 f"{self.path}: {shown(name)} has {size[0]} x {size[1]} pixels, expected {wanted}; wrong image or count"
             )
-        check_promise(self.path, 4 * pixels, stored)
+        check_unpacked_size(self.path, 4 * pixels, stored)
 
     def _bytes(self, name: str, most_bytes: int) -> bytes:
         if self.folder is not None:
@@ -137,7 +154,7 @@ class SogFiles:
             info = self._zip.getinfo(name)
         except KeyError:
             raise InputError(f"{self.path}: the ZIP has no {shown(name)}") from None
-        check_promise(self.path, min(info.file_size, most_bytes + 1), info.compress_size)
+        check_unpacked_size(self.path, min(info.file_size, most_bytes + 1), info.compress_size)
         try:
             with self._zip.open(info) as file:
                 return file.read(most_bytes + 1)
@@ -146,7 +163,7 @@ class SogFiles:
 
 
 def _is_plain(name: str) -> bool:
-    """Whether it is the name of a file, and no way to another folder."""
+    """Tell whether it is the name of a file, and no path to another folder."""
     return (
         PurePosixPath(name).name == name and "\\" not in name and name not in ("", "..") and len(name) <= _NAME_LENGTH
     )

@@ -1,7 +1,7 @@
-"""The .splat of antimatter15's viewer: 32 bytes a Gaussian and nothing else, in the axes of the .ply it was made from.
+"""The .splat of antimatter15's viewer: 32 bytes a Gaussian and nothing else, in the axes of the original .ply.
 
-x y z and three standard deviations as float32, red, green, blue and opacity of 0..255, and a quaternion wxyz, each
-component c as 128 + 128 c. Degree 0 only.
+A Gaussian has x y z and three standard deviations as float32, and red, green, blue and opacity as bytes. The components
+of its quaternion wxyz are bytes 128 + 128 c. It has no harmonics above degree 0.
 """
 
 from __future__ import annotations
@@ -13,23 +13,22 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
-from lightfield_gs.io.scenes.stored_scene import StoredScene, expect_some, harmonics_of_colours, settled
+from lightfield_gs.io.file_kinds import refuse_stand_in
+from lightfield_gs.io.scenes.scene_arrays import SceneArrays, check_not_empty, checked_fields, rgb_to_sh
 
 _RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 _START_BYTES = 4096
-KIND = ".splat, 32 bytes a Gaussian"
 
 
-def read(path: Path, skip_invalid: bool) -> StoredScene:
-    """See stored.py. Raises InputError."""
+def read(path: Path, skip_invalid: bool) -> SceneArrays:
+    """Read a .splat; see files.read_arrays."""
     size = path.stat().st_size
     if size % _RECORD.itemsize:
         refuse_stand_in(path)
         raise InputError(
             f"{path} has {size} bytes, and a .splat has {_RECORD.itemsize} for each Gaussian; it is cut, or no .splat"
         )
-    expect_some(path, size)
+    check_not_empty(path, size)
     with open(path, "rb") as file:
         start = file.read(_START_BYTES)
     if len(start) == _START_BYTES and not any(start):
@@ -41,15 +40,23 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
         "quaternions": (rows["rotation"].astype(np.float32) - 128) / 128,
         "scales": rows["scales"],
         "opacities": colours[:, 3],
-        "sh": harmonics_of_colours(colours[:, None, :3]),
+        "sh": rgb_to_sh(colours[:, None, :3]),
     }
-    fields, notes = settled(path, fields, skip_invalid)
-    return StoredScene(fields, notes=notes, kind=KIND)
+    fields, notes = checked_fields(path, fields, skip_invalid)
+    return SceneArrays(fields, notes=notes, kind=".splat, 32 bytes a Gaussian")
 
 
 def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = False) -> list[str]:
-    """Writes float64 fields of N >= 1 valid Gaussians; returns what is lost, a line each. antialiased: whether they
-    were trained so. Raises InputError."""
+    """Write float64 fields of N >= 1 valid Gaussians.
+
+    Args:
+        path: the file.
+        fields: the five fields.
+        antialiased: the Gaussians were trained with anti-aliasing, which the format cannot store.
+
+    Returns:
+        Losses, one line each.
+    """
     rows = np.empty(len(fields["means"]), _RECORD)
     lengths = np.linalg.norm(fields["quaternions"], axis=1, keepdims=True)
     rows["means"], rows["scales"] = fields["means"], fields["scales"]

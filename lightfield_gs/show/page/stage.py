@@ -15,9 +15,9 @@ import torch
 
 from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
-from lightfield_gs.encoding.views import render_views
 from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.panel import Panel

@@ -1,0 +1,110 @@
+"""What eyes across the cone see of a panel's image, with and without the view filter, against exact cameras."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.bench import options
+from lightfield_gs.bench.light_field import SCENES
+from lightfield_gs.bench.pareto import Subject
+from lightfield_gs.bench.report import aligned
+from lightfield_gs.bench.scenes import benchmark_rig, load_scene
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.reference.eyes import EyeReference, eyes_across
+
+EYES = 25
+
+
+def filter_widths(panel: Panel) -> list[float]:
+    """In views: off, half a view, one view, and, where it is more, the width that one sub-pixel sees through a lens."""
+    subpixel = panel.views / panel.line_number
+    return [0.0, 0.5, 1.0, *([round(subpixel, 2)] if subpixel > 1.05 else [])]
+
+
+def check_panel(panel: Panel) -> None:
+    """Raises InputError for a panel before which no eye can be placed."""
+    if missing := unknown_of(panel):
+        raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}, without which no eye can be placed")
+
+
+@torch.no_grad()
+def rows(subject: Subject, widths: Sequence[float] | None = None, count: int | None = None) -> Iterator[dict[str, Any]]:
+    """A row for each width of the view filter: mean, worst and best PSNR, and SSIM, over `count` eyes (None: EYES).
+    Raises InputError."""
+    panel, count = subject.panel, EYES if count is None else count
+    reference = EyeReference(subject.gaussians, panel, subject.rig, eyes_across(panel, count))
+    for width in filter_widths(panel) if widths is None else widths:
+        image = encode(subject.gaussians, panel, subject.rig, output="float32", view_filter=width)
+        scores = list(reference.scores(image.clamp(0, 1).cpu().numpy()))
+        psnr, ssim = (np.array([getattr(score, name) for score in scores]) for name in ("psnr_db", "ssim"))
+        yield {
+            "scene": subject.name,
+            "gaussians": subject.gaussians.count,
+            "panel": panel.name,
+            "cone_deg": subject.rig.cone_deg,
+            "eyes": count,
+            "view_filter": width,
+            "psnr_db": float(psnr.mean()),
+            "psnr_db_worst": float(psnr.min()),
+            "psnr_db_best": float(psnr.max()),
+            "ssim": float(ssim.mean()),
+            "ssim_worst": float(ssim.min()),
+            "scores": [vars(score) for score in scores],
+        }
+
+
+def table(found: list[dict[str, Any]]) -> str:
+    """The rows as text."""
+    head = ("scene", "panel", "cone", "eyes", "filter, views", "PSNR dB", "worst", "best", "SSIM", "worst")
+    lines = [
+        (
+            row["scene"],
+            row["panel"],
+            f"{row['cone_deg']:.3g}",
+            str(row["eyes"]),
+            f"{row['view_filter']:g}",
+            f"{row['psnr_db']:.2f}",
+            f"{row['psnr_db_worst']:.2f}",
+            f"{row['psnr_db_best']:.2f}",
+            f"{row['ssim']:.4f}",
+            f"{row['ssim_worst']:.4f}",
+        )
+        for row in found
+    ]
+    return "\n".join(aligned([head, *lines]))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    options.add_scene(parser, SCENES)
+    options.add_panel(parser)
+    options.add_cone(parser)
+    options.add_sh_degree(parser)
+    options.add_machine(parser)
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Rows of every width of the view filter, for every scene and cone, and their text."""
+    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.panel_of(args)
+    check_panel(panel)
+    cones, degrees = options.cones(args.cone), options.sh_degrees(args.sh_degree)
+    found: list[dict[str, Any]] = []
+    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
+    options.check_scenes(scenes, degrees)
+    for scene in scenes:
+        for degree in degrees:
+            gaussians = load_scene(scene, degree).to(args.device)
+            for cone in cones:
+                rig = benchmark_rig(scene, gaussians, panel, cone)
+                options.progress(f"{Path(scene).name}, {rig.cone_deg:g} degrees: {EYES} eyes")
+                found += rows(Subject(Path(scene).name, gaussians, panel, rig))
+    return {"rows": found}, table(found)

@@ -1,0 +1,214 @@
+"""Light-field images frame after frame, on the CPU and on CUDA."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.arrays import Colour
+from lightfield_gs.rasterizer.direct import DirectRender
+from lightfield_gs.rasterizer.frame_cuda import Frame, Frames, frames_of
+from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.scene import background_tensor
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import Workspace
+from lightfield_gs.scene.gaussians import Gaussians
+
+STAGES = ("project", "order", "bin", "composite")
+_BITS = {torch.float32: torch.int32, torch.float64: torch.int64}
+
+
+@dataclass
+class _Drawn:
+    """What a frame leaves to the next: copies of its input, what the composite reads and, from the second of frames
+    that are the same, a copy of the image."""
+
+    inputs: dict[str, Tensor]
+    view: LenticularCamera
+    work: Workspace
+    image: Tensor | None
+
+
+class CpuFrames:
+    """Frames of one lens and quality. precision: of the arithmetic; as_bytes: images are uint8; antialiased: see
+    encode."""
+
+    def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool):
+        self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
+        self.last: _Drawn | None = None
+
+    def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
+        """The image, which belongs to the caller, and the stages that were not repeated. Raises InputError."""
+        background = background_tensor(background, torch.empty(0, dtype=self.precision)).reshape(-1)
+        last, inputs = self.last, {**gaussians.fields(), "background": background}
+        before = last.inputs if last else {}
+        changed = {name for name, value in inputs.items() if name not in before or not _same(before[name], value)}
+        if changed - {"background"}:
+            gaussians.validate()
+        same = last if last is not None and last.view == view else None
+        if same is not None and not changed and same.image is not None:
+            return same.image.clone(), set(STAGES)
+
+        self.last = None  # so that an error below leaves nothing half done behind
+        job = DirectRender(gaussians.to(dtype=self.precision).fields().values(), background, view, self.antialiased)
+        kept = same.work if same is not None and changed <= {"background"} else None
+        work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
+        image = job.new_image(self.as_bytes)
+        work.composite_direct(job.native, self.quality, job.background, image)
+        copies = {name: value.detach().clone() if name in changed else before[name] for name, value in inputs.items()}
+        self.last = _Drawn(copies, view, work, image.clone() if same is not None and not changed else None)
+        return image, set() if kept is None else {"project", "order", "bin"}
+
+
+def _same(a: Tensor, b: Tensor) -> bool:
+    """Whether two tensors are equal bit by bit, NaN included."""
+    return (
+        a.shape == b.shape
+        and a.dtype == b.dtype
+        and torch.equal(a.view(_BITS[a.dtype]), b.detach().view(_BITS[b.dtype]))
+    )
+
+
+_SH, _BACKGROUND = 4, 5  # where they are among the tensors of an _Input
+
+
+class _Input:
+    """What a frame is drawn from: tensors (the five fields, the background), by their versions, and a view."""
+
+    def __init__(self, tensors: list[Tensor], view: LenticularCamera):
+        self.tensors, self.view = tensors, view
+        self.places = [(t.data_ptr(), t.shape) for t in tensors]  # a tensor's .data may be set later
+        self.versions = [_version(t) for t in tensors]
+        self.stream = torch.cuda.current_stream(tensors[0].device).cuda_stream
+
+    def reads(self, other: _Input) -> bool:
+        """Whether the tensors are the same memory."""
+        return self.places == other.places
+
+    def changed_since(self, before: _Input | None) -> set[int]:
+        """The numbers of the tensors whose values may have changed; all of them on another stream, where this frame's
+        work does not follow that of the last."""
+        if before is None or before.stream != self.stream:
+            return set(range(len(self.tensors)))
+        pairs = zip(self.tensors, before.tensors, self.versions, before.versions)
+        return {k for k, (a, b, version, was) in enumerate(pairs) if a is not b or version is None or version != was}
+
+
+def _version(tensor: Tensor) -> int | None:
+    """How often torch has written into it; None where torch does not count."""
+    return None if tensor.is_inference() else tensor._version
+
+
+class CudaFrames:
+    """Frames of one lens and quality. as_bytes: images are uint8; versioned, antialiased: see Encoder."""
+
+    def __init__(self, as_bytes: bool, quality: Quality, versioned: bool, antialiased: bool):
+        self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
+        self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
+        self.captured: _Capture | None = None
+        self.moving: Frames | None = None  # draw what is seen by a view for the first time
+        self.frames: Frames | None = None  # drew the last image
+        self.image: Tensor | None = None
+        self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
+        self.last_view: LenticularCamera | None = None
+
+    def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
+        """The image, drawn over by the next call, and the stages that were not repeated.
+
+        gaussians: float32, contiguous. Raises InputError.
+        """
+        given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], view)
+        shown, self.shown, image = self.shown, None, self.image
+        moved, self.last_view = self.last_view not in (None, view), view
+        outgrown = self.frames is not None and self.frames.adapt()  # the last frame lacked room or order
+        if outgrown or self.captured is not None and self.captured.is_outgrown():
+            self.captured = None
+        elif shown and image is not None and self._still_shows(given, *shown, _version(image)):
+            self.shown = shown
+            return image, set(STAGES)
+        if shown is None or not given.reads(shown[0]):
+            gaussians.validate()
+        self.image, kept = self._draw(given, moved)
+        self.shown = given, _version(self.image)
+        return self.image, kept
+
+    def _on_device(self, background: Colour, like: Tensor) -> Tensor:
+        """A background [3] on the device: the user's own, or one that the encoder keeps and writes over, so that the
+        graphs that read it stay good."""
+        if isinstance(background, Tensor) and background.is_cuda:
+            return background_tensor(background, like).reshape(-1)
+        colour = background_tensor(background, torch.empty(0, dtype=like.dtype)).reshape(-1)
+        if self.background is None or self.background[1].device != like.device:
+            self.background = colour.clone(), colour.to(like.device)
+        elif not torch.equal(self.background[0], colour):
+            for kept in self.background:
+                kept.copy_(colour)
+        return self.background[1]
+
+    def _still_shows(self, given: _Input, before: _Input, image_version: int | None, now: int | None) -> bool:
+        """Whether the image shows what is given: nothing has changed since, and nobody has written into the image."""
+        untouched = image_version is not None and image_version == now
+        return self.versioned and untouched and given.view == before.view and not given.changed_since(before)
+
+    def _draw(self, given: _Input, moved: bool) -> tuple[Tensor, set[str]]:
+        """The image and the stages that were not repeated; moved: whether the view is another than the last one."""
+        if self.captured is None or not self.captured.draws(given):
+            *fields, background = given.tensors
+            job = DirectRender(fields, background, given.view, self.antialiased)
+            with job.scene.guard:
+                if self.image is None or self.image.device != background.device:
+                    self.image = job.new_image(self.as_bytes)
+                if moved:
+                    # The view is among the arguments of the kernels, and a graph of this one might be of no more use:
+                    # they are launched one by one.
+                    if self.moving is None or not self.moving.takes(job):
+                        self.moving = Frames(job, self.quality)
+                    self.frames = self.moving
+                    return self.moving.draw(job, out=self.image), set()
+                self.captured = _Capture(given, job, self.image, self.quality)
+        self.frames = self.captured.frames
+        return self.captured.image, self.captured.replay(given, self.versioned)
+
+
+class _Capture:
+    """A frame as CUDA graphs: as a whole and, when first wanted, without order and bin."""
+
+    def __init__(self, given: _Input, job: DirectRender, image: Tensor, quality: Quality):
+        self.given, self.job, self.image = given, job, image
+        self.drawn: _Input | None = None  # what was drawn last, whose lists the frame still has
+        self.frames: Frames = frames_of(job, quality)
+        self.frame: Frame = self.frames.frame(job)
+        self.graph = self._graph(False)
+        self.recolour: torch.cuda.CUDAGraph | None = None
+
+    def draws(self, given: _Input) -> bool:
+        """Whether a replay draws what is given: the same tensors, of whatever values, by the same view."""
+        return self.given.reads(given) and self.given.view == given.view
+
+    def is_outgrown(self) -> bool:
+        """Whether frames of its kind, which others draw as well, have needed more since."""
+        return (self.frame.capacity, self.frame.colour_order) != (self.frames.capacity, self.frames.colour_order)
+
+    def replay(self, given: _Input, versioned: bool) -> set[str]:
+        """Draws; returns the stages that were not repeated."""
+        kept = versioned and given.changed_since(self.drawn) <= {_SH, _BACKGROUND}
+        with self.job.scene.guard:
+            graph = self.graph
+            if kept:
+                graph = self.recolour = self.recolour or self._graph(True)
+            graph.replay()
+            self.frames.mark()
+        self.drawn = given
+        return {"order", "bin"} if kept else set()
+
+    def _graph(self, keep_lists: bool) -> torch.cuda.CUDAGraph:
+        """Captures a frame, and the copy of its state to the host; keep_lists: without order and bin."""
+        graph = torch.cuda.CUDAGraph()
+        # A stream of its own, for torch's belongs to the device that captured first
+        with torch.cuda.graph(graph, stream=torch.cuda.Stream()):
+            self.frame.draw(self.job.background, self.image, keep_lists=keep_lists)
+            self.frames.note(self.frame)
+        return graph

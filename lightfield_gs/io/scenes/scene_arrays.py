@@ -1,0 +1,100 @@
+"""A scene file's Gaussians as NumPy arrays, and conversions that all readers share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.io.scenes.plausibility import check_or_skip
+
+TINY = np.finfo(np.float32).tiny
+MAX_SH_REST = 15  # coefficients above degree 0 that are drawn: degree 1..3
+HIGH_DEGREE_NOTE = "harmonics of degree 4 were left out; those of degree 0..3 are drawn"
+
+
+@dataclass
+class SceneArrays:
+    """A scene file as arrays.
+
+    Attributes:
+        fields: the five fields of N >= 1 Gaussians by name, float32 [N, ...]; see scene/gaussians.py.
+        origin: position of the means' zero in the file's coordinates.
+        comments: text of the header's comments, in file order.
+        elements: other small elements of a .ply by name, as structured arrays.
+        notes: suspicious contents and decisions of the reader, one line each.
+        kind: format and version in words.
+    """
+
+    fields: dict[str, np.ndarray]
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    comments: tuple[str, ...] = ()
+    elements: dict[str, np.ndarray] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    kind: str = ""
+
+
+def checked_fields(
+    path: Path, fields: dict[str, np.ndarray], skip_invalid: bool
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Convert fields to float32 with scales and opacities above 0, and check them as `check_or_skip` does.
+
+    A negative scale has no meaning.
+
+    Returns:
+        The fields, and a note on Gaussians that were left out.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        fields = {name: np.array(array, np.float32) for name, array in fields.items()}
+        fields["means"] += 0.0  # turned axes leave minus zeros
+        if (fields["scales"] < 0).any():
+            fields["scales"] = np.where(fields["scales"] < 0, np.float32(np.nan), fields["scales"])
+    fields, notes = check_or_skip(path, None, fields, skip_invalid)
+    for name in ("scales", "opacities"):
+        fields[name] = np.maximum(fields[name], TINY)
+    return fields, notes
+
+
+def check_not_empty(path: Path, count: int) -> None:
+    """Raise InputError for a file without Gaussians."""
+    if count == 0:
+        raise InputError(f"{path} has no Gaussians")
+
+
+def concatenate_fields(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Concatenate the fields of a scene's parts, at the highest degree of harmonics among them."""
+    most = max(part["sh"].shape[1] for part in parts)
+    for part in parts:
+        part["sh"] = np.pad(part["sh"], ((0, 0), (0, most - part["sh"].shape[1]), (0, 0)))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def limit_degree(rest: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Limit harmonics above degree 0, [N, K - 1, 3], to degree 3; return them and a note where others were left out."""
+    return rest[:, :MAX_SH_REST], [HIGH_DEGREE_NOTE] * (rest.shape[1] > MAX_SH_REST)
+
+
+def rgb_to_sh(colours: np.ndarray) -> np.ndarray:
+    """Convert colours in 0..1 to coefficients of degree 0."""
+    return (colours - 0.5) / SH_CONSTANT
+
+
+def complete_quaternions(three: np.ndarray, largest: np.ndarray) -> np.ndarray:
+    """Complete unit quaternions that are stored by their smallest three components.
+
+    Args:
+        three: stored components [N, 3], in order.
+        largest: index [N] of the component that is not stored; it is not negative.
+
+    Returns:
+        Quaternions [N, 4].
+    """
+    rest = np.sqrt(np.maximum(0.0, 1.0 - (three * three).sum(1)))
+    whole = np.empty((len(three), 4), three.dtype)
+    for index in range(4):
+        rows = largest == index
+        whole[rows] = np.insert(three[rows], index, rest[rows], axis=1)
+    return whole

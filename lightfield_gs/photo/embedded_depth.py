@@ -1,0 +1,200 @@
+"""Depth maps and further pictures in the file of a photo.
+
+Sources: Depthmap Metadata (Google, 2014), whose namespace is usually GDepth, with the map in base64; Dynamic Depth 1.0
+(Google, 2019), with the map behind the picture. In both a number d of 0..1 is the distance near + d (far - near), or
+with the format RangeInverse far near / (far - d (far - near)): dark is near.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import functools
+import mmap
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.images import read_layer
+from lightfield_gs.io.pillow_images import count_pictures, decode_picture, is_heif
+from lightfield_gs.io.xmp import jpeg_xmp
+from lightfield_gs.photo.depth import DepthNumbers, depth_channel, grey_numbers
+
+_GDEPTH, _DYNAMIC = "http://ns.google.com/photos/1.0/depthmap/", "http://ns.google.com/photos/dd/1.0/depthmap/"
+_GIMAGE = "http://ns.google.com/photos/1.0/image/"
+_INVERSE = "rangeinverse"
+# In the boxes of HEIC and AVIF, in the XMP of an auxiliary JPEG, and in the trailer of Samsung's files
+_HEIF_DEPTH = (b"urn:mpeg:hevc:2015:auxid:2", b"urn:mpeg:mpegB:cicp:systems:auxiliary:depth")
+_APPLE_DEPTH = re.compile(rb"AuxiliaryImageType(=\"|>)(disparity|depth)", re.IGNORECASE)
+_SAMSUNG_DEPTH = b"DualShot_DepthMap"
+_BOXES_BYTES, _TRAILER_BYTES = 1 << 20, 4096
+
+
+@dataclass(frozen=True)
+class DepthInside:
+    """A depth map in the file of a photo.
+
+    name: of what it is, for people; data: of its PNG or JPEG; is_inverse: whether its numbers are linear in 1/z. near,
+    far: distances at their ends, None where the file says none that can be. is_along_ray: see DepthNumbers.
+    """
+
+    name: str
+    data: bytes
+    is_inverse: bool
+    near: float | None
+    far: float | None
+    is_along_ray: bool
+
+    def numbers(self, path: str | Path) -> DepthNumbers:
+        """What the map holds. Raises InputError."""
+        name = f"{path}: the depth map inside it"
+        found = grey_numbers(name, decode_picture(name, self.data))
+        return DepthNumbers(found.values, is_along_ray=self.is_along_ray, notes=found.notes)
+
+
+def depth_inside(path: str | Path) -> DepthInside | None:
+    """The depth map in the XMP of a photo, or behind its picture; None where there is none that is read. Raises
+    InputError where the file cannot be read."""
+    path = Path(path)
+    with reading(path):
+        if not path.is_file():
+            return None
+        state = path.stat()
+        return _depth_inside(path, state.st_mtime_ns, state.st_size) if state.st_size else None
+
+
+def notes_inside(path: str | Path, is_depth_used: bool) -> list[str]:
+    """Lines on what a photo's file holds that is not used. Raises InputError where the file cannot be read."""
+    path = Path(path)
+    notes = []
+    with reading(path):
+        if not is_depth_used and (words := _unused_depth(path)):
+            notes.append(f"{path}: {words}")
+        count, are_eyes = count_pictures(path)
+        if are_eyes or f'"{_GIMAGE}"' in jpeg_xmp(path) and not depth_inside(path):
+            notes.append(
+                f"{path}: it is a stereo photo, and the first of its two pictures is taken, one eye's; the other is "
+                "left out"
+            )
+        elif count > 1:
+            notes.append(
+                f"{path}: it holds {count} pictures, and the first is taken; for all, as a sequence, save them as a "
+                "video or as files in a folder for `lightfield-gs video`"
+            )
+    return notes
+
+
+def facts_inside(path: str | Path) -> list[tuple[str, str]]:
+    """What a photo's file holds beside its picture, by name, for people. Raises InputError where it cannot be read."""
+    path = Path(path)
+    facts = []
+    with reading(path):
+        if (inside := depth_inside(path)) is not None:
+            height, width = inside.numbers(path).values.shape
+            facts.append(("depth inside", f"{width} x {height}, {inside.name}, near {inside.near}, far {inside.far}"))
+        elif words := _unused_depth(path):
+            facts.append(("depth inside", words))
+        count, are_eyes = count_pictures(path)
+        if count > 1:
+            facts.append(("pictures", f"{count}" + (", of two eyes" if are_eyes else "")))
+    return facts
+
+
+@functools.lru_cache(maxsize=8)
+def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
+    """changed, size: of the file, so that another file of the same name is read again."""
+    xmp = jpeg_xmp(path)
+    for namespace, name, find in ((_GDEPTH, "GDepth", _of_base64), (_DYNAMIC, "Dynamic Depth", _behind)):
+        if f'"{namespace}"' not in xmp:
+            continue
+        values = _properties(xmp, namespace)
+        data = find(path, xmp, values)
+        if data:
+            near, far = (_number(values.get(key)) for key in ("Near", "Far"))
+            is_inverse = values.get("Format", "").lower() == _INVERSE
+            known = near is not None and far is not None and 0 < near < far
+            return DepthInside(
+                f"{name} {values.get('Format') or 'without a format'}",
+                data,
+                is_inverse,
+                near if known else None,
+                far if known else None,
+                values.get("MeasureType", "").lower() == "opticray",
+            )
+    return None
+
+
+def _of_base64(path: Path, xmp: str, values: dict[str, str]) -> bytes:
+    try:
+        return base64.b64decode(re.sub(r"&#\w+;|\s+", "", values.get("Data", "")))
+    except (binascii.Error, ValueError):
+        raise InputError(f"{path}: the depth map in its XMP is damaged; give another with --depth FILE") from None
+
+
+def _behind(path: Path, xmp: str, values: dict[str, str]) -> bytes:
+    """The item of the container that is the depth map, among those that lie behind the picture; empty where none is."""
+    items = [dict(re.findall(r'\w+:(\w+)\s*=\s*"([^"]*)"', tag)) for tag in re.findall(r"<\w+:Item\b[^>]*>", xmp)]
+    lengths = [int(item["Length"]) if item.get("Length", "").isdecimal() else 0 for item in items]
+    for index, item in enumerate(items):
+        is_named = item.get("DataURI") and item.get("DataURI") == values.get("DepthURI")
+        if index and (is_named or item.get("Semantic", "").lower() in ("depth", "depthmap")):
+            with open(path, "rb") as file:
+                file.seek(max(0, path.stat().st_size - sum(lengths[index:])))
+                data = file.read(lengths[index])
+            return data if data.startswith((b"\xff\xd8", b"\x89PNG")) else b""
+    return b""
+
+
+def _properties(xmp: str, namespace: str) -> dict[str, str]:
+    """The properties of a namespace, written as attributes or as elements; of several the first."""
+    found: dict[str, str] = {}
+    for prefix in re.findall(rf'xmlns:(\w+)\s*=\s*"{re.escape(namespace)}"', xmp):
+        for pattern in (rf'\b{prefix}:(\w+)\s*=\s*"([^"]*)"', rf"<{prefix}:(\w+)>([^<]*)</"):
+            for name, value in re.findall(pattern, xmp):
+                found.setdefault(name, value)
+    return found
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return float(text or "")
+    except ValueError:
+        return None
+
+
+def _unused_depth(path: Path) -> str:
+    """Words on a depth map in the file that is not read, and what to do; "" where there is none."""
+    if (inside := depth_inside(path)) is not None:
+        return f"a depth map is in it ({inside.name}) and is not used, as options ask for another way"
+    way = "and is not read; save it as a picture of its own, for --depth FILE"
+    if is_heif(path):
+        return f"a depth map is in it (an auxiliary picture), {way}" if _contains(path, _HEIF_DEPTH) else ""
+    if _is_exr(path):
+        layer = read_layer(path, depth_channel)
+        return "" if layer is None else f"its channel {layer.name} holds distances: --depth {path} takes them"
+    if jpeg_xmp(path):
+        for namespace, name in ((_GDEPTH, "GDepth"), (_DYNAMIC, "Dynamic Depth")):
+            if f'"{namespace}"' in jpeg_xmp(path):
+                return f"a depth map should be in it ({name}), and is not found; give one with --depth FILE"
+    with open(path, "rb") as file:
+        if file.read(2) != b"\xff\xd8":
+            return ""
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            if _APPLE_DEPTH.search(data):
+                return f"a depth map is in it (Apple's auxiliary picture), {way}"
+            if data.rfind(_SAMSUNG_DEPTH, max(0, len(data) - _TRAILER_BYTES)) >= 0:
+                return f"a depth map is in it (Samsung's), {way}"
+    return ""
+
+
+def _contains(path: Path, words: Sequence[bytes]) -> bool:
+    with open(path, "rb") as file:
+        start = file.read(_BOXES_BYTES)
+    return any(word in start for word in words)
+
+
+def _is_exr(path: Path) -> bool:
+    with open(path, "rb") as file:
+        return file.read(4) == b"\x76\x2f\x31\x01"

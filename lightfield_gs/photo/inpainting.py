@@ -1,0 +1,354 @@
+"""Holes of a picture filled in: smoothly, by Poisson's equation, and with the picture's own texture, by patches.
+
+The membrane solves Poisson's equation by conjugate gradients. Large holes start from the solution of the half-size
+picture, so that few steps at full size suffice: cascadic multigrid (Bornemann and Deuflhard, "The cascadic multigrid
+method for elliptic problems", 1996).
+The texture is the completion of Wexler et al. ("Space-time completion of video", 2007), with matches found as in Barnes
+et al. ("PatchMatch", 2009), for all places at once. Patches of a large hole are matched in a smaller picture; their
+displacements are then applied at full size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from lightfield_gs.photo.image_filters import halve, max_filter
+
+_ITERATIONS = 8  # where a coarser level has been solved: what is left is local. Twice as many there, and so on
+_MOST_ITERATIONS = 60  # the first guess is close, and what is far inside a hole is hardly ever seen
+_FEW = 1 << 12  # pixels of a hole up to which there is no coarser level
+_TOLERANCE = 1e-4  # of the residual, of what it was at first: a thousandth of a colour step is not seen
+_PART = 1 << 10  # values summed by one thread
+_ANCHOR = 1e-5  # weight of the first guess beside that of a neighbour: decides only where nothing else holds a hole
+
+
+def solve_membrane(
+    values: Tensor,
+    hole: Tensor,
+    linked: Sequence[Tensor],
+    slope: Sequence[Tensor] | None = None,
+    anchor: float = _ANCHOR,
+    iterations: int = _ITERATIONS,
+) -> Tensor:
+    """The values [H, W, C], those of the hole replaced: minimises the sum over linked neighbours p, q, one of them at
+    least in the hole, of |v_q - v_p - g_pq|^2 (Perez et al., "Poisson image editing", 2003, equation 7).
+
+    hole: bool [H, W]. linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows are
+    neighbours. slope: g along columns and rows, [H, W] each, the same for all channels; None: 0. The values in the hole
+    are the first guess, which stays where nothing holds them. anchor: the weight at which it does so beside what
+    neighbours say; a large one keeps what is farther than 1 / sqrt(anchor) pixels off everything known. iterations:
+    where a coarser level has been solved.
+    """
+    index = hole.flatten().nonzero()[:, 0]
+    if len(index) == 0:
+        return values
+    first = values.reshape(-1, values.shape[2])[index]
+    if len(index) > _FEW:
+        values = values + _coarser_correction(values, hole, linked, slope, anchor, iterations)
+    else:
+        iterations = _MOST_ITERATIONS
+    number = torch.full((hole.numel(),), -1, dtype=torch.int64, device=values.device)
+    number[index] = torch.arange(len(index), device=values.device)
+    neighbours, weights, guides = _graph(hole, index, linked, slope)
+    flat = values.reshape(-1, values.shape[2])
+    guess = flat[index]
+    inside = number[neighbours]
+    known = inside < 0
+    # What neighbours outside the hole say, and the guiding steps, go to the right side
+    right = anchor * first
+    for side in range(4):
+        held = torch.where(known[side][:, None], flat[neighbours[side]], 0)
+        right = right + weights[side][:, None] * (held - guides[side][:, None])
+    # The sum over neighbours in the hole is one gather: a row of zeros stands for those that are not, or not linked
+    inside = torch.where(known | (weights == 0), len(index), inside).T.contiguous()
+    diagonal = weights.sum(0)[:, None] + anchor
+
+    def apply(x: Tensor) -> Tensor:
+        return diagonal * x - functional.embedding_bag(inside, functional.pad(x, (0, 0, 0, 1)), mode="sum")
+
+    solved = _conjugate_gradients(apply, right, guess, diagonal, min(iterations, _MOST_ITERATIONS))
+    result = flat.clone()
+    result[index] = solved
+    return result.reshape(values.shape)
+
+
+def _coarser_correction(
+    values: Tensor,
+    hole: Tensor,
+    linked: Sequence[Tensor],
+    slope: Sequence[Tensor] | None,
+    anchor: float,
+    iterations: int,
+) -> Tensor:
+    """What the solution of the half-size picture changes in the values [H, W, C], made as large as they are."""
+    height, width = hole.shape
+    coarse = halve(values.movedim(2, 0))
+    coarse_hole = halve(hole[None].float())[0] > 0
+    rows, columns = coarse_hole.shape
+    # A block of four is joined with the next one unless a cut goes through, in it or beside it
+    whole = [
+        halve(linked[0][None, : 2 * (rows - 1)].float())[0] > 0.5,
+        halve(linked[1][None, :, : 2 * (columns - 1)].float())[0] > 0.5,
+    ]
+    steps = None if slope is None else [2 * halve(part[None])[0] for part in slope]
+    first = coarse.movedim(0, 2)
+    change = (solve_membrane(first, coarse_hole, whole, steps, 4 * anchor, 2 * iterations) - first).movedim(2, 0)[None]
+    change = functional.interpolate(change, scale_factor=2, mode="bilinear", align_corners=False)[0]
+    return torch.where(hole[..., None], change[:, :height, :width].movedim(0, 2), 0)
+
+
+def _graph(
+    hole: Tensor, index: Tensor, linked: Sequence[Tensor], slope: Sequence[Tensor] | None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Pixels beside those of the hole, [4, M] int64, weights 0 or 1 of the links and steps g to them, [4, M]."""
+    width = hole.shape[1]
+    neighbours, weights, guides = [], [], []
+    for dim, stride in ((0, width), (1, 1)):
+        whole = torch.zeros(hole.shape, device=hole.device)
+        whole.narrow(dim, 0, hole.shape[dim] - 1).copy_(linked[dim])
+        step = torch.zeros_like(whole) if slope is None else slope[dim]
+        next_step = step.clone()
+        next_step.narrow(dim, 0, hole.shape[dim] - 1).add_(step.narrow(dim, 1, hole.shape[dim] - 1)).mul_(0.5)
+        whole, next_step = whole.flatten(), next_step.flatten()
+        ahead = (index + stride).clamp_max(hole.numel() - 1)
+        back = (index - stride).clamp_min(0)
+        neighbours += [ahead, back]
+        behind = torch.where(index >= stride, whole[back], 0.0)
+        weights += [whole[index], behind]
+        guides += [next_step[index], -next_step[back]]
+    return torch.stack(neighbours), torch.stack(weights), torch.stack(guides)
+
+
+def _conjugate_gradients(apply, right: Tensor, guess: Tensor, diagonal: Tensor, iterations: int) -> Tensor:
+    """x [M, C] with apply(x) = right, apply being symmetric and positive, each channel by itself; Jacobi's
+    preconditioner."""
+    x = guess.clone()
+    residual = right - apply(x)
+    z = residual / diagonal
+    direction, product = z.clone(), _sums(residual * z)
+    enough = _TOLERANCE**2 * product.max().clamp_min(1e-30)
+    for _ in range(iterations):
+        if bool((product <= enough).all()):
+            break
+        image = apply(direction)
+        step = product / _sums(direction * image).clamp_min(1e-30)
+        x += step * direction
+        residual -= step * image
+        z = residual / diagonal
+        new = _sums(residual * z)
+        direction = z + new / product.clamp_min(1e-30) * direction
+        product = new
+    return x
+
+
+def _sums(values: Tensor) -> Tensor:
+    """The sum of each channel of [M, C], in an order that does not depend on the number of threads."""
+    parts = functional.pad(values, (0, 0, 0, -len(values) % _PART)).view(-1, _PART, values.shape[1])
+    return parts.sum(1).sum(0)
+
+
+_RADIUS = 3  # of a patch, pixels
+_STRIDE = 2  # of the places that have patches
+_COARSEST = 40  # pixels of the shorter side, about, at which it begins
+_DEPTH_WEIGHT = 4.0  # of a difference of log disparity beside one of colour: a patch comes from its own surface
+_ROUNDS = (2, 3, 4, 6)  # of matching and voting, from the finest level on; the last for all coarser ones
+_MATCHED = 1 << 15  # pixels of the hole, the most, at which patches are matched: more are copied
+_SEARCHED = 2  # levels from the finest on that only pass matches on, without a random search
+
+
+class _Level:
+    """A picture of the pyramid. image: [3, H, W]; hole, source: bool [H, W]; guide: [H, W]."""
+
+    def __init__(self, image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> None:
+        self.image, self.hole, self.source, self.guide = image, hole, source, guide
+
+    def halve(self) -> _Level:
+        """Half as large; a hole where any of four pixels is one, a source where all four are."""
+
+        hole, source = (halve(mask[None].float())[0] for mask in (self.hole, self.source))
+        return _Level(halve(self.image), hole > 0, source == 1, halve(self.guide[None])[0])
+
+
+def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tensor:
+    """What patches of the source say of the image [H, W, 3], in its hole and a patch's radius around it, [H, W, 3].
+
+    hole, source: bool [H, W]; the colours in the hole are a smooth first guess. guide: [H, W], log disparity: a patch
+    comes rather from the same depth. The same input gives the same picture.
+    """
+    levels = [_Level(image.movedim(2, 0).contiguous(), hole, source & ~hole, guide)]
+    while min(levels[-1].hole.shape) >= 2 * _COARSEST:
+        levels.append(levels[-1].halve())
+    finest = next((number for number, level in enumerate(levels) if int(level.hole.sum()) <= _MATCHED), len(levels) - 1)
+    random = torch.Generator(device=image.device).manual_seed(0)
+    search: _Matches | None = None
+    for number in reversed(range(len(levels))):
+        if not bool(levels[number].hole.any()):
+            continue
+        coarser = search
+        found = _Matches(levels[number], coarser, random)
+        if len(found.places) == 0:  # too small for a patch
+            continue
+        search, searches = found, number >= finest + _SEARCHED
+        for turn in range(_ROUNDS[min(number - finest, len(_ROUNDS) - 1)] if number > finest else _ROUNDS[0]):
+            if turn or coarser is None or searches:
+                search.improve(searches)
+            search.vote()
+        if number <= finest:
+            break
+    if search is None:
+        return image
+    return search.voted.movedim(0, 2) if number == 0 else _copied(search, levels[0], 2**number)
+
+
+def _copied(search: _Matches, level: _Level, scale: int) -> Tensor:
+    """The picture [H, W, 3] of this level, its hole and the pixels beside it from where the matches of another one, as
+    many times smaller, say; patches meet in seams half as wide as their places are apart."""
+    goal = max_filter(level.hole, 1).nonzero()
+    matches, is_set = search.grid()
+    # Between which four places of the grid a pixel is, and how far
+    at = ((goal + 0.5) / scale - 0.5) / _STRIDE
+    low = at.floor()
+    share = ((at - low) * 2 - 0.5).clamp(0, 1)
+    image = level.image.movedim(0, 2)
+    total, mixed = image.new_zeros(len(goal), 1), image.new_zeros(len(goal), 3)
+    last = torch.tensor(level.hole.shape, device=goal.device) - 1
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        cell = low.long() + torch.tensor(corner, device=goal.device)
+        row, column = (cell[:, dim].clamp(0, is_set.shape[dim] - 1) for dim in (0, 1))
+        down, right = ((share if side else 1 - share)[:, dim] for dim, side in enumerate(corner))
+        weight = (down * right + 1e-9) * is_set[row, column]
+        moved = (matches[row, column] - _STRIDE * torch.stack([row, column], 1)) * scale
+        source = torch.minimum((goal + moved).clamp_min(0), last)
+        mixed += weight[:, None] * image[source[:, 0], source[:, 1]]
+        total += weight[:, None]
+    said = torch.where(total > 0, mixed / total.clamp_min(1e-30), image[goal[:, 0], goal[:, 1]])
+    result = image.clone()
+    result[goal[:, 0], goal[:, 1]] = said
+    return result
+
+
+class _Matches:
+    """For each place near the hole, the source patch that is most like it."""
+
+    def __init__(self, level: _Level, coarser: _Matches | None, random: torch.Generator) -> None:
+        self.level, self.random, self.voted = level, random, level.image
+        self.height, self.width = level.hole.shape
+        device = level.hole.device
+        r = _RADIUS
+        self.offsets = (
+            torch.stack(torch.meshgrid(torch.arange(-r, r + 1), torch.arange(-r, r + 1), indexing="ij"), 2)
+            .reshape(-1, 2)
+            .to(device)
+        )
+        # Source patches lie wholly within the source
+        whole = ~max_filter(~level.source, r)
+        whole[:r], whole[self.height - r :], whole[:, :r], whole[:, self.width - r :] = False, False, False, False
+        self.whole = whole
+        self.places = whole.nonzero()
+        near = max_filter(level.hole, r)
+        rows, columns = (torch.arange(0, size, _STRIDE, device=device) for size in level.hole.shape)
+        chosen = near[rows][:, columns]
+        self.shape = chosen.shape
+        self.number = torch.full(chosen.shape, -1, dtype=torch.int64, device=device)
+        cells = chosen.nonzero()
+        self.number[chosen] = torch.arange(len(cells), device=device)
+        self.cells, self.centres = cells, cells * _STRIDE
+        if len(self.places) == 0:
+            return
+        self.own = self._own_places()
+        self.colours = level.image.movedim(0, 2).reshape(-1, 3).contiguous()
+        self.patches = self.colours[self.own]
+        self.match = self._first(coarser)
+        self.cost = self._cost(self.match, torch.arange(len(cells), device=device))
+
+    def _first(self, coarser: _Matches | None) -> Tensor:
+        count = len(self.centres)
+        drawn = self.places[
+            torch.randint(len(self.places), (count,), generator=self.random, device=self.centres.device)
+        ]
+        if coarser is None:
+            return drawn
+        matches, is_set = coarser.grid()
+        at = torch.minimum(self.cells // 2, torch.tensor(is_set.shape, device=self.cells.device) - 1)
+        moved = matches[at[:, 0], at[:, 1]] * 2 + self.centres - at * 2 * _STRIDE
+        usable = is_set[at[:, 0], at[:, 1]] & self._is_place(moved)
+        return torch.where(usable[:, None], moved, drawn)
+
+    def _is_place(self, places: Tensor) -> Tensor:
+        inside = (places >= 0).all(1) & (places[:, 0] < self.height) & (places[:, 1] < self.width)
+        clamped = self._within(places)
+        return inside & self.whole[clamped[:, 0], clamped[:, 1]]
+
+    def _within(self, places: Tensor) -> Tensor:
+        return torch.stack([places[..., 0].clamp(0, self.height - 1), places[..., 1].clamp(0, self.width - 1)], -1)
+
+    def _own_places(self) -> Tensor:
+        """The pixels of the patches of all places, [M, 49], those beyond the border moved onto it."""
+        inside = self._within(self.centres[:, None] + self.offsets)
+        return inside[..., 0] * self.width + inside[..., 1]
+
+    def _flat(self, match: Tensor) -> Tensor:
+        """The pixels of source patches, [M, 49]: they lie within the picture."""
+        steps = self.offsets[:, 0] * self.width + self.offsets[:, 1]
+        return (match[:, 0] * self.width + match[:, 1])[:, None] + steps
+
+    def _cost(self, match: Tensor, which: Tensor) -> Tensor:
+        """Mean squared difference of colours, and of depths, of patches."""
+        guide, middle = self.level.guide.flatten(), self.offsets.shape[0] // 2
+        there = self._flat(match)
+        apart = self.patches[which] - self.colours[there.flatten()].view(len(which), -1, 3)
+        cost = apart.square_().sum((1, 2)) / len(self.offsets)
+        apart = guide[self.own[which, middle]] - guide[there[:, middle]]
+        return cost + (_DEPTH_WEIGHT * apart).square().clamp_max(2.0) * 0.05
+
+    def improve(self, searches: bool) -> None:
+        """What the neighbours have, and with `searches` places drawn closer and closer to the match."""
+        every = torch.arange(len(self.centres), device=self.centres.device)
+        self.cost = self._cost(self.match, every)
+        for way in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+            step = torch.tensor(way, device=self.cells.device)
+            beside = self.cells + step
+            inside = (beside >= 0).all(1) & (beside[:, 0] < self.shape[0]) & (beside[:, 1] < self.shape[1])
+            beside = beside.clamp_min(0)
+            other = self.number[beside[:, 0].clamp_max(self.shape[0] - 1), beside[:, 1].clamp_max(self.shape[1] - 1)]
+            candidate = self.match[other.clamp_min(0)] - step * _STRIDE
+            self._try(candidate, inside & (other >= 0))
+        radius = max(self.height, self.width) / 2
+        while searches and radius >= 1:
+            drawn = torch.rand(self.match.shape, generator=self.random, device=self.match.device) * 2 - 1
+            self._try(self.match + (drawn * radius).round().long(), None)
+            radius /= 2
+
+    def _try(self, candidate: Tensor, allowed: Tensor | None) -> None:
+        usable = self._is_place(candidate) & (candidate != self.match).any(1)
+        which = (usable if allowed is None else usable & allowed).nonzero()[:, 0]
+        cost = self._cost(candidate[which], which)
+        better = cost < self.cost[which]
+        self.match[which[better]] = candidate[which[better]]
+        self.cost[which[better]] = cost[better]
+
+    def vote(self) -> None:
+        """Each pixel of the hole becomes the mean of what the patches over it say, the likest ones counting most."""
+        scale = self.cost.quantile(0.5) if len(self.cost) < 1 << 20 else self.cost.median()
+        weight = torch.exp(-self.cost / (2 * scale.clamp_min(1e-6)))[:, None]
+        near = torch.exp(-(self.offsets**2).sum(1) / 4.0)  # a patch knows best what is in its middle
+        goal = self.centres[:, None] + self.offsets
+        inside = (goal >= 0).all(2) & (goal[..., 0] < self.height) & (goal[..., 1] < self.width)
+        weight = ((weight * near + 1e-9) * inside).view(-1, 1)
+        said = torch.cat([weight * self.colours[self._flat(self.match).flatten()], weight], 1)
+        said = said.new_zeros(len(self.colours), 4).index_add_(0, self.own.flatten(), said)
+        mixed, total = said[:, :3] / said[:, 3:].clamp_min(1e-30), said[:, 3:]
+        self.voted = torch.where(total > 0, mixed, self.colours).T.view_as(self.level.image)
+        hole = self.level.hole.flatten()[:, None] & (total > 0)
+        self.colours = torch.where(hole, mixed, self.colours)
+        self.patches = self.colours[self.own]
+
+    def grid(self) -> tuple[Tensor, Tensor]:
+        """The matches of the grid of places, [h, w, 2], and where there are any."""
+        matches = torch.zeros((*self.shape, 2), dtype=torch.int64, device=self.match.device)
+        matches[self.cells[:, 0], self.cells[:, 1]] = self.match
+        return matches, self.number >= 0

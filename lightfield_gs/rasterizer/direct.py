@@ -1,0 +1,184 @@
+"""The sub-pixels of a panel as a torch operator with its backward: torch.ops.lightfield_gs.render_direct.
+
+The stages are project, order, bin and composite (docs/design.md). Each sub-pixel is seen from the camera offset of its
+own view. Results are deterministic: the same bits for any number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.rasterizer.lenticular_camera import CameraNumbers, LenticularCamera
+from lightfield_gs.rasterizer.operators import differentiable_once, operator_schema
+from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.scene import SceneTensors, check
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import Workspace, make_workspace
+
+# Orders of the polynomials for colours that vary over a rig. float64 takes the higher one: it is there to be exact
+COLOUR_ORDER, EXACT_COLOUR_ORDER = 8, 16
+
+
+class DirectRender:
+    """A render of one light-field image: checked Gaussians, background and camera."""
+
+    def __init__(
+        self, fields: Iterable[Tensor], background: Tensor, camera: LenticularCamera, antialiased: bool = False
+    ):
+        """Check the tensors.
+
+        Args:
+            fields: means [N, 3], quaternions, scales, opacities and sh of one scene.
+            background: [3].
+            camera: of the panel's sub-pixels.
+            antialiased: see encoding.encode.
+
+        Raises:
+            InputError: for tensors of other shapes, types or devices.
+        """
+        self.scene = SceneTensors(*(t.unsqueeze(0) for t in fields))
+        self.background = check("background", background, (3,), self.scene)
+        self.camera, self.antialiased, self.native = camera, antialiased, camera.native(antialiased)
+        self.compensated = antialiased or camera.aperture > 0  # opacities are lowered where footprints are widened
+        self.width, self.height = camera.lens.width_px, camera.lens.height_px
+        exact = background.dtype == torch.float64
+        self.colour_order = 0 if self.scene.degree == 0 else EXACT_COLOUR_ORDER if exact else COLOUR_ORDER
+
+    def new_image(self, as_bytes: bool = False) -> Tensor:
+        """Allocate the image [H, W, 3], of the scene's dtype or, with as_bytes, uint8."""
+        return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
+
+    def workspace(self, stats: Stats, threads: int, quality: Quality = EXACT) -> Workspace:
+        """Run the stages before the composite, and return their workspace."""
+        with self.scene.guard:
+            with stats.stage("project"):
+                work = make_workspace(
+                    self.scene,
+                    1,
+                    self.width,
+                    self.height,
+                    stats,
+                    threads,
+                    direct=True,
+                    colour_order=self.colour_order,
+                    compensated=self.compensated,
+                )
+                stats.colour_error = work.project_direct(self.native, quality)
+            work.order_and_bin()
+        return work
+
+
+class _SceneArguments(NamedTuple):
+    """The first arguments of the operators; all float32, or on the CPU all float64.
+
+    means: [N, 3]. quaternions: [N, 4], wxyz. scales: [N, 3], > 0. opacities: [N], in (0, 1]. sh: [N, K, 3].
+    background: [3].
+    """
+
+    means: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+    background: Tensor
+
+
+class _Options(NamedTuple):
+    antialiased: bool = False
+
+
+class _Drawn(NamedTuple):
+    image: Tensor
+    g_image: Tensor
+
+
+_CAMERA = len(_SceneArguments._fields)  # where CameraNumbers begin among the arguments
+_OPTIONS = _CAMERA + len(CameraNumbers._fields)
+
+
+def _unpack(arguments: tuple[Any, ...]) -> DirectRender:
+    """Return the render of an operator's arguments."""
+    scene, camera = _SceneArguments(*arguments[:_CAMERA]), CameraNumbers(*arguments[_CAMERA:_OPTIONS])
+    options = _Options(*arguments[_OPTIONS : _OPTIONS + 1])
+    return DirectRender(scene[:5], scene.background, LenticularCamera.from_numbers(camera), options.antialiased)
+
+
+def _forward(*arguments: Any) -> Tensor:
+    """Return the image [H, W, 3] that a panel with slanted lenses shows of N Gaussians.
+
+    It is differentiable in the first six arguments. A sub-pixel of view coordinate x is seen by the camera at
+    offset_start + offset_step * x. lightfield_gs.encode makes the arguments from a Panel and a Rig.
+
+    Args:
+        arguments: of _SceneArguments, CameraNumbers and _Options.
+
+    Raises:
+        InputError: for arguments of other shapes, types or values.
+    """
+    render = _unpack(arguments)
+    work, out = render.workspace(Stats(), torch.get_num_threads()), render.new_image()
+    with render.scene.guard:
+        work.composite_direct(render.native, EXACT, render.background, out)
+    return out
+
+
+render_direct = torch.library.custom_op(
+    "lightfield_gs::render_direct",
+    _forward,
+    mutates_args=(),
+    device_types=("cpu", "cuda"),
+    schema=operator_schema(_SceneArguments, CameraNumbers, _Options, outputs=1),
+)
+
+
+@render_direct.register_fake
+def _(*arguments):
+    camera = CameraNumbers(*arguments[_CAMERA:_OPTIONS])
+    return arguments[0].new_empty((camera.height_px, camera.width_px, 3))
+
+
+def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
+    """Return the gradients of render_direct's first six arguments.
+
+    arguments: of render_direct, then its image and the gradient of that.
+    """
+    render, drawn = _unpack(arguments), _Drawn(*arguments[_OPTIONS + 1 :])
+    shape = (render.height, render.width, 3)
+    image, g_image = (check(name, t, shape, render.scene) for name, t in zip(drawn._fields, drawn))
+    work = render.workspace(Stats(), torch.get_num_threads())
+    with render.scene.guard:
+        fields, parts = work.direct_backward(render.native, render.background, image, g_image)
+    return (*(g.squeeze(0) for g in fields), parts.sum(0))
+
+
+render_direct_backward = torch.library.custom_op(
+    "lightfield_gs::render_direct_backward",
+    _gradients,
+    mutates_args=(),
+    device_types=("cpu", "cuda"),
+    schema=operator_schema(_SceneArguments, CameraNumbers, _Options, _Drawn, outputs=6, defaults=False),
+)
+
+
+@render_direct_backward.register_fake
+def _(*arguments):
+    return tuple(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:_CAMERA])
+
+
+def _setup_context(ctx, inputs, output):
+    ctx.numbers = inputs[_CAMERA:]
+    ctx.save_for_backward(*inputs[:_CAMERA], output)
+
+
+@differentiable_once
+def _backward(ctx, grad):
+    *tensors, image = ctx.saved_tensors
+    out = torch.ops.lightfield_gs.render_direct_backward(*tensors, *ctx.numbers, image, grad)
+    return (*out, *(None for _ in ctx.numbers))
+
+
+render_direct.register_autograd(_backward, setup_context=_setup_context)

@@ -1,0 +1,216 @@
+"""Decode videos: in time, upright, with square pixels, and in the colours of sRGB."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.base.arrays import decode_srgb, encode_srgb
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.images import MAX_PIXELS
+
+# Numbers of ITU-T H.273
+_BT2020, _P3 = 9, 12  # primaries
+_PQ, _HLG = 16, 18  # transfer characteristics
+_NAMES = {_BT2020: "BT.2020", _P3: "Display P3", _PQ: "PQ", _HLG: "HLG"}
+# Linear light of these primaries to BT.709's, which are sRGB's, all with the white D65 (ITU-R BT.2087, SMPTE EG 432)
+_TO_BT709 = {
+    _BT2020: np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]]),
+    _P3: np.array([[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]]),
+}
+_WHITE_NITS = 203.0  # of diffuse white in PQ (ITU-R BT.2408); in HLG it has the code 0.75
+_PAUSE = 1.5  # between two frames, in typical steps, from which on the frame before is repeated
+_MOST_REPEATS = 100  # of a frame on average; beyond that, times are taken for wrong
+_ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own leave alpha out
+
+
+def av_library(purpose: str) -> ModuleType:
+    """The module `av`. Raises InputError where it is not installed; purpose: what it is needed for."""
+    try:
+        import av
+    except ImportError:
+        raise InputError(f"{purpose} needs PyAV, which is not installed: pip install 'lightfield-gs[video]'") from None
+    return av
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """order: of each picture, the number of the frame in the file that it shows; fps: None where the file does not
+    say; notes: lines on what is done to the frames."""
+
+    order: tuple[int, ...]
+    fps: Fraction | None
+    notes: tuple[str, ...]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """PyAV's container and the first stream of pictures. Raises InputError, of whatever FFmpeg finds wrong."""
+    with reading(path):
+        path.open("rb").close()
+    av = av_library(f"{path}: a video")
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise InputError(f"{path}: expected a video, got a file without pictures")
+            stream = container.streams.video[0]
+            if stream.width * stream.height > MAX_PIXELS:
+                raise InputError(f"{path}: {stream.width} x {stream.height} pixels; expected at most {MAX_PIXELS}")
+            stream.thread_type = "AUTO"
+            yield container, stream
+    except av.FFmpegError as error:
+        raise InputError(f"{path} is not a video that can be read: {error.strerror or error}") from error
+
+
+def timeline(path: Path, in_time: bool = True) -> Timeline:
+    """Which frame of a video is seen when. Nothing is decode but the first frame. Raises InputError.
+
+    Args:
+        path: the video.
+        in_time: frames that are seen longer than others are repeated; else each comes once.
+    """
+    with _opened(path) as (container, stream):
+        frame, found, times = None, 0, []
+        for packet in container.demux(stream):
+            frame = frame or next(iter(packet.decode()), None)
+            # What the header says of the count is often 0 or wrong. An edit list, as phones trim, discards packets
+            if packet.size > 0 and not packet.is_discard:
+                found += 1
+                times += [] if packet.pts is None else [float(packet.pts * packet.time_base)]
+        rate, base = stream.average_rate, stream.base_rate
+        notes = [] if frame is None else list(_conversions(stream, frame))
+    if not found:
+        raise InputError(f"{path}: expected a video, got one without frames")
+    order, fps = tuple(range(found)), Fraction(rate) if rate else None
+    gaps = np.diff(np.sort(times))
+    if in_time and len(times) == found > 2 and (step := float(np.median(gaps))) > 0 and gaps.max() > _PAUSE * step:
+        count = round(float(gaps.sum()) / step) + 1
+        if count <= _MOST_REPEATS * found:
+            fps = Fraction(base) if base and abs(base * step - 1) < 0.05 else Fraction(1 / step).limit_denominator(1001)
+            starts = np.concatenate([[0.0], np.cumsum(gaps)])
+            shown = np.searchsorted(starts, (np.arange(count) + 0.5) * step) - 1
+            order = tuple(shown.tolist())
+            notes.append(f"its {found} frames come at unequal times: repeated to {count} at {float(fps):g} a second")
+    return Timeline(order, fps, tuple(f"{path.name}: {note}" for note in notes))
+
+
+def decode(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
+    """The frames, uint8 [H, W, 3], or [H, W, 4] where the video has alpha. Raises InputError.
+
+    Args:
+        path: the video.
+        maps: it holds depths: of more than 8 bits they are uint16 [H, W, 1], as stored where they are grey of 16 bits,
+            else scaled to 0..65535; their colours are not converted.
+    """
+    with _opened(path) as (container, stream):
+        curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
+        aspect = _pixel_aspect(stream)
+        for frame in _frames(container, stream):
+            if maps and frame.format.components[0].bits > 8:
+                pixels = _scaled(frame, aspect, "gray16le")[..., None]
+            elif not maps and (curve in (_PQ, _HLG) or primaries in _TO_BT709):
+                pixels = _to_srgb(_scaled(frame, aspect, "rgb48le"), curve, primaries)
+            else:
+                has_alpha = any(component.is_alpha for component in frame.format.components)
+                pixels = _scaled(frame, aspect, "rgba" if has_alpha else "rgb24")
+            yield np.ascontiguousarray(_turned(pixels, frame))
+
+
+def _frames(container: Any, stream: Any) -> Iterator[Any]:
+    """PyAV's frames, deinterlaced, with alpha where the video has it."""
+    av = av_library("a video")
+    decoder = _ALPHA_DECODERS.get(stream.codec_context.name)
+    if stream.metadata.get("alpha_mode") == "1" and decoder in av.codecs_available:
+        context = av.CodecContext.create(decoder, "r")
+        packets = container.demux(stream)
+        decoded_frames = (frame for packet in packets for frame in context.decode(packet if packet.size else None))
+    else:
+        decoded_frames = container.decode(stream)
+    graph: Any = None
+    for number, frame in enumerate(decoded_frames):
+        if number == 0 and frame.interlaced_frame:
+            graph = av.filter.Graph()
+            graph.link_nodes(graph.add_buffer(template=stream), graph.add("yadif"), graph.add("buffersink")).configure()
+        if graph is None:
+            yield frame
+            continue
+        graph.vpush(frame)
+        yield from _pulled(graph)
+    if graph is not None:
+        graph.vpush(None)
+        yield from _pulled(graph)
+
+
+def _pulled(graph: Any) -> Iterator[Any]:
+    """The frames that a graph of filters has ready."""
+    av = av_library("a video")
+    while True:
+        try:
+            yield graph.vpull()
+        except (av.BlockingIOError, av.EOFError):
+            return
+
+
+def _conversions(stream: Any, frame: Any) -> Iterator[str]:
+    """What is done to the frames of a video, by its first one."""
+    aspect = _pixel_aspect(stream)
+    if aspect != 1:
+        yield f"pixels of {aspect.numerator}:{aspect.denominator} are made square"
+    if frame.interlaced_frame:
+        yield "interlaced fields are made whole frames (yadif)"
+    curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
+    known = [_NAMES[number] for number in (primaries, curve) if number in _NAMES]
+    if known:
+        yield f"colours of {', '.join(known)} are converted to sRGB, and what is brighter than white is cut"
+
+
+def _pixel_aspect(stream: Any) -> Fraction:
+    """Width over height of a pixel; 1 where the video does not say."""
+    return Fraction(stream.sample_aspect_ratio or 1)
+
+
+def _scaled(frame: Any, aspect: Fraction, pixel_format: str) -> np.ndarray:
+    """A frame with square pixels; the shorter side is enlarged."""
+    width, height = frame.width, frame.height
+    if aspect > 1:
+        width = min(round(width * aspect), MAX_PIXELS // height)
+    elif aspect < 1:
+        height = min(round(height / aspect), MAX_PIXELS // width)
+    return frame.reformat(width=width, height=height, format=pixel_format).to_ndarray()
+
+
+def _turned(pixels: np.ndarray, frame: Any) -> np.ndarray:
+    """A frame as its display matrix (ISO 14496-12, 8.3.2) turns and mirrors it, by quarters."""
+    entries = [data for data in frame.side_data if data.type.name == "DISPLAYMATRIX"]
+    if not entries:
+        return pixels
+    a, b, _, c, d = np.frombuffer(bytes(entries[0]), np.int32)[:5].astype(np.int64)  # x' = a x + c y, y' = b x + d y
+    if abs(b) + abs(c) > abs(a) + abs(d):
+        pixels, a, d = pixels.swapaxes(0, 1), c, b
+    return pixels[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
+
+
+def _to_srgb(codes: np.ndarray, curve: int, primaries: int) -> np.ndarray:
+    """RGB codes uint16 [H, W, 3] of some curve and primaries as sRGB, uint8, white at 1 (ITU-R BT.2100, BT.2408)."""
+    values = np.linspace(0.0, 1.0, 65536)
+    if curve == _HLG:
+        a, b, c = 0.17883277, 0.28466892, 0.55991073
+        light = np.where(values <= 0.5, values**2 / 3, (np.exp((values - c) / a) + b) / 12)
+        light /= (np.exp((0.75 - c) / a) + b) / 12
+    elif curve == _PQ:
+        m1, m2, c1, c2, c3 = 2610 / 16384, 2523 / 32, 3424 / 4096, 2413 / 128, 2392 / 128
+        power = values ** (1 / m2)
+        light = (np.maximum(power - c1, 0) / (c2 - c3 * power)) ** (1 / m1) * (10000 / _WHITE_NITS)
+    else:
+        light = decode_srgb(values)
+    linear = light.astype(np.float32)[codes]
+    if primaries in _TO_BT709:
+        linear = linear @ _TO_BT709[primaries].T.astype(np.float32)
+    return (encode_srgb(linear.clip(0, 1)) * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,148 @@
+"""Videos and animated GIF, WebP, PNG and AVIF files, frame by frame, and their frames as views."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_large_non_image
+from lightfield_gs.io.images import MAX_PIXELS, Picture
+from lightfield_gs.io.pillow_images import pillow_errors
+from lightfield_gs.panels.panel import MAX_VIEWS
+from lightfield_gs.video.sequence import Sequence, open_sequence
+from lightfield_gs.view_sets.pixels import ViewColours, plays_back_and_forth, thumbnail
+
+_ANIMATIONS = (".gif", ".webp", ".png", ".apng", ".avif")
+_ANIMATED_BIT = 2  # of the flags of a WebP's VP8X chunk
+_MOST_TO_AND_FRO = 1000  # frames, up to which it is looked whether they come back
+_SLOWEST_MS = 100  # of a frame whose file says 0, as browsers have it
+
+
+@dataclass(frozen=True)
+class Span:
+    """Which frames are taken: first, and on by step, to last and with it; last None: to the end."""
+
+    first: int = 0
+    last: int | None = None
+    step: int = 1
+
+    def numbers(self, count: int) -> range:
+        """Those of `count` frames."""
+        return range(self.first, count if self.last is None else min(count, self.last + 1), self.step)
+
+
+class Movie:
+    """The frames of a video or an animation. fps: frames a second, None where not said. count: of all frames, as the
+    file has it. in_time: see `timeline`. What is done to the frames of a video is told (Assumption). Raises InputError.
+    """
+
+    def __init__(self, path: Path, in_time: bool):
+        self.path = path
+        self._video: Sequence | None = None
+        if path.suffix.lower() in VIDEO_INPUTS:
+            self._video = open_sequence(path, in_time=in_time)
+            self.count, self.fps = self._video.count, self._video.fps
+            for words in self._video.notes:
+                assume(words)
+        else:
+            self.count, self.fps = _animation_header(path)
+
+    def frames(self, numbers: range) -> Iterator[tuple[int, np.ndarray]]:
+        """Those of these numbers, [H, W, C], as far as there are any. Raises InputError."""
+        if self._video is not None:
+            yield from self._video.frames(numbers)
+            return
+        for number, pixels in enumerate(_animation(self.path)):
+            if number in numbers:
+                yield number, pixels
+            if not numbers or number >= numbers[-1]:
+                return
+
+
+class FrameViews:
+    """Frames of a movie as views, the left-most camera's first, in a file that goes with it. Raises InputError where
+    there are none or too many."""
+
+    def __init__(self, movie: Movie, span: Span, colours: ViewColours, right_to_left: bool = False):
+        numbers = span.numbers(movie.count)
+        if not 2 <= len(numbers) <= MAX_VIEWS:
+            raise InputError(
+                f"{movie.path}: expected 2..{MAX_VIEWS} frames as views, got {len(numbers)} of its {movie.count}"
+            )
+        self._file = tempfile.TemporaryFile(prefix="lightfield-gs-")
+        self.count, shape, last = 0, (0, 0, 0), 0
+        for last, pixels in movie.frames(numbers):
+            view = colours.of(Picture(pixels), movie.path)
+            if self.count and view.shape != shape:
+                raise InputError(f"{movie.path}: its frame {last} is {view.shape[1]} x {view.shape[0]}, others are not")
+            shape = view.shape
+            self._file.write(view.tobytes())
+            self.count += 1
+        if self.count < 2:
+            raise InputError(f"{movie.path}: expected 2 frames at least, got {self.count}; it is cut")
+        self._file.flush()
+        self._views = np.memmap(self._file, np.uint8, "r", shape=(self.count, *shape))
+        self.height_px, self.width_px = shape[:2]
+        self.first_frame, self.last_frame = numbers[0], last
+        self._right_to_left = right_to_left
+        if self.count <= _MOST_TO_AND_FRO and plays_back_and_forth([thumbnail(view) for view in self._views]):
+            assume(
+                f"the frames of {movie.path} go one way across the views, though they seem to go there and back; "
+                f"one way may be --frames {numbers[0]}:{numbers[self.count // 2]}:{span.step}"
+            )
+
+    def view(self, number: int) -> np.ndarray:
+        """[H, W, 3] uint8 of a view."""
+        return np.array(self._views[self.count - 1 - number if self._right_to_left else number])
+
+
+def is_movie(path: Path) -> bool:
+    """Whether a file is a video by its name, or an animation of several frames."""
+    if path.suffix.lower() in VIDEO_INPUTS:
+        return True
+    return path.suffix.lower() in _ANIMATIONS and _animation_header(path)[0] > 1
+
+
+def _animation_header(path: Path) -> tuple[int, Fraction | None]:
+    """Number of frames of an image file, and frames a second; 1, None of what is no animation."""
+    from PIL import Image
+
+    with contextlib.suppress(InputError), pillow_errors(str(path)):  # what reads images sees to it
+        refuse_large_non_image(path)
+        with path.open("rb") as file:
+            start = file.read(32)
+        if start[:4] == b"RIFF" and not (start[12:16] == b"VP8X" and start[20] & _ANIMATED_BIT):
+            return 1, None
+        with Image.open(path) as image:
+            count = getattr(image, "n_frames", 1)
+            milliseconds = image.info.get("duration", 0) or _SLOWEST_MS
+            return count, Fraction(1000, max(1, round(milliseconds))) if count > 1 else None
+    return 1, None
+
+
+def _animation(path: Path) -> Iterator[np.ndarray]:
+    """The frames of an animation as they are seen, uint8 [H, W, 3 or 4]. Raises InputError."""
+    from PIL import Image, ImageSequence
+
+    words = f"{path} is no animation that can be read"
+    with pillow_errors(words):
+        image = Image.open(path)
+    with image:
+        if image.width * image.height > MAX_PIXELS:
+            raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {MAX_PIXELS}")
+        frames = ImageSequence.Iterator(image)
+        while True:
+            with pillow_errors(words):
+                frame = next(frames, None)
+                pixels = None if frame is None else np.asarray(frame.convert("RGBA"))
+            if pixels is None:
+                return
+            yield pixels
