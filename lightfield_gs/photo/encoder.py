@@ -102,7 +102,7 @@ class PhotoEncoder:
             level = self._level(max(photo.shape[:2]))
             cropped, fine = self.net.crops(photo, level)
         with stats.stage("network"):
-            self.gaussians = self.net.seen_gaussians(cropped, fine, level)
+            self.gaussians = self.net.visible_gaussians(cropped, fine, level)
         with stats.stage("framing"):
             self.rig = self._looked(framing.frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
