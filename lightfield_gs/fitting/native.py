@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from types import ModuleType
 
 import torch
 from torch import Tensor
@@ -40,7 +40,7 @@ def check_tensor(
     return value.contiguous()
 
 
-def select_stages(what: str, tensor: Tensor) -> type[_core._Stages]:
+def select_stages(what: str, tensor: Tensor) -> ModuleType:
     """Return the native stages for a tensor's precision.
 
     Raises:
@@ -58,7 +58,7 @@ def select_stages(what: str, tensor: Tensor) -> type[_core._Stages]:
     raise InputError(f"{what} must be {wanted} on {device}, got {dtype}")
 
 
-def run_stage(name: str, stages: Any, device: torch.device, *arguments: Any) -> None:
+def run_stage(name: str, stages: ModuleType, device: torch.device, *arguments: object) -> None:
     """Run a stage on the CPU, or queue it in torch's current stream of a CUDA device.
 
     Args:

@@ -307,10 +307,12 @@ class _Job:
 
     def buffers(self) -> dict:
         """Return the native buffers, which hold as long as this job does."""
-        values, first, second = (self.stages.Fields(*(t.data_ptr() for t in tensors)) for tensors in self.raw)
+        values, first, second = (self.stages.Parameters(*(t.data_ptr() for t in tensors)) for tensors in self.raw)
         gradients = self.stages.Gaussians(self.count, self.degree, *(g.data_ptr() for g in self.gradients))
         scales, opacities = (t.data_ptr() for t in self.drawn)
-        return dict(gradients=gradients, fields=values, first=first, second=second, scales=scales, opacities=opacities)
+        return dict(
+            gradients=gradients, parameters=values, first=first, second=second, scales=scales, opacities=opacities
+        )
 
 
 def _check_betas(betas: tuple[float, float]) -> tuple[float, float]:

@@ -52,20 +52,20 @@ def photo_loss_and_gradient(
     if weights is not None:
         weights = check_tensor("weights", weights, shape[:3], torch.float32, device)
     ssim_lambda = real_number("ssim_lambda", ssim_lambda, 0, 1)
-    views, height, width = shape[:3]
+    count, height, width = shape[:3]
     with device_guard(device):
-        partials = (_core.cuda if image.is_cuda else _core).photo_loss_partials(views, height, width)
+        partials = (_core.cuda if image.is_cuda else _core).photo_loss_partials(count, height, width)
         derivatives, sums = image.new_empty(3, *shape), image.new_empty(partials, dtype=torch.float64)
         loss, gradient = image.new_empty(()), torch.empty_like(image)
         job = stages.PhotoLoss(
-            views=views,
+            images=count,
             height_px=height,
             width_px=width,
             image=image.data_ptr(),
             photo=0 if is_bytes else photo.data_ptr(),
             photo_bytes=photo.data_ptr() if is_bytes else 0,
             weights=optional_address(weights),
-            ssim_share=ssim_lambda,
+            ssim_lambda=ssim_lambda,
             derivatives=derivatives.data_ptr(),
             partials=sums.data_ptr(),
             loss=loss.data_ptr(),

@@ -1,4 +1,4 @@
-"""Random numbers as a function of seed, step, purpose and index (csrc/math/fit/philox.h), and dropout by them.
+"""Random numbers as a function of seed, step, purpose and index (csrc/math/fit/random.h), and dropout by them.
 
 A checkpoint need not hold them, and all runs on all devices draw the same; normal numbers are equal up to the rounding
 of logarithm, root, sine and cosine. The generator is Philox4x32-10, Salmon et al., "Parallel random numbers: as easy as
@@ -100,7 +100,7 @@ def dropout(rates: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
     rates = rates.contiguous()
     factors = rates.new_empty(whole_number("count", count, 0, 2**40))
     job = stages.Dropout(
-        shares=rates.data_ptr(),
+        rates=rates.data_ptr(),
         rows=len(rates),
         step=step.data_ptr(),
         seed=whole_number("seed", seed, 0, 2**64 - 1),
