@@ -1,17 +1,23 @@
-"""What the wrappers of the fitting stages share: the native functions of a device."""
+"""Checks and launches that the native stages of fitting share."""
 
 from __future__ import annotations
+
+from types import ModuleType
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
 
 
-def core_of(what: str, tensor: Tensor) -> type[_core._Stages]:
-    """The core's functions and buffers for the tensor's precision. Raises InputError where its dtype or device has no
-    stages: CUDA has them for float32 only."""
+def select_stages(what: str, tensor: Tensor) -> ModuleType:
+    """Return the native stages for a tensor's precision.
+
+    Raises:
+        InputError: there are none for its dtype and device. CUDA has stages for float32 only.
+    """
     device, dtype = tensor.device, tensor.dtype
     if device.type not in ("cpu", "cuda") or tensor.is_cuda and not hasattr(_core, "cuda"):
         places = "the CPU or CUDA" if hasattr(_core, "cuda") else "the CPU: it was built without CUDA"
@@ -24,10 +30,22 @@ def core_of(what: str, tensor: Tensor) -> type[_core._Stages]:
     raise InputError(f"{what} must be {wanted} on {device}, got {dtype}")
 
 
-def stream_of(device: torch.device) -> int:
-    """The handle of torch's current stream of a CUDA device."""
-    return torch.cuda.current_stream(device).cuda_stream
+def run_stage(name: str, stages: ModuleType, device: torch.device, *arguments: object) -> None:
+    """Run a stage on the CPU, or queue it in torch's current stream of a CUDA device.
+
+    Args:
+        name: that of the stage.
+        stages: the native functions for the CPU.
+        device: where the tensors are.
+        arguments: those of the stage, except threads and stream.
+    """
+    with device_guard(device):
+        if device.type == "cuda":
+            getattr(_core.cuda, name)(*arguments, torch.cuda.current_stream(device).cuda_stream)
+        else:
+            getattr(stages, name)(*arguments, torch.get_num_threads())
 
 
 def optional_address(tensor: Tensor | None) -> int:
+    """Return the address of a tensor, 0 for None."""
     return 0 if tensor is None else tensor.data_ptr()
