@@ -294,7 +294,7 @@ def gradients(scene: Gaussians, views: int, device: str) -> list[torch.Tensor]:
     leaves = [t.to(device=device, dtype=dtype)[None].requires_grad_() for t in scene.fields().values()]
     background = torch.full((1, views, 3), 0.3, device=device, dtype=dtype, requires_grad=True)
     poses = cameras.world_to_camera[None].clone().requires_grad_()
-    outputs = torch.ops.lightfield_gs.render_dense(
+    outputs = torch.ops.lightfield_gs.render_images(
         *leaves, background, poses, cameras.intrinsics()[None], cameras.limits()[None], panel.width_px, panel.height_px
     )
     random = torch.Generator().manual_seed(5)

@@ -13,9 +13,9 @@ from test_cuda import BACKGROUND, LENS, PANELS, far_apart, on_gpu, rig, scene_of
 
 from lightfield_gs import Encoder, InputError, Panel, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, with_harmonics
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.rasterizer import frame_cuda
-from lightfield_gs.rasterizer.direct import LensJob
+from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT
 
 WIDE = dict(width_px=1920, height_px=960, views=96, line_number=16.013, slant_tan=0.182, cone_deg=40.0)
@@ -34,8 +34,10 @@ def limit(monkeypatch: pytest.MonkeyPatch, bytes_: int | None) -> None:
 
 
 def layout(panel: Panel) -> str:
-    job = LensJob(
-        on_gpu(scene_of(0)).fields().values(), torch.zeros(3, device="cuda"), lens_view(panel, rig(panel), False)
+    job = DirectRender(
+        on_gpu(scene_of(0)).fields().values(),
+        torch.zeros(3, device="cuda"),
+        lenticular_camera(panel, rig(panel), False),
     )
     return frame_cuda.Frame(job, EXACT, 0, 0).native.ordinal_layout
 

@@ -351,7 +351,7 @@ def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
     views: list[Any] = [
         t.expand(2, *t.shape).contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())
     ]
-    outputs = torch.ops.lightfield_gs.render_dense(
+    outputs = torch.ops.lightfield_gs.render_images(
         *leaves.values(), torch.full((2, 3, 3), 0.3, dtype=dtype), *views, panel.width_px, panel.height_px
     )
     random = torch.Generator().manual_seed(5)

@@ -29,10 +29,10 @@ import torch
 
 import lightfield_gs
 from lightfield_gs.models import unet
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rasterizer import frame_cuda
-from lightfield_gs.rasterizer.direct import LensJob
+from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 
 
@@ -68,10 +68,10 @@ def drawn(
     view_filter=0.0,
 ) -> dict[str, object]:
     """kernel: None, if the frame chooses. share: of the places that the pairs need."""
-    job = LensJob(
+    job = DirectRender(
         scene.fields().values(),
         torch.tensor(cases.BACKGROUND),
-        lens_view(panel, rig, views == "continuous", view_filter),
+        lenticular_camera(panel, rig, views == "continuous", view_filter),
         antialiased,
     )
 
@@ -103,10 +103,10 @@ def harmonic_piece() -> dict[str, object]:
 def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
     """What the work buffer of a frame takes, before the default 8K panel."""
     panel = Panel.load(DEFAULT_PANEL)
-    job = LensJob(
+    job = DirectRender(
         cases.scene_of(degree).fields().values(),
         torch.tensor(cases.BACKGROUND),
-        lens_view(panel, cases.rig_of(panel), False),
+        lenticular_camera(panel, cases.rig_of(panel), False),
     )
     frame = lightfield_gs._core.cuda.LensFrame(
         gaussians=gaussians, sh_degree=degree, colour_order=order, rig=job.native.rig, lens=job.native.lens,
@@ -117,7 +117,7 @@ def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
 
 def chosen(scene, panel, rig) -> str:
     """The kernel that a frame chooses; it is not drawn."""
-    job = LensJob(scene.fields().values(), torch.tensor(cases.BACKGROUND), lens_view(panel, rig, False))
+    job = DirectRender(scene.fields().values(), torch.tensor(cases.BACKGROUND), lenticular_camera(panel, rig, False))
     frame = frame_cuda.Frame(job, EXACT, 0, 0)
     frame.project()
     return frame.state()["kernel"]
@@ -145,7 +145,9 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
     expected = drawn(scene, panel, rig, views, kernel, Quality.of(quality), share)
     right = scene.sh.clone()
     scene.sh.neg_()
-    job = LensJob(scene.fields().values(), torch.tensor(cases.BACKGROUND), lens_view(panel, rig, views == "continuous"))
+    job = DirectRender(
+        scene.fields().values(), torch.tensor(cases.BACKGROUND), lenticular_camera(panel, rig, views == "continuous")
+    )
     frame = frame_cuda.Frame(job, Quality.of(quality), 8, int(share * expected["pairs"]), kernel)
     image = torch.full((job.height, job.width, 3), 7.0)
     frame.draw(job.background, image)

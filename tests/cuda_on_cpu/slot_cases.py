@@ -11,8 +11,8 @@ from torch import Tensor
 
 from lightfield_gs import Cameras
 from lightfield_gs.bench.scenes import sheet, with_harmonics
-from lightfield_gs.rasterizer.image_render import DenseImages, DenseJob
-from lightfield_gs.rasterizer.scene import Wanted
+from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageRender
+from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
 SIDE_PX = 272  # 17 x 17 tiles: a splat before all of them has more slots than one warp adds up
@@ -21,7 +21,7 @@ _GUARD_BYTES, _GUARD = 4096, 0xA5
 
 
 def _arguments(dtype: torch.dtype) -> list[Tensor]:
-    """Those of DenseJob up to the size: sheets, and before each some splats that fill the images, apart from each
+    """Those of ImageRender up to the size: sheets, and before each some splats that fill the images, apart from each
     other in memory."""
     scenes = [with_harmonics(sheet(18, seed), 1) for seed in range(SCENES)]
     for scene in scenes:
@@ -39,12 +39,12 @@ def _arguments(dtype: torch.dtype) -> list[Tensor]:
     return [tensor.to(dtype).contiguous() for tensor in (*fields, background, *each)]
 
 
-def images_and_gradients(dtype: torch.dtype, room: int | None = None) -> tuple[dict[str, Tensor], DenseJob]:
-    """The images, and gradients of a loss on them, those of places with absolute values behind; room: see DenseJob."""
-    job = DenseJob.of(*_arguments(dtype), SIDE_PX, SIDE_PX, room=room)
+def images_and_gradients(dtype: torch.dtype, room: int | None = None) -> tuple[dict[str, Tensor], ImageRender]:
+    """The images and gradients of a loss on them, of places with absolute values; room: capacity of ImageRender."""
+    job = ImageRender.from_arguments(ImageArguments(*_arguments(dtype), SIDE_PX, SIDE_PX), capacity=room)
     images, random = job.draw(), torch.Generator().manual_seed(7)
-    given = DenseImages(*(torch.randn(image.shape, generator=random).to(image) for image in images))
-    found = job.backward(images, given, Wanted(4))
+    given = ImageBuffers(*(torch.randn(image.shape, generator=random).to(image) for image in images))
+    found = job.backward(images, given, GradientRequest(4))
     fields = dict(zip(("means", "quaternions", "scales", "opacities", "sh"), found.fields))
     others = {"cameras": found.cameras, "places": found.screen[..., :2], "absolute": found.screen[..., 2:]}
     background = found.background_parts.view(SCENES * VIEWS, -1, 3).sum(1)
@@ -55,13 +55,15 @@ def with_rooms() -> dict[str, Any]:
     """By CUDA stages: found when the host waits for the number of pairs, and with just enough room; how many pairs
     there are, and of rooms that are too small how many they say, and whether nothing was written beside a buffer."""
     waited, _ = images_and_gradients(torch.float32)
-    pairs = int(images_and_gradients(torch.float32, room=1 << 20)[1].pairs_on_device)
+    pairs = int(images_and_gradients(torch.float32, room=1 << 20)[1].intersections_on_device)
     enough, _ = images_and_gradients(torch.float32, room=pairs)
     short = []
     for room in (pairs - 1, pairs // 2, 1):
         with Guards() as guards:
             job = images_and_gradients(torch.float32, room)[1]
-        short.append({"pairs": int(job.pairs_on_device), "buffers": len(guards.made), "intact": guards.intact()})
+        short.append(
+            {"pairs": int(job.intersections_on_device), "buffers": len(guards.made), "intact": guards.intact()}
+        )
     return {"waited": waited, "enough": enough, "pairs": pairs, "short": short}
 
 

@@ -26,6 +26,7 @@ from lightfield_gs.io.atomic import make_folder
 
 if TYPE_CHECKING:
     from lightfield_gs.app.video import VideoOptions
+    from lightfield_gs.commands.options.fit import FitOptions
 
 
 @dataclass(frozen=True)
@@ -141,14 +142,14 @@ class FitTask(EncodeTask):
     def begin(self) -> None:
         """Checks the options before the photographs are read."""
         self.scene = self.output.with_suffix(".ply")
-        self.fit_args = self._fit_args()
+        self.fit_options = self._fit_options()
 
     def draw(self) -> None:
         """Fits the scene, where it was left off, and draws it."""
         from lightfield_gs.commands import fit
         from lightfield_gs.fitting.display import rig_path
 
-        fit.run(self.fit_args)
+        fit.fit_scene(self.fit_options)
         options = self.encode_options(self.scene)
         camera = options.camera
         if camera.rig is None and camera.camera is None and rig_path(self.scene).exists():
@@ -166,16 +167,23 @@ class FitTask(EncodeTask):
 
     def files(self) -> list[Path | str | None]:
         """The folder of the capture, and what else is read."""
-        source, args = Path(self.item.input), self._fit_args()
+        source, capture = Path(self.item.input), self._fit_options().capture
         more = self.encode_options(source).inputs()[1:]
-        return [source if source.is_dir() else source.parent, args.images, args.mask_folder, args.test_list, *more]
+        return [
+            source if source.is_dir() else source.parent,
+            capture.images,
+            capture.mask_folder,
+            capture.test_list,
+            *more,
+        ]
 
-    def _fit_args(self) -> argparse.Namespace:
+    def _fit_options(self) -> FitOptions:
+        from lightfield_gs.commands.options.fit import FitOptions
+
         scene = str(self.output.with_suffix(".ply"))
         words = [*self.setup.fit_words, *self.item.fit_words, "-o", scene, "--", self.item.input]
-        args = _parsed("fit", words, {"device": self.place.device})
-        args.fresh |= self.is_fresh
-        return args
+        options = read_options(FitOptions, _parsed("fit", words, {"device": self.place.device}))
+        return replace(options, report=replace(options.report, fresh=options.report.fresh or self.is_fresh))
 
 
 class VideoTask(EncodeTask):
