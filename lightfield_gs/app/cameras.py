@@ -137,7 +137,7 @@ def _looking(
     from lightfield_gs.panels import framing
 
     pose = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin).world_to_camera
-    return framing.look_from(gaussians, panel, pose, focal_px, principal_point_px)
+    return framing.frame_from_camera(gaussians, panel, pose, focal_px, principal_point_px)
 
 
 def _automatic(args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile) -> tuple[Rig, list[str]]:

@@ -217,11 +217,11 @@ def _check_files(args: argparse.Namespace) -> int:
 
 def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None:
     """Says where a panel or an option keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_way
+    from lightfield_gs.panels.lens import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
     lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
-    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+    if args.method == "direct" and (why := slow_reason(panel, lattices and device == "cuda")):
         note(why)
     if (args.antialiased or args.view_filter) and args.quality != "exact" and device == "cuda":
         note(

@@ -28,7 +28,7 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import FITS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.photo.side_by_side import depth_side, halves
+from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
-    from lightfield_gs.photo.margin import Placed
+    from lightfield_gs.photo.margin import PhotoPlacement
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in the folder of a photo up to which a depth map is looked for: each of a batch does so
@@ -89,13 +89,13 @@ def _read_object(args: argparse.Namespace) -> ReadPhoto:
     """A photo whose object is cut out; or all of it, where none is and there is a network for its depths, which
     args.depth says then."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.load import NoCutOut, photo_of
+    from lightfield_gs.photo.load import NoCutOut, cut_out_photo
 
     picture = read_picture(args.input)
     side = depth_side(picture.pixels)
     notes = _other_ways(args, picture, side)
     try:
-        photo = photo_of(
+        photo = cut_out_photo(
             args.input,
             picture,
             args.mask,
@@ -118,7 +118,7 @@ def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) ->
     """Lines on what a picture may be beside a photo, and what its file holds and others beside it, that is not used;
     side: the half that looks like a depth map, which comes first."""
     from lightfield_gs.io.depth_names import depth_maps_beside
-    from lightfield_gs.photo.embedded_depth import notes_inside
+    from lightfield_gs.photo.embedded_depth import embedded_notes
 
     notes = []
     if side is not None:
@@ -127,7 +127,7 @@ def _other_ways(args: argparse.Namespace, picture: Picture, side: str | None) ->
             "so"
         )
     notes += _notes_on_eyes(args, picture)
-    notes += notes_inside(args.input, is_depth_used=False)
+    notes += embedded_notes(args.input, is_depth_used=False)
     some = [path.name for path in islice(args.input.parent.iterdir(), _MOST_BESIDE)]
     beside = depth_maps_beside(some) if len(some) < _MOST_BESIDE else {}
     if maps := beside.get(args.input.name):
@@ -200,8 +200,8 @@ def _tried(refused: InputError | None) -> Iterator[None]:
 def _read_whole(args: argparse.Namespace) -> ReadPhoto:
     """All that a photo shows, with its depth map unless that is estimated."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.embedded_depth import notes_inside
-    from lightfield_gs.photo.load import photo_of
+    from lightfield_gs.photo.embedded_depth import embedded_notes
+    from lightfield_gs.photo.load import cut_out_photo
     from lightfield_gs.photo.rgbd import check_photo_size
 
     picture = read_picture(args.input)
@@ -212,9 +212,9 @@ def _read_whole(args: argparse.Namespace) -> ReadPhoto:
             f"{args.input}: its name says that its depth map is in it, and none of its halves is grey beside one in "
             "colour; say which it is with --rgbd, or rename it"
         )
-    colour = picture if side is None else replace(picture, pixels=halves(args.input, picture.pixels, side)[0])
+    colour = picture if side is None else replace(picture, pixels=split_halves(args.input, picture.pixels, side)[0])
     check_photo_size(str(args.input), *colour.pixels.shape[:2])
-    photo = photo_of(
+    photo = cut_out_photo(
         args.input,
         colour,
         args.mask,
@@ -222,7 +222,7 @@ def _read_whole(args: argparse.Namespace) -> ReadPhoto:
         whole=True,
         map_orientation=args.map_orientation,
     )
-    notes = notes_inside(args.input, is_depth_used=is_inside or not is_estimated(args))
+    notes = embedded_notes(args.input, is_depth_used=is_inside or not is_estimated(args))
     notes += [] if side else _notes_on_eyes(args, colour)
     if is_estimated(args):
         return ReadPhoto(photo, is_whole=True, notes=notes)
@@ -319,10 +319,10 @@ def place_photo(
     border = min(float(part.min()) for part in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
     if border < _TRANSPARENT or not bool(((depth > 0) & depth.isfinite()).any()):
         return (0, 0, 0, 0), []
-    from lightfield_gs.photo.margin import place
+    from lightfield_gs.photo.margin import fit_to_panel
 
-    def placed(fit: str) -> Placed:
-        return place(
+    def placed(fit: str) -> PhotoPlacement:
+        return fit_to_panel(
             depth,
             focal,
             centre,
@@ -348,9 +348,9 @@ def photo_rig(args: argparse.Namespace, panel: Panel, gaussians: Gaussians) -> R
     scale means little, with the panel in the subject. Raises InputError."""
     from lightfield_gs.panels import framing
 
-    placed: Placed | None = getattr(args, "placed", None)
+    placed: PhotoPlacement | None = getattr(args, "placed", None)
     rig = framing.frame_photo(gaussians, panel) if placed is None else placed.rig
-    return framing.on_subject(rig, gaussians, panel) if is_estimated(args) else rig
+    return framing.focus_on_subject(rig, gaussians, panel) if is_estimated(args) else rig
 
 
 def _widest_tan(args: argparse.Namespace, panel: Panel) -> float:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from lightfield_gs.app.photo_camera import camera_of_photo
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_MODEL
-from lightfield_gs.photo.side_by_side import is_named_so
+from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,19 +58,19 @@ def depth_by_network(args: argparse.Namespace, photo: Photo, device: str) -> Dep
 def has_depth(args: argparse.Namespace) -> bool:
     """Whether the photo comes with its depths, in a file, beside it in the picture or inside its file, or they are to
     be estimated."""
-    return args.depth is not None or args.rgbd is not None or is_named_so(args.input) or is_depth_inside(args)
+    return args.depth is not None or args.rgbd is not None or is_rgbd_name(args.input) or is_depth_inside(args)
 
 
 def is_depth_inside(args: argparse.Namespace) -> bool:
     """Whether the depths of a photo are those inside its file: nothing gives others, or asks for an object alone."""
     others = ("depth", "rgbd", "mask", "checkpoint", "detail", "detail_budget")
-    if is_named_so(args.input) or getattr(args, "remove_background", False):
+    if is_rgbd_name(args.input) or getattr(args, "remove_background", False):
         return False
     if any(getattr(args, name, None) is not None for name in others):
         return False
-    from lightfield_gs.photo.embedded_depth import depth_inside
+    from lightfield_gs.photo.embedded_depth import find_embedded_depth
 
-    return depth_inside(args.input) is not None
+    return find_embedded_depth(args.input) is not None
 
 
 def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
@@ -89,9 +89,9 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
     """The map in the half `side` of the picture, as Looking Glass has it where nothing else is said. Raises
     InputError."""
     from lightfield_gs.photo.depth import nearness
-    from lightfield_gs.photo.side_by_side import beside_numbers
+    from lightfield_gs.photo.side_by_side import read_depth_half
 
-    numbers = beside_numbers(args.input, picture.pixels, side)
+    numbers = read_depth_half(args.input, picture.pixels, side)
     limits = _limits_or(args, _BESIDE_LIMITS)
     # A range that is given the other way round says by itself that bright is near
     is_plain = limits is not None and limits[0] <= limits[1]
@@ -116,9 +116,9 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
 def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
     """The map inside the photo's file, as its format has it where nothing else is said. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
-    from lightfield_gs.photo.embedded_depth import depth_inside
+    from lightfield_gs.photo.embedded_depth import find_embedded_depth
 
-    inside = depth_inside(args.input)
+    inside = find_embedded_depth(args.input)
     assert inside is not None
     limits = _limits_or(args, (inside.near, inside.far) if inside.near and inside.far else _BESIDE_LIMITS)
     kind = args.depth_kind
@@ -171,9 +171,9 @@ def _turn_with(
     args: argparse.Namespace, photo: Photo, choice: str | None
 ) -> Callable[[DepthNumbers], tuple[np.ndarray, bool]]:
     """What turns numbers as upright as the photo is; choice: of --map-orientation."""
-    from lightfield_gs.photo.load import turned_with_photo
+    from lightfield_gs.photo.load import turn_with_photo
 
-    return lambda numbers: turned_with_photo(
+    return lambda numbers: turn_with_photo(
         str(args.depth),
         numbers.values,
         numbers.orientation,
@@ -200,7 +200,7 @@ def _rays_of(
 
 def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """A map at the photo's size; of another size it has to have the photo's shape. Raises InputError."""
-    from lightfield_gs.photo.joint_upsampling import at_size_of_photo
+    from lightfield_gs.photo.joint_upsampling import resize_to_photo
     from lightfield_gs.photo.load import is_alike
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
@@ -213,4 +213,4 @@ def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
         )
     way = "along the photo's edges" if math.prod(shape) <= math.prod(size) else "pixel by pixel"
     description = f"{depth.description}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
-    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), description=description)
+    return replace(depth, z=resize_to_photo(depth.z, photo.floats()), description=description)

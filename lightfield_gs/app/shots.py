@@ -33,7 +33,7 @@ from lightfield_gs.io.images import read_picture
 from lightfield_gs.io.scenes.files import SceneFile
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.photo.side_by_side import depth_side, is_named_so
+from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
@@ -255,7 +255,7 @@ def _settle_half(args: argparse.Namespace, pictures: Sequence, count: int, folde
     """Sets args.rgbd for pictures that have their depth maps beside them by their names: the half is that of the first
     picture that shows it, for others may be black. Returns the number of that picture, else 0, and a line on it."""
     named_ones = pictures.files or (pictures.path,)
-    if args.rgbd is not None or args.depth is not None or not all(map(is_named_so, named_ones)):
+    if args.rgbd is not None or args.depth is not None or not all(map(is_rgbd_name, named_ones)):
         return 0, []
     for number, path in pictures.pictures(list(range(count)), _made(folder / "half")):
         if (side := depth_side(read_picture(path).pixels, is_named=True)) is not None:

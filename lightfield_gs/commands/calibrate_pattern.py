@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> None:
         "unscaled"
     )
     if args.kind == "numbers":
-        shared = math.ceil(panel.views / len(np.unique(patterns.number_of_view(panel, args.step))))
+        shared = math.ceil(panel.views / len(np.unique(patterns.displayed_numbers(panel, args.step))))
         print(
             f"{shared} of {panel.views} views share a number; a lens lights about {panel.views / panel.line_number:.3g}"
         )

@@ -17,7 +17,7 @@ from lightfield_gs.commands.options.parser import numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate_eyes
+from lightfield_gs.panels.simulate import Psf, eye_row, simulate_eyes
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
 
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputError(why)
     image = read_image(args.image, as_stored=True)
     watch.lap("load")
-    eyes = [args.eye] if args.eyes is None else row_of_eyes(panel, *args.eyes).tolist()
+    eyes = [args.eye] if args.eyes is None else eye_row(panel, *args.eyes).tolist()
     pictures = simulate_eyes(image, panel, eyes, args.spread or 1.0, psf=psf)
     seen = in_rows(list(pictures))
     watch.lap("simulate")

@@ -19,10 +19,10 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.calibration_photos import MOST_CELLS, Fringes, Place, fringes
-from lightfield_gs.panels.lens_change import turns_in_middle, with_lens
+from lightfield_gs.panels.calibration_photos import MOST_CELLS, Fringes, Viewpoint, measure_fringes
+from lightfield_gs.panels.lens_change import phase_in_middle, replace_lens
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.panels.simulate import missing_geometry
 
 _LEAST_APART = 0.05  # of the viewing zone, between the places that are farthest apart
 _LEAST_COHERENCE = 0.7  # of what is seen with the plane: 1 where it is one, 0 where it is anything
@@ -43,7 +43,7 @@ _TURNS: dict[
 
 
 @dataclass(frozen=True)
-class PlaceFit:
+class ViewpointFit:
     """How one place agrees with the lens that was found, in views: offset, the mean of what is seen less what was to be
     seen; spread, the standard deviation of the same over the panel. corners_px [4, 2]: of the panel in its photographs.
     """
@@ -59,7 +59,7 @@ class CalibrationFit:
     """The panel with the lens that was found, and how each place agrees with it."""
 
     panel: Panel
-    places: tuple[PlaceFit, ...]
+    places: tuple[ViewpointFit, ...]
 
 
 def most_spread_views(panel: Panel) -> float:
@@ -76,7 +76,7 @@ class _Lens:
     turns: float
 
 
-def fit_lens(places: Sequence[Place], start: Panel, one_place: bool = False) -> CalibrationFit:
+def fit_lens(places: Sequence[Viewpoint], start: Panel, one_place: bool = False) -> CalibrationFit:
     """The lens of the panel that showed `bars(start, ...)` in these photographs.
 
     start: the profile that the pattern was drawn for; its cone_deg, viewing_distance_mm and pixel_pitch_mm are trusted.
@@ -85,7 +85,7 @@ def fit_lens(places: Sequence[Place], start: Panel, one_place: bool = False) -> 
     Raises InputError where the photographs do not say what the lens is, or do not agree.
     """
     expect("start", start, Panel)
-    if missing := unknown_of(start):
+    if missing := missing_geometry(start):
         raise InputError(
             f"panel {start.name} lacks {' and '.join(missing)}, without which no eye has a place before it"
         )
@@ -93,7 +93,7 @@ def fit_lens(places: Sequence[Place], start: Panel, one_place: bool = False) -> 
     lenses = start.line_number / 3
     size = np.array([start.width_px, start.height_px])
     columns, rows = (int(n) for n in np.ceil(size / max(lenses, size.max() / MOST_CELLS)))
-    seen = [fringes(place, columns, rows) for place in places]
+    seen = [measure_fringes(place, columns, rows) for place in places]
     for place, one in zip(places, seen):
         _check_upright(place, one.corners_px, start)
     fitted = _solved(places, seen, start)
@@ -106,12 +106,12 @@ def fit_lens(places: Sequence[Place], start: Panel, one_place: bool = False) -> 
     lens, residuals = fitted
     _check_turned(places, seen, start, _misfit(residuals))
     agreed = tuple(_agreement(place, wave, one, start) for place, wave, one in zip(places, residuals, seen))
-    per_lens, turns = lens.per_lens, turns_in_middle(start)
+    per_lens, turns = lens.per_lens, phase_in_middle(start)
     turns += (lens.turns - turns + 0.5) % 1 - 0.5  # lenses are all alike
-    return CalibrationFit(with_lens(start, 1 / per_lens, lens.lean / per_lens, turns), agreed)
+    return CalibrationFit(replace_lens(start, 1 / per_lens, lens.lean / per_lens, turns), agreed)
 
 
-def _check_places(places: Sequence[Place], start: Panel, one_place: bool) -> None:
+def _check_places(places: Sequence[Viewpoint], start: Panel, one_place: bool) -> None:
     if not places:
         raise InputError("no photographs; expected three, of the shifts 0, 1 and 2, from each of two places at least")
     zone = _zone_mm(start)
@@ -126,7 +126,7 @@ def _check_places(places: Sequence[Place], start: Panel, one_place: bool) -> Non
         )
 
 
-def _check_upright(place: Place, corners_px: np.ndarray, start: Panel) -> None:
+def _check_upright(place: Viewpoint, corners_px: np.ndarray, start: Panel) -> None:
     """Raises InputError where the panel stands upright in the photographs though it is wide, or the other way, and
     where it has another shape."""
     across, down = np.hypot(*(np.roll(corners_px, -1, 0) - corners_px).T).reshape(2, 2).mean(0)
@@ -148,7 +148,7 @@ def _check_upright(place: Place, corners_px: np.ndarray, start: Panel) -> None:
         )
 
 
-def _check_turned(places: Sequence[Place], seen: Sequence[Fringes], start: Panel, misfit: float) -> None:
+def _check_turned(places: Sequence[Viewpoint], seen: Sequence[Fringes], start: Panel, misfit: float) -> None:
     """Raises InputError where photographs that are turned by 180 degrees or mirrored fit the bars much better."""
     found = {
         words: _misfit(_solved(places, [Fringes(one.wave[undone], one.corners_px) for one in seen], start)[1])
@@ -179,7 +179,7 @@ def _grid(wave: np.ndarray, panel: Panel) -> tuple[np.ndarray, np.ndarray]:
     return s[None], r[:, None]
 
 
-def _expected(place: Place, lens: _Lens, start: Panel, s: np.ndarray, r: np.ndarray) -> np.ndarray:
+def _expected(place: Viewpoint, lens: _Lens, start: Panel, s: np.ndarray, r: np.ndarray) -> np.ndarray:
     """The phase that the eye should see, by the equation above, [rows, columns]."""
     (x, y, z), zone = place.eye_mm, _zone_mm(start)
     distance, sub_mm = cast(float, start.viewing_distance_mm), cast(float, start.pixel_pitch_mm) / 3
@@ -188,14 +188,14 @@ def _expected(place: Place, lens: _Lens, start: Panel, s: np.ndarray, r: np.ndar
     if min(z, distance) + gap <= 0:
         raise InputError(f"{place.name}: z of the eye must be larger than the lens gap of {abs(gap):.4g} mm, got {z}")
     across_mm = (s + 3 * r * slant) * sub_mm * (z - distance) + (x - y * slant) * (distance + gap)
-    drawn = turns_in_middle(start) + (s + 3 * r * start.slant_tan) / start.line_number
+    drawn = phase_in_middle(start) + (s + 3 * r * start.slant_tan) / start.line_number
     return drawn - (lens.turns + lens.per_lens * s + 3 * lens.lean * r) + 0.5 - across_mm / (zone * (z + gap))
 
 
-def _solved(places: Sequence[Place], seen: Sequence[Fringes], start: Panel) -> tuple[_Lens, list[np.ndarray]]:
+def _solved(places: Sequence[Viewpoint], seen: Sequence[Fringes], start: Panel) -> tuple[_Lens, list[np.ndarray]]:
     """The lens that explains the phases best, and the waves e^(2 pi i residual) that it leaves; 0 where none is."""
     s, r = _grid(seen[0].wave, start)
-    lens = _Lens(1 / start.line_number, start.slant_tan / start.line_number, turns_in_middle(start))
+    lens = _Lens(1 / start.line_number, start.slant_tan / start.line_number, phase_in_middle(start))
 
     def residuals() -> list[np.ndarray]:
         planes = (_expected(place, lens, start, s, r) for place in places)
@@ -237,7 +237,7 @@ def _misfit(waves: Sequence[np.ndarray]) -> float:
     return 1 - float(sum(wave.real.sum() for wave in waves) / sum(np.abs(wave).sum() for wave in waves))
 
 
-def _agreement(place: Place, wave: np.ndarray, one: Fringes, start: Panel) -> PlaceFit:
+def _agreement(place: Viewpoint, wave: np.ndarray, one: Fringes, start: Panel) -> ViewpointFit:
     """How a place agrees with the lens of all. Raises InputError where it does not."""
     mean = wave[wave != 0].mean()
     if abs(mean) < _LEAST_COHERENCE:
@@ -252,4 +252,4 @@ def _agreement(place: Place, wave: np.ndarray, one: Fringes, start: Panel) -> Pl
             "(in mm from the panel's middle), and cone_deg and viewing_distance_mm of the profile"
         )
     spread = math.sqrt(max(0.0, -2 * math.log(min(1.0, abs(mean))))) / (2 * np.pi)
-    return PlaceFit(place.name, offset * start.views, spread * start.views, one.corners_px)
+    return ViewpointFit(place.name, offset * start.views, spread * start.views, one.corners_px)

@@ -24,7 +24,7 @@ _AT_THE_RIM_PX = 1.0  # of the photographs: a corner that is found so near it st
 
 
 @dataclass(frozen=True)
-class Place:
+class Viewpoint:
     """Photographs from one place, all with the same exposure.
 
     eye_mm: of the camera, (x, y, z) from the panel's middle: right, up, towards the viewer.
@@ -79,7 +79,7 @@ class Fringes:
     corners_px: np.ndarray
 
 
-def fringes(place: Place, columns: int, rows: int) -> Fringes:
+def measure_fringes(place: Viewpoint, columns: int, rows: int) -> Fringes:
     """What the photographs show of the bars. Raises InputError where the panel or its bars cannot be seen."""
     light, free = place.light()
     corners = _corners(place, light)
@@ -92,7 +92,7 @@ def fringes(place: Place, columns: int, rows: int) -> Fringes:
     return Fringes(np.where(seen, wave / np.maximum(np.abs(wave), 1e-30), 0), corners)
 
 
-def _check_seen(place: Place, seen: np.ndarray) -> None:
+def _check_seen(place: Viewpoint, seen: np.ndarray) -> None:
     """Raises InputError where the bars are seen on too little of the panel to tell how they run."""
     spread = [np.ptp(np.flatnonzero(seen.any(axis))) / seen.shape[1 - axis] if seen.any() else 0 for axis in (0, 1)]
     if seen.mean() < 0.2 or min(spread) < 0.5:
@@ -103,7 +103,7 @@ def _check_seen(place: Place, seen: np.ndarray) -> None:
         )
 
 
-def _corners(place: Place, light: np.ndarray) -> np.ndarray:
+def _corners(place: Viewpoint, light: np.ndarray) -> np.ndarray:
     """The corners [4, 2], clockwise from the upper left one. Raises InputError where they are no panel's."""
     if place.corners_px is None:
         corners = find_corners(light.mean(2), place.name)
@@ -230,7 +230,7 @@ def bilinear(values: np.ndarray, places: np.ndarray) -> np.ndarray:
 Corners = Sequence[Sequence[float]]
 
 
-def read_places(path: str | Path) -> list[Place]:
+def read_viewpoints(path: str | Path) -> list[Viewpoint]:
     """The places of a YAML file (at most 64 KiB), with their photographs, whose names are relative to it:
 
         places:
@@ -247,7 +247,7 @@ def read_places(path: str | Path) -> list[Place]:
     return [_place(path, number, entry) for number, entry in enumerate(listed)]
 
 
-def _place(path: Path, number: int, entry: object) -> Place:
+def _place(path: Path, number: int, entry: object) -> Viewpoint:
     where = f"{path}: places[{number}]"
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected eye_mm, photos and perhaps corners_px, got {shown(entry)}")
@@ -260,20 +260,20 @@ def _place(path: Path, number: int, entry: object) -> Place:
     if corners is not None and not is_row(corners, 4):
         raise InputError(f"{where}: corners_px must be four pairs x, y, got {shown(corners)}")
     with named(where):
-        return load_place([path.parent / photo for photo in photos], tuple(eye), corners)
+        return load_viewpoint([path.parent / photo for photo in photos], tuple(eye), corners)
 
 
-def load_place(
+def load_viewpoint(
     photos: Sequence[str | Path], eye_mm: tuple[float, float, float], corners_px: Corners | None = None
-) -> Place:
-    """A place by the files of its photographs (see Place), which are turned upright and taken for sRGB.
+) -> Viewpoint:
+    """A place by the files of its photographs (see Viewpoint), which are turned upright and taken for sRGB.
 
     Raises InputError.
     """
     expect("eye_mm", eye_mm, tuple)
     pictures = tuple(_colours(read_image(photo, as_stored=True)) for photo in photos)
     names = " ".join(Path(photo).name for photo in photos)
-    return Place(eye_mm, pictures, corners_px, name=names[:80])
+    return Viewpoint(eye_mm, pictures, corners_px, name=names[:80])
 
 
 def _colours(pixels: np.ndarray) -> np.ndarray:

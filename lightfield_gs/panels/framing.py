@@ -90,8 +90,8 @@ def frame_scene(
         if found.left_out > _FEW and _is_narrow(whole, panel) or not _is_seen(content, world_to_camera):
             content, found = gaussians, subject.Subject()
         rig = _with_something_at_zero(_bounded(content, panel, world_to_camera), gaussians, panel)
-    if notes is not None and found.why:
-        notes.append(found.why)
+    if notes is not None and found.reason:
+        notes.append(found.reason)
     return rig
 
 
@@ -108,14 +108,14 @@ def photo_extent(gaussians: Gaussians) -> Tensor:
     return content_extent(hashed_subsample(gaussians))
 
 
-def on_subject(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
+def focus_on_subject(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
     """The rig with its zero plane in the subject, what is nearest of what is seen in the middle of the picture; as it
     is where nothing is seen there."""
     found = visibility.subject_depth(gaussians.detach(), panel, rig)
     return rig if found is None else replace(rig, zero_depth=found)
 
 
-def look_from(
+def frame_from_camera(
     gaussians: Gaussians,
     panel: Panel,
     world_to_camera: np.ndarray,
@@ -148,7 +148,7 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
 def _subject(gaussians: Gaussians) -> subject.Subject:
     """What the scene is about, by panels/subject.py."""
     low, high = content_bounds(subsample(gaussians)).unbind(1)
-    return subject.find(
+    return subject.find_subject(
         gaussians.means, middle_scales(gaussians), content_weights(gaussians), float((high - low).max())
     )
 

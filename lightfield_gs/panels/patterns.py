@@ -111,7 +111,7 @@ def sweep(panel: Panel, hue: bool = True) -> np.ndarray:
     return draw(panel, lambda x, _: hues(np.floor(x) / last) if hue else np.floor(x) / last)
 
 
-def number_of_view(panel: Panel, step: int | None = None) -> np.ndarray:
+def displayed_numbers(panel: Panel, step: int | None = None) -> np.ndarray:
     """The number that each view shows in `numbers`, int [N].
 
     A lens lights about one sub-pixel, which on many panels spans several views: 10 of 96 where line_number is 9.8.
@@ -130,9 +130,9 @@ def number_of_view(panel: Panel, step: int | None = None) -> np.ndarray:
 def numbers(panel: Panel, step: int | None = None) -> np.ndarray:
     """The picture of each view shows its own number, white on black, large and repeated over the panel.
 
-    Views are numbered as in Panel: 0 for the right-most eye, unless invert_views. step: see number_of_view.
+    Views are numbered as in Panel: 0 for the right-most eye, unless invert_views. step: see displayed_numbers.
     """
-    shown_by_view = number_of_view(panel, step)
+    shown_by_view = displayed_numbers(panel, step)
     different, which = np.unique(shown_by_view, return_inverse=True)
     tiles, (down, across) = _number_tiles(panel, different)
 
@@ -147,7 +147,7 @@ def numbers(panel: Panel, step: int | None = None) -> np.ndarray:
 
 def number_picture(panel: Panel, number: int, step: int | None = None) -> np.ndarray:
     """Where the picture of the views that show this number in `numbers` is white: bool [H, W]."""
-    different = np.unique(number_of_view(panel, step))
+    different = np.unique(displayed_numbers(panel, step))
     tiles, (down, across) = _number_tiles(panel, different)
     tile = tiles[np.searchsorted(different, number)]
     return tile[np.ix_(down[0], across[0])] & down[1][:, None] & across[1]

@@ -128,7 +128,7 @@ _LEFT_OVER = 0.01  # of a quilt's width and height, less of which may belong to 
 _LEAST_SHARE = 0.5  # of the resolution that a square quilt would have, below which other numbers of views are taken
 
 
-def layout_of_panel(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayout:
+def panel_quilt(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayout:
     """A quilt with the views of a panel, or so many columns and rows of `tiles`: each of the panel's size, or smaller
     where the quilt would then be wider or higher than 8192 pixels; as square as the number of views allows.
 

@@ -207,7 +207,7 @@ def simulate_eyes(
     return np.stack([simulate(image, panel, eye, spread_subpixels, threads, psf) for eye in eyes_mm])
 
 
-def row_of_eyes(panel: Panel, from_mm: float, to_mm: float, count: int) -> np.ndarray:
+def eye_row(panel: Panel, from_mm: float, to_mm: float, count: int) -> np.ndarray:
     """Places [count, 3] in mm of eyes side by side at the panel's viewing distance, at its middle's height, from
     from_mm to to_mm right of its middle. Raises InputError, also where the panel lacks a viewing distance."""
     count = whole_number("eyes: how many", count, 1, _MOST_EYES)
@@ -262,7 +262,7 @@ def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def unknown_of(panel: Panel) -> list[str]:
+def missing_geometry(panel: Panel) -> list[str]:
     """The fields that a panel lacks and without which no eye can be placed before it."""
     return [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
 
@@ -270,7 +270,7 @@ def unknown_of(panel: Panel) -> list[str]:
 def _check(image: np.ndarray, panel: Panel) -> None:
     expect("image", image, np.ndarray)
     expect("panel", panel, Panel)
-    if missing := unknown_of(panel):
+    if missing := missing_geometry(panel):
         raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
     if image.ndim != 3 or image.shape[2] not in (3, 4):
         raise InputError(f"image: expected [H, W, 3], got {list(image.shape)}")

@@ -41,7 +41,7 @@ class Colours:
     notes: list[str] = field(default_factory=list)
 
 
-def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
+def to_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
     """The colours rgb [H, W, 3] of `picture`, or [H, W, 1] where it is grey, converted to sRGB.
 
     The picture itself says what they are: by its ICC profile, which lcms applies in 8 bits, or else by its gamma (PNG);

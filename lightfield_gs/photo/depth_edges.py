@@ -173,7 +173,7 @@ def _surroundings(
     return surfaces[0], surfaces[1]
 
 
-def opacity_of_coverage(alpha: Tensor, spread_px: float, most: float) -> Tensor:
+def coverage_to_opacity(alpha: Tensor, spread_px: float, most: float) -> Tensor:
     """The opacity of Gaussians, one per pixel with this standard deviation, that together cover a share alpha, 0..1.
 
     Where all have the opacity o, light passes the product of 1 - o exp(-d^2 / 2 spread^2) over the pixels at distances

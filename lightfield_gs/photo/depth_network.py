@@ -19,7 +19,7 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_MODEL, DEVICES, DepthKind, Device
 from lightfield_gs.photo.depth import DepthMap
-from lightfield_gs.photo.joint_upsampling import upsampled, z_of_disparities, z_of_distances
+from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z, upsample
 
 _ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
 _INSTALL = "pip install 'lightfield-gs[depth]'"
@@ -88,9 +88,9 @@ def estimated_depth(
     if kind == "distance" and limits is not None:
         raise InputError(f"{model} estimates distances, and --depth-range is for disparities; leave it out")
     values = _predicted(str(model), network, pixels)
-    found = z_of_distances(values) if kind == "distance" else z_of_disparities(values, limits)
+    found = distances_to_z(values) if kind == "distance" else disparities_to_z(values, limits)
     photo = torch.from_numpy(pixels).to(values.device).float() / 255
-    z = found.z(upsampled(found.disparities, photo, found.spread)).cpu().numpy()
+    z = found.z(upsample(found.disparities, photo, found.spread)).cpu().numpy()
     name = Path(model).name if Path(model).is_dir() else model
     return DepthMap(
         z, None, f"depth estimated by {name}: {found.description}", [f"{model}: {words}" for words in found.notes]

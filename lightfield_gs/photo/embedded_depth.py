@@ -33,7 +33,7 @@ _BOXES_BYTES, _TRAILER_BYTES = 1 << 20, 4096
 
 
 @dataclass(frozen=True)
-class DepthInside:
+class EmbeddedDepth:
     """A depth map in the file of a photo.
 
     name: of what it is, for people; data: of its PNG or JPEG; is_inverse: whether its numbers are linear in 1/z. near,
@@ -54,7 +54,7 @@ class DepthInside:
         return DepthNumbers(found.values, is_along_ray=self.is_along_ray, notes=found.notes)
 
 
-def depth_inside(path: str | Path) -> DepthInside | None:
+def find_embedded_depth(path: str | Path) -> EmbeddedDepth | None:
     """The depth map in the XMP of a photo, or behind its picture; None where there is none that is read. Raises
     InputError where the file cannot be read."""
     path = Path(path)
@@ -65,7 +65,7 @@ def depth_inside(path: str | Path) -> DepthInside | None:
         return _depth_inside(path, state.st_mtime_ns, state.st_size) if state.st_size else None
 
 
-def notes_inside(path: str | Path, is_depth_used: bool) -> list[str]:
+def embedded_notes(path: str | Path, is_depth_used: bool) -> list[str]:
     """Lines on what a photo's file holds that is not used. Raises InputError where the file cannot be read."""
     path = Path(path)
     notes = []
@@ -73,7 +73,7 @@ def notes_inside(path: str | Path, is_depth_used: bool) -> list[str]:
         if not is_depth_used and (words := _unused_depth(path)):
             notes.append(f"{path}: {words}")
         count, are_eyes = count_pictures(path)
-        if are_eyes or f'"{_GIMAGE}"' in jpeg_xmp(path) and not depth_inside(path):
+        if are_eyes or f'"{_GIMAGE}"' in jpeg_xmp(path) and not find_embedded_depth(path):
             notes.append(
                 f"{path}: it is a stereo photo, and the first of its two pictures is taken, one eye's; the other is "
                 "left out"
@@ -86,12 +86,12 @@ def notes_inside(path: str | Path, is_depth_used: bool) -> list[str]:
     return notes
 
 
-def facts_inside(path: str | Path) -> list[tuple[str, str]]:
+def embedded_facts(path: str | Path) -> list[tuple[str, str]]:
     """What a photo's file holds beside its picture, by name, for people. Raises InputError where it cannot be read."""
     path = Path(path)
     facts = []
     with reading(path):
-        if (inside := depth_inside(path)) is not None:
+        if (inside := find_embedded_depth(path)) is not None:
             height, width = inside.numbers(path).values.shape
             facts.append(("depth inside", f"{width} x {height}, {inside.name}, near {inside.near}, far {inside.far}"))
         elif words := _unused_depth(path):
@@ -103,7 +103,7 @@ def facts_inside(path: str | Path) -> list[tuple[str, str]]:
 
 
 @functools.lru_cache(maxsize=8)
-def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
+def _depth_inside(path: Path, changed: int, size: int) -> EmbeddedDepth | None:
     """changed, size: of the file, so that another file of the same name is read again."""
     xmp = jpeg_xmp(path)
     for namespace, name, find in ((_GDEPTH, "GDepth", _of_base64), (_DYNAMIC, "Dynamic Depth", _behind)):
@@ -115,7 +115,7 @@ def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
             near, far = (_number(values.get(key)) for key in ("Near", "Far"))
             is_inverse = values.get("Format", "").lower() == _INVERSE
             known = near is not None and far is not None and 0 < near < far
-            return DepthInside(
+            return EmbeddedDepth(
                 f"{name} {values.get('Format') or 'without a format'}",
                 data,
                 is_inverse,
@@ -166,7 +166,7 @@ def _number(text: str | None) -> float | None:
 
 def _unused_depth(path: Path) -> str:
     """Words on a depth map in the file that is not read, and what to do; "" where there is none."""
-    if (inside := depth_inside(path)) is not None:
+    if (inside := find_embedded_depth(path)) is not None:
         return f"a depth map is in it ({inside.name}) and is not used, as options ask for another way"
     way = "and is not read; save it as a picture of its own, for --depth FILE"
     if is_heif(path):

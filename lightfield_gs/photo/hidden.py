@@ -83,7 +83,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, linked)
 
 
-def filled(hidden: Hidden, depth: Tensor) -> Tensor:
+def fill_hidden(hidden: Hidden, depth: Tensor) -> Tensor:
     """The image [H, W, 3] with the texture of what is seen of the far surfaces in the hole; depth: [H, W], z."""
     if not bool(hidden.hole.any()):
         return hidden.image

@@ -34,7 +34,7 @@ class Estimate:
     notes: list[str] = field(default_factory=list)
 
 
-def z_of_disparities(values: Tensor, limits: tuple[float, float] | None = None) -> Estimate:
+def disparities_to_z(values: Tensor, limits: tuple[float, float] | None = None) -> Estimate:
     """Of disparities [h, w] of unknown scale and offset; limits: near and far, None: DEPTH_LIMITS."""
     near, far = limits or DEPTH_LIMITS
     low, high = _percentiles(values)
@@ -53,7 +53,7 @@ def z_of_disparities(values: Tensor, limits: tuple[float, float] | None = None) 
     return Estimate(values, spread, z, description + (" (assumed; --depth-range)" if limits is None else ""), notes)
 
 
-def z_of_distances(values: Tensor) -> Estimate:
+def distances_to_z(values: Tensor) -> Estimate:
     """Of distances [h, w]; what is no distance > 0 gets no depth."""
     measured = (values > 1 / FARTHEST) & (values < FARTHEST)
     # The place of a pixel without a distance counts as infinitely far, until it is left out
@@ -83,7 +83,7 @@ _LEAST_VOTE = 1e-6  # so that a colour like none around still gets a depth
 _CHUNK = 1 << 16  # pixels that are voted on at a time: 40 MB
 
 
-def upsampled(values: Tensor, photo: Tensor, spread: float) -> Tensor:
+def upsample(values: Tensor, photo: Tensor, spread: float) -> Tensor:
     """A map of disparities [h, w] at its photo's size, float32 [H, W], with edges where the photo has them.
 
     photo: [H, W, 3], floats in 0..1, on the same device. spread: the range of the disparities, in their unit, > 0.
@@ -109,19 +109,19 @@ def upsampled(values: Tensor, photo: Tensor, spread: float) -> Tensor:
     return result
 
 
-def at_size_of_photo(z: np.ndarray, photo: np.ndarray) -> np.ndarray:
+def resize_to_photo(z: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """A depth map [h, w] of a photo at the photo's size, float32 [H, W], NaN where nothing was measured.
 
     z: distances, scene units. photo: [H, W, 3 or more], floats in 0..1, of the same shape. A smaller map is brought to
-    its edges as `upsampled` does; of a larger one each pixel takes the depth at its middle, so that none lies between
+    its edges as `upsample` does; of a larger one each pixel takes the depth at its middle, so that none lies between
     near and far.
     """
     (height, width), (rows, columns) = photo.shape[:2], z.shape
     if rows * columns > height * width:
         down, right = (((np.arange(n) + 0.5) * m / n).astype(int) for n, m in ((height, rows), (width, columns)))
         return z[np.ix_(down, right)]
-    found = z_of_distances(torch.from_numpy(z))
-    return found.z(upsampled(found.disparities, torch.from_numpy(photo[..., :3]), found.spread)).numpy()
+    found = distances_to_z(torch.from_numpy(z))
+    return found.z(upsample(found.disparities, torch.from_numpy(photo[..., :3]), found.spread)).numpy()
 
 
 class _Candidates:

@@ -12,7 +12,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import MAP_ORIENTATIONS
 from lightfield_gs.io.images import Picture, apply_orientation, as_floats, read_picture
-from lightfield_gs.photo.colour import check_finite, in_srgb
+from lightfield_gs.photo.colour import check_finite, to_srgb
 from lightfield_gs.photo.image_filters import row_strips
 from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_components, plain_background_mask
 
@@ -25,7 +25,7 @@ def is_alike(shape: Sequence[int], other: Sequence[int]) -> bool:
     return abs(ratio - 1) <= _SAME_SHAPE
 
 
-def turned_with_photo(
+def turn_with_photo(
     name: str,
     values: np.ndarray,
     own: int,
@@ -67,7 +67,7 @@ _INSTALL = "pip install 'lightfield-gs[rembg]'"
 _MODEL = "u2net"
 
 
-def background_removed(rgb: np.ndarray) -> np.ndarray:
+def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
     """Alpha [H, W], float32 in 0..1, of the object that stands out in a photo, rgb [H, W, 3] in 0..1.
 
     The weights (176 MB) are downloaded by rembg at first use. Raises InputError without the package or its weights.
@@ -90,7 +90,7 @@ def background_removed(rgb: np.ndarray) -> np.ndarray:
     return mask.astype(np.float32) / 255
 
 
-__all__ = ["NoCutOut", "Photo", "load_photo", "photo_of", "plain_background_mask"]
+__all__ = ["NoCutOut", "Photo", "load_photo", "cut_out_photo", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
 _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
 _COVERS_ALL = 0.93  # alpha that covers this share of the pixels and more has rounded corners or a frame, and no object
@@ -142,7 +142,7 @@ def load_photo(
     whether it is turned as the photo is by its Exif orientation takes `map_orientation`, "stored" or "upright".
     Raises InputError when there is none of these, or nothing in it.
     """
-    photo = photo_of(
+    photo = cut_out_photo(
         path,
         read_picture(path),
         mask,
@@ -153,7 +153,7 @@ def load_photo(
     return photo.floats()
 
 
-def photo_of(
+def cut_out_photo(
     path: str | Path,
     picture: Picture,
     mask: str | Path | None = None,
@@ -169,7 +169,7 @@ def photo_of(
         raise InputError("--mask and --remove-background are two ways to the same cut-out; leave out one of them")
     check_finite(picture, path)
     rgb, alpha = _colour_and_alpha(picture.pixels)
-    colours = in_srgb(rgb, picture)
+    colours = to_srgb(rgb, picture)
     photo = Photo(colours.pixels, picture.orientation, notes=[f"{path} {words}" for words in colours.notes])
     if picture.orientation in range(2, 9):
         photo.messages.append(f"turned by its Exif orientation {picture.orientation}")
@@ -179,7 +179,7 @@ def photo_of(
         empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
         description = f"cut out by {Path(mask).name}"
     elif remove_background:
-        alpha = background_removed(as_floats(photo.pixels))
+        alpha = rembg_alpha(as_floats(photo.pixels))
         empty = f"{path}: rembg found no object; give a cut-out with --mask FILE"
         description = "cut out by rembg"
     elif alpha is not None and (whole or (alpha > alpha.dtype.type(0.5 * _most(alpha))).mean() < _COVERS_ALL):
@@ -303,7 +303,7 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
     """Alpha [H, W] float32 in 0..1 of a mask, upright as the photo is."""
     picture = read_picture(path)
     size = photo.pixels.shape[:2]
-    pixels, turned = turned_with_photo(
+    pixels, turned = turn_with_photo(
         str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation
     )
     photo.messages += [f"{Path(path).name} turned with it"] if turned else []

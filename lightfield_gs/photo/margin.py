@@ -25,7 +25,7 @@ _BLURS = (8, 32, 128)  # pixels from the photo on at which its depths are smooth
 
 
 @dataclass(frozen=True)
-class Placed:
+class PhotoPlacement:
     """rig: that shows the photo on the panel. margin_px: (left, top, right, bottom), pixels of the photo that its views
     show beyond it. cropped, made_up: shares of the photo and of the panel's centre view, 0..1."""
 
@@ -35,7 +35,7 @@ class Placed:
     made_up: float
 
 
-def place(
+def fit_to_panel(
     depth: Tensor,
     focal_px: tuple[float, float],
     principal_point_px: tuple[float, float],
@@ -45,7 +45,7 @@ def place(
     widest_tan: float | None = None,
     zoom: float = 1.0,
     on_near: bool = False,
-) -> Placed:
+) -> PhotoPlacement:
     """The rig of the photo's camera that shows it on the panel, and the margin that all of its views need.
 
     depth: [H, W], z of the photo, scene units. fit: "cover": the photo fills the panel, what is too high or too wide
@@ -78,7 +78,7 @@ def place(
     most = _WIDEST * width, _WIDEST * height
     x, y = (math.ceil(min(max(part, 0), limit)) for part, limit in zip((across, down), most))
     seen = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)
-    return Placed(
+    return PhotoPlacement(
         Rig(np.eye(4), focal, centre, float(zero)),
         (x, y, x, y),
         1 - seen,
@@ -86,7 +86,9 @@ def place(
     )
 
 
-def made_up(image: Tensor, depth: Tensor, margin_px: tuple[int, int, int, int]) -> tuple[Tensor, Tensor, Tensor]:
+def extend_with_margin(
+    image: Tensor, depth: Tensor, margin_px: tuple[int, int, int, int]
+) -> tuple[Tensor, Tensor, Tensor]:
     """The image [H, W, 3] and depth map [H, W] with a margin (left, top, right, bottom) of the same texture, and the
     pixels that are it, bool.
 

@@ -357,11 +357,11 @@ def _find_background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     side = max(3, round(c.hole_side * min(height, width)))
     components = Components(distance < c.far, diagonal=False)
     from_border = components.touching(border)
-    from_patch = components.touching(full_squares(distance < c.same, side))
+    from_patch = components.touching(find_full_squares(distance < c.same, side))
     return components.mask(from_border | from_patch), components.mask(from_patch & ~from_border)
 
 
-def full_squares(mask: np.ndarray, side: int) -> np.ndarray:
+def find_full_squares(mask: np.ndarray, side: int) -> np.ndarray:
     """Return the pixels, bool [H, W], about which a square of `side` pixels lies wholly in the mask."""
     from scipy.ndimage import minimum_filter
 

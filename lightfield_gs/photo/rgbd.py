@@ -14,10 +14,10 @@ from lightfield_gs.base.checks import expect, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.depth_edges import STEEPEST, edges, find_matte, opacity_of_coverage, slopes, snap_mixed
-from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
+from lightfield_gs.photo.depth_edges import STEEPEST, coverage_to_opacity, edges, find_matte, slopes, snap_mixed
+from lightfield_gs.photo.hidden import Hidden, fill_hidden, find_hidden
 from lightfield_gs.photo.image_filters import max_filter
-from lightfield_gs.photo.margin import made_up
+from lightfield_gs.photo.margin import extend_with_margin
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
@@ -65,7 +65,7 @@ def from_depth(
     Arrays or tensors; the work is done on the image's device.
     focal_px: (fx, fy), pixels; None: the longer side takes 60 degrees. principal_point_px: (cx, cy), pixels from the
     outer corner of the first pixel; None: the middle. margin_px: (left, top, right, bottom), pixels around the photo
-    that are made up of its texture, as `lightfield_gs.photo.margin.place` says for a panel.
+    that are made up of its texture, as `lightfield_gs.photo.margin.fit_to_panel` says for a panel.
 
     Each Gaussian lies in the surface, with a standard deviation of 0.65 pixels as its own camera sees it: its
     covariance is that of the pixel through the inverse of the projection's Jacobian (Zwicker et al., "EWA splatting",
@@ -91,10 +91,10 @@ def from_depth(
     focal, centre = known_camera(focal_px, principal_point_px, height, width)
     depth = snap_mixed(depth, focal)
     found = find_hidden(image[..., :3], depth, focal)
-    behind = filled(found, depth)
+    behind = fill_hidden(found, depth)
     parts = _layers(image, depth, opacity, found, behind, focal, centre)
     if any(margin_px):
-        colours, z, outside = made_up(behind, 1 / found.disparity, margin_px)
+        colours, z, outside = extend_with_margin(behind, 1 / found.disparity, margin_px)
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
         full = torch.full_like(z, _OPACITY)
         parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner, torn=False))
@@ -119,13 +119,13 @@ def _layers(
     seen = opacity.clone()
     # A pixel lets through what lies behind it only where that is known
     soft = own & found.hole[rows, columns]
-    seen[rows[soft], columns[soft]] *= opacity_of_coverage(matte.alpha[soft], _SPREAD, _OPACITY) / _OPACITY
+    seen[rows[soft], columns[soft]] *= coverage_to_opacity(matte.alpha[soft], _SPREAD, _OPACITY) / _OPACITY
     parts = [_elements(torch.isfinite(depth).nonzero(), depth, seen, colours, focal, centre)]
     before = ~own & (matte.alpha > 0)
     r, c = rows[before], columns[before]
     rim, front, cover = depth.clone(), colours.clone(), opacity.clone()
     rim[r, c], front[r, c] = matte.depth[before], matte.near[before]
-    cover[r, c] *= opacity_of_coverage(matte.alpha[before], _SPREAD, _OPACITY) / _OPACITY
+    cover[r, c] *= coverage_to_opacity(matte.alpha[before], _SPREAD, _OPACITY) / _OPACITY
     parts.append(_elements(torch.stack([r, c], 1), rim, cover, front, focal, centre))
     parts.append(_elements(found.hole.nonzero(), 1 / found.disparity, opacity, behind, focal, centre, torn=False))
     return parts

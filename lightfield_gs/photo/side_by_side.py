@@ -30,12 +30,12 @@ _RELIEF, _COLOURFUL = 0.05, 0.05
 _PALE, _TIMES_PALER = 0.008, 3
 
 
-def is_named_so(path: Path) -> bool:
+def is_rgbd_name(path: Path) -> bool:
     """Whether the name of a picture says that its depth map is in it: photo_rgbd.png."""
     return _NAME.search(path.stem) is not None
 
 
-def halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray, np.ndarray]:
+def split_halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray, np.ndarray]:
     """The photo and the depth map, views of pixels [H, W, C]; side: of the latter. Raises InputError."""
     if side not in DEPTH_PARTS:
         raise InputError(f"--rgbd: expected {', '.join(DEPTH_PARTS)}, got {side!r}")
@@ -63,19 +63,21 @@ def depth_side(pixels: np.ndarray, is_named: bool = False) -> str | None:
         axis = 1 if side in ("right", "left") else 0
         if pixels.shape[axis] % 2:
             continue
-        colour, grey = (_sampled(_off_seam(half, side, part)) for part, half in enumerate(halves("", pixels, side)))
+        colour, grey = (
+            _sampled(_off_seam(half, side, part)) for part, half in enumerate(split_halves("", pixels, side))
+        )
         least = max(_PALE, _TIMES_PALER * float(np.ptp(grey, axis=2).mean())) if is_named else _COLOURFUL
         if _is_grey(grey, is_named) and grey.std() >= _RELIEF and float(np.ptp(colour, axis=2).mean()) >= least:
             return side
     return None
 
 
-def beside_numbers(path: str | Path, pixels: np.ndarray, side: str) -> DepthNumbers:
+def read_depth_half(path: str | Path, pixels: np.ndarray, side: str) -> DepthNumbers:
     """The numbers of the depth map in the half `side` of pixels [H, W, C]. Raises InputError.
 
     Whether it is grey is judged away from the seam; where colours run over there, its brightness is taken.
     """
-    grey = halves(path, pixels, side)[1]
+    grey = split_halves(path, pixels, side)[1]
     name, inner = f"{path}: its {side} half", _off_seam(grey, side, 1)
     if grey.shape[2] < 3 or not _is_grey(as_floats(inner[..., :3]), True):
         return grey_numbers(name, grey)

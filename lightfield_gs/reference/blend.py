@@ -38,7 +38,7 @@ class Scene:
     sh: Tensor
 
     @staticmethod
-    def of(gaussians: Gaussians) -> Scene:
+    def from_gaussians(gaussians: Gaussians) -> Scene:
         fields = (gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh)
         return Scene(*(field.detach().to(torch.float64) for field in fields))
 

@@ -11,7 +11,7 @@ import torch
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate, zone_width_mm
+from lightfield_gs.panels.simulate import Psf, eye_row, simulate, zone_width_mm
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.reference.metrics import psnr_db, ssim
 from lightfield_gs.scene.gaussians import Gaussians
@@ -35,10 +35,10 @@ def eyes_across(panel: Panel, count: int, share: float = 0.75) -> np.ndarray:
     viewing zone: not quite to its ends, where an eye sees the first and the last view at once. Raises InputError."""
     count, share = whole_number("count", count, 1, MOST_EYES), real_number("share", share, 0.0, 1.0)
     half = share * zone_width_mm(panel) / 2
-    return row_of_eyes(panel, -half, half, count)
+    return eye_row(panel, -half, half, count)
 
 
-def views_of(panel: Panel, eyes_mm: np.ndarray) -> np.ndarray:
+def view_coordinates(panel: Panel, eyes_mm: np.ndarray) -> np.ndarray:
     """View coordinates x [K] that eyes [K, 3] at the viewing distance see. Raises InputError."""
     aside = (eyes_mm[:, 0] - eyes_mm[:, 1] * panel.slant_tan) * (-1 if panel.invert_views else 1)
     return panel.views * (0.5 - aside / zone_width_mm(panel))
@@ -68,7 +68,7 @@ class EyeReference:
         """eyes_mm: [K, 3] at the viewing distance, as eyes_across makes them. spread_subpixels, psf: see simulate. The
         rest as in encode. Renders K cameras at the panel's resolution, one at a time. Raises InputError."""
         expect("panel", panel, Panel)
-        self.panel, self.eyes_mm, self.views = panel, np.asarray(eyes_mm, np.float64), views_of(panel, eyes_mm)
+        self.panel, self.eyes_mm, self.views = panel, np.asarray(eyes_mm, np.float64), view_coordinates(panel, eyes_mm)
         self.spread, self.psf = spread_subpixels, psf
         pictures = []
         for x, eye in zip(self.views, self.eyes_mm):

@@ -148,7 +148,7 @@ def subpixel_colours(
     or transmittance = 1e-4), at most 0.1; below some 1e-4 a float32 program may rightly decide otherwise.
     """
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig, view_filter), antialiased)
+    projection = Projection(Scene.from_gaussians(gaussians), rig_eye(panel, rig, view_filter), antialiased)
     colours, margins = _colours(
         projection,
         _centres(columns),
@@ -199,7 +199,7 @@ def pixel_colours(
     return_margin: bool = False,
 ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours of chosen pixels and channels of one ordinary camera, float64 [M]; the rest as `subpixel_colours`."""
-    projection = Projection(Scene.of(gaussians), _camera_eye(cameras, camera), antialiased)
+    projection = Projection(Scene.from_gaussians(gaussians), _camera_eye(cameras, camera), antialiased)
     offsets = torch.zeros(len(rows), dtype=torch.float64)
     colours, margins = _colours(
         projection,

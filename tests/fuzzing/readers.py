@@ -36,7 +36,7 @@ from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.panels.framing import photo_camera, stored_framing
 from lightfield_gs.panels.simulate import Psf
 from lightfield_gs.photo.depth import read_depth
-from lightfield_gs.photo.embedded_depth import facts_inside
+from lightfield_gs.photo.embedded_depth import embedded_facts
 from lightfield_gs.scene.axes import find_up
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -184,7 +184,7 @@ READERS = {
     "image": Reader(".png", _read_image, "image"),
     "cut-out": Reader(".png", load_photo, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
-    "photo-inside": Reader(".jpg", lambda path: (read_info(path), facts_inside(path)), "photo-inside"),
+    "photo-inside": Reader(".jpg", lambda path: (read_info(path), embedded_facts(path)), "photo-inside"),
     "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),
     "depth-npz": Reader(".npz", lambda path: read_depth(path, scale=0.001), "depth-npz"),
     "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),

@@ -6,7 +6,7 @@ import torch
 from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import _core, encode, reference, render
-from lightfield_gs.panels.lens import lens_of
+from lightfield_gs.panels.lens import panel_lens
 from lightfield_gs.rasterizer.quality import EXACT
 from lightfield_gs.reference.blend import Eye, Projection, Scene
 from lightfield_gs.scene.cameras import Cameras
@@ -91,7 +91,7 @@ class Stages:
 def native_lens(shown, fan, continuous=False):
     start = float(reference.lens_offsets(shown, fan, np.array(0.0)))
     end = float(reference.lens_offsets(shown, fan, np.array(float(shown.views))))
-    return lens_of(shown, continuous, start, (end - start) / shown.views).native()
+    return panel_lens(shown, continuous, start, (end - start) / shown.views).native()
 
 
 @pytest.mark.parametrize("name", PANELS)
