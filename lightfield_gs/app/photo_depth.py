@@ -201,12 +201,12 @@ def _rays_of(
 def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """A map at the photo's size; of another size it has to have the photo's shape. Raises InputError."""
     from lightfield_gs.photo.joint_upsampling import resize_to_photo
-    from lightfield_gs.photo.load import is_alike
+    from lightfield_gs.photo.load import has_same_shape
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
     if shape == size:
         return depth
-    if not is_alike(shape, size):
+    if not has_same_shape(shape, size):
         raise InputError(
             f"{name}: expected a depth map of the photo's size {size[1]} x {size[0]}, or of its shape, got {shape[1]} "
             f"x {shape[0]}; crop one of them, so that both show the same"

@@ -18,7 +18,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.text_files import MOST_BYTES, read_json, read_text
-from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values, find_calibration, with_values
+from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values, find_calibration, replace_values
 from lightfield_gs.panels.panel import Panel
 
 
@@ -131,7 +131,7 @@ def write_profile(path: str | Path, source: str | Path, panel: Panel, serial: st
     path = check_profile_path(path, source)
     if is_looking_glass(source):
         values = looking_glass_lens(source, panel, serial)
-        data = with_values(read_json(source, LIMIT_BYTES), str(source), serial, values)
+        data = replace_values(read_json(source, LIMIT_BYTES), str(source), serial, values)
         _write_checked(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n", panel, serial)
     else:
         is_file = Path(source).is_file() or Path(source).suffix.lower() in (".yaml", ".yml")

@@ -86,7 +86,7 @@ class Components:
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Return the sum of values [H, W] over each component, float64 [count]."""
         sums = np.zeros(self.count + 1)
-        for top, bottom in row_strips(*values.shape, _STRIP_PIXELS):
+        for top, bottom in row_strips(values.shape[0], values.shape[1], _STRIP_PIXELS):
             labels, weights = self.labels[top:bottom].ravel(), values[top:bottom].ravel()
             sums += np.bincount(labels, weights, self.count + 1)
         return sums[1:]

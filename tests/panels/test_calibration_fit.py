@@ -97,7 +97,7 @@ def test_what_says_nothing_is_refused():
     good = places(true)
     with pytest.raises(InputError, match="one place"):
         fit_lens(good[:1], START)
-    assert worst_views(fit_lens(good[:1], START, one_place=True).panel, true) < 0.02
+    assert worst_views(fit_lens(good[:1], START, one_viewpoint=True).panel, true) < 0.02
     with pytest.raises(InputError, match="three photographs.*got 2"):
         Viewpoint(EYES[0], good[0].photos[:2])
     with pytest.raises(InputError, match="can be seen on"):

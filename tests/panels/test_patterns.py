@@ -12,7 +12,7 @@ from lightfield_gs.base.paths import config_names
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.patterns import (
-    _written,
+    _format_signed,
     bars,
     depth_ramp,
     displayed_numbers,
@@ -139,6 +139,6 @@ def test_depth_ramp_moves_as_far_as_it_says(invert):
 def test_labels_are_numbers_without_exponents():
     """So that every band has one, whatever the span and the lens."""
     for span, expected in ((1e-6, "+0.0000002"), (0.5, "+0.1"), (50, "+10"), (1e5, "+20000")):
-        assert _written(span / 5, span) == expected
+        assert _format_signed(span / 5, span) == expected
     panel = Panel(width_px=30, height_px=20, views=4096, line_number=9e5, slant_tan=0.1)
     assert depth_ramp(panel).shape == fan(panel, "pitch", span=1e-6, bands=99).shape == (20, 30, 3)

@@ -92,7 +92,7 @@ def test_metric_networks_give_distances(folder, transformers):
     found = estimated_depth(photo, model, "cpu")
     with torch.no_grad():
         network = depth_network._network(model, "cpu")
-        values = depth_network._predicted(model, network, photo)
+        values = depth_network._predict(model, network, photo)
     assert "distances" in found.description and found.focal_px is None
     assert float(values.min()) * 0.999 <= found.z.min() <= found.z.max() <= float(values.max()) * 1.001
     with pytest.raises(lf.InputError, match="--depth-range is for disparities"):
@@ -143,7 +143,9 @@ def test_disparities_are_normalized_by_percentiles():
     found = disparities_to_z(values, (2.0, 4.0))
     low, high = 5.1, 14.9
     expected = 1 / (0.25 + 0.25 * ((values - low) / (high - low)).clamp(0, 1.25))
-    assert torch.allclose(found.z(values), expected, atol=1e-5) and found.spread == pytest.approx(high - low, rel=1e-4)
+    assert torch.allclose(found.z(values), expected, atol=1e-5) and found.value_range == pytest.approx(
+        high - low, rel=1e-4
+    )
     flat = disparities_to_z(torch.full((4, 5), 3.0))
     assert "flat" in flat.notes[0] and torch.equal(flat.z(flat.disparities), torch.full((4, 5), 1.6))
 
@@ -169,9 +171,9 @@ def test_models_that_do_not_say_what_their_numbers_are():
         model_type = "chmv2"
 
     with pytest.raises(lf.InputError, match="--depth-kind"):
-        depth_network._kind("trees", Config())
+        depth_network._model_kind("trees", Config())
     Config.model_type = "dpt"
-    assert depth_network._kind("dpt", Config()) == "disparity"
+    assert depth_network._model_kind("dpt", Config()) == "disparity"
 
 
 def test_the_image_says_which_network(folder, transformers, monkeypatch):
