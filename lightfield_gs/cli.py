@@ -17,7 +17,7 @@ from typing import NoReturn, cast
 from lightfield_gs.base.cli_messages import PatientStream, open_closed_streams, print_assumptions, report_error
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
-from lightfield_gs.commands.options.parser import Parser, joined
+from lightfield_gs.commands.options.parser import Parser, join_values
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
@@ -65,7 +65,7 @@ def _run(arguments: list[str], began: float) -> int:
     try:
         if arguments[:1] and arguments[0] in COMMANDS and not has_working_folder():
             raise InputError(FOLDER_GONE)
-        args = build_parser(*arguments[:1]).parse_args(joined(arguments), argparse.Namespace(began=began))
+        args = build_parser(*arguments[:1]).parse_args(join_values(arguments), argparse.Namespace(began=began))
         with print_assumptions():
             code = importlib.import_module(args.module).run(args) or 0
         return code

@@ -1,8 +1,7 @@
-"""The rig of a command: of its options, of what the scene's file brings along, or framed automatically."""
+"""The rig of a command: of a file, of what the scene's file brings along, or framed automatically."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.app.photo import photo_rig
+from lightfield_gs.app.options import CameraOptions
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, render_comments
@@ -20,7 +19,6 @@ from lightfield_gs.scene.axes import DEFAULT_UP, Up, find_up
 
 if TYPE_CHECKING:
     from lightfield_gs.io.scenes.files import SceneFile
-    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
 
@@ -28,55 +26,58 @@ _OTHERS = "another: --camera, --rig, --up"
 
 
 @dataclass(frozen=True)
-class Given:
-    """What the options say of the cameras, in the coordinates of the scene's file.
+class CameraChoice:
+    """The camera that the options name, read from its file, in the coordinates of the scene's file.
 
-    rig: of --rig, complete. pose, focal_px, principal_point_px: of --camera, at the panel's resolution. messages:
-    lines.
+    Attributes:
+        rig: of --rig.
+        pose: world to camera of --camera, [4, 4]; focal_px and principal_point_px: at the panel's resolution.
+        up: the axis of --up, for automatic framing.
+        messages: lines on what was decided.
     """
 
     rig: Rig | None = None
     pose: np.ndarray | None = None
     focal_px: tuple[float, float] = (1.0, 1.0)
     principal_point_px: tuple[float, float] = (0.0, 0.0)
+    up: str | None = None
     messages: list[str] = field(default_factory=list)
 
 
-def read_given(args: argparse.Namespace, panel: Panel) -> Given:
-    """The cameras that the options name, read before the scene is. Raises InputError."""
-    if args.rig is not None and args.camera is not None:
+def read_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
+    """Read the camera that the options name, before the scene is read. Raises InputError."""
+    if options.rig is not None and options.camera is not None:
         raise InputError("--camera takes the place of --rig; leave out one of them")
-    if args.rig is None and args.camera is None:
-        return Given()
-    unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if args.up else []
-    if args.rig is not None:
-        _refuse_cameras(args.rig)
-        return Given(load_rig(args, panel), messages=unused)
-    path, index = args.camera
+    up = options.up
+    unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if up else []
+    if options.rig is not None:
+        return CameraChoice(_read_rig(options.rig, panel), up=up, messages=unused)
+    if options.camera is None:
+        return CameraChoice(up=up)
+    path, index = options.camera
     if path.suffix.lower() in (".yaml", ".yml"):
         if index is not None:
             raise InputError(f"{path}:{index}: a rig is one camera; leave out the index")
         rig = Rig.from_yaml(path)
-        return Given(
-            None,
-            rig.world_to_camera,
-            rig.focal_px,
-            rig.principal_point_px,
-            [f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew", *unused],
-        )
-    return _of_camera_file(path, index, panel, unused)
+        words = f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew"
+        return CameraChoice(None, rig.world_to_camera, rig.focal_px, rig.principal_point_px, up, [words, *unused])
+    return _read_camera_file(path, index, panel, up, unused)
 
 
-def _refuse_cameras(path: Path) -> None:
-    """Raises InputError where a file that was given as a rig holds the cameras of photographs."""
+def _read_rig(path: Path, panel: Panel) -> Rig:
+    """Read a rig, and note where it looks like the rig of another panel. Raises InputError."""
     from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
     from lightfield_gs.io.text_files import read_json
 
     if path.suffix.lower() == ".json" and is_camera_file(read_json(path, LIMIT_BYTES)):
         raise InputError(f"{path}: holds the cameras of photographs, no rig; give it as --camera FILE[:INDEX]")
+    rig = Rig.from_yaml(path)
+    _note_off_centre(path, rig.principal_point_px, panel)
+    return rig
 
 
-def _of_camera_file(path: Path, index: int | None, panel: Panel, messages: list[str]) -> Given:
+def _read_camera_file(path: Path, index: int | None, panel: Panel, up: str | None, messages: list[str]) -> CameraChoice:
+    """Return the camera of a camera file, fitted to the panel. messages: lines that follow its own."""
     from lightfield_gs.io.captures.camera_files import read_camera_file
 
     cameras = read_camera_file(path)
@@ -90,27 +91,38 @@ def _of_camera_file(path: Path, index: int | None, panel: Panel, messages: list[
         words += f"; {camera.assumed}"
     if camera.distorted:
         words += "; its lens distortion is left out"
-    return Given(None, camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), [words, *messages])
+    fitted = camera.fitted(panel.width_px, panel.height_px)
+    return CameraChoice(None, camera.world_to_camera, *fitted, up, [words, *messages])
 
 
-def choose_rig(
-    given: Given, args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile | None
-) -> tuple[Rig, list[str]]:
-    """The rig in the coordinates that the Gaussians have, and lines on how it was chosen. file: None for a photo.
+def chosen_rig(choice: CameraChoice, panel: Panel, gaussians: Gaussians) -> Rig | None:
+    """Return the rig of the options, in the coordinates of the Gaussians; None where they name no camera."""
+    if choice.rig is not None:
+        return choice.rig.relative_to(gaussians.origin)
+    if choice.pose is None:
+        return None
+    return _look_from(choice.pose, choice.focal_px, choice.principal_point_px, panel, gaussians)
 
-    Raises InputError.
+
+def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
+    """Return the rig that a scene's file brings along, or else frame the scene; and lines on how it was chosen.
+
+    Args:
+        up: the axis of --up; with it the cameras of the file do not count.
+        path: of the file, for errors.
+        file: what it holds beside the Gaussians.
+        panel: the panel that shows the scene.
+        gaussians: the scene; the rig is in its coordinates.
+
+    Raises:
+        InputError: what the file brings along cannot be read, or nothing can be framed.
     """
-    if given.rig is not None:
-        return given.rig.relative_to(gaussians.origin), given.messages
-    if given.pose is not None:
-        return _looking(given.pose, given.focal_px, given.principal_point_px, panel, gaussians), given.messages
-    if file is None:
-        return photo_rig(args, panel, gaussians), []
-    own = None if args.up else _own_camera(args.input, file, panel, gaussians)
-    return own or _automatic(args, panel, gaussians, file)
+    own = None if up else _own_rig(path, file, panel, gaussians)
+    return own or _frame(up, file, panel, gaussians)
 
 
-def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
+def _own_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
+    """Return the rig of the cameras that the scene's file brings along, and a line on it."""
     from lightfield_gs.panels.framing import photo_camera, stored_framing
 
     with named(path):
@@ -118,16 +130,14 @@ def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians)
             return stored[0].relative_to(gaussians.origin), [f"camera: {stored[1]} ({_OTHERS})"]
         if (camera := photo_camera(file.elements)) is None:
             return None
+    size = f"{camera.width_px:g} x {camera.height_px:g}"
     return (
-        _looking(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
-        [
-            f"camera: that of the photo, {camera.width_px:g} x {camera.height_px:g}, which the file brings along "
-            f"({_OTHERS})"
-        ],
+        _look_from(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
+        [f"camera: that of the photo, {size}, which the file brings along ({_OTHERS})"],
     )
 
 
-def _looking(
+def _look_from(
     pose: np.ndarray,
     focal_px: tuple[float, float],
     principal_point_px: tuple[float, float],
@@ -140,25 +150,25 @@ def _looking(
     return framing.frame_from_camera(gaussians, panel, pose, focal_px, principal_point_px)
 
 
-def _automatic(args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile) -> tuple[Rig, list[str]]:
-    up = axes_of(args.up, file)
-    notes: list[str] = []
+def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
     from lightfield_gs.panels.framing import frame_scene
 
-    rig = frame_scene(gaussians, panel, up=up.axis, notes=notes)
+    axis = scene_up(up, file)
+    notes: list[str] = []
+    rig = frame_scene(gaussians, panel, up=axis.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
-    return rig, [f"axes: {up.describe()}", *(f"framing: {words}; {others}" for words in notes)]
+    return rig, [f"axes: {axis.describe()}", *(f"framing: {words}; {others}" for words in notes)]
 
 
-def axes_of(up: str | None, file: SceneFile) -> Up:
-    """Which axis points up, and who says so; up: what the command line says."""
+def scene_up(up: str | None, file: SceneFile) -> Up:
+    """Return the axis that points up: the option's, else the file's, else the default."""
     if up:
         return Up(up, "--up")
     return find_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
 
 
-def brought_along(file: SceneFile) -> list[tuple[str, str]]:
-    """What a scene's file says of its fit and of cameras, for `info`."""
+def fit_and_cameras(file: SceneFile) -> list[tuple[str, str]]:
+    """Return what a scene's file says of its fit and of cameras, for `info`."""
     try:
         fitted = find_fit_record(file.comments)
         fit = [] if fitted is None else [("fitted", fitted.describe())]
@@ -166,10 +176,10 @@ def brought_along(file: SceneFile) -> list[tuple[str, str]]:
             fit.append(("anti-aliasing", "trained with it, the file says, and drawn with it"))
     except InputError as error:
         fit = [("fitted", str(error))]
-    return fit + _cameras_along(file)
+    return fit + _cameras_in(file)
 
 
-def _cameras_along(file: SceneFile) -> list[tuple[str, str]]:
+def _cameras_in(file: SceneFile) -> list[tuple[str, str]]:
     from lightfield_gs.panels.framing import photo_camera, stored_size
 
     try:
@@ -181,44 +191,49 @@ def _cameras_along(file: SceneFile) -> list[tuple[str, str]]:
     return [] if camera is None else [("camera", f"that of the photo, {camera.width_px:g} x {camera.height_px:g}")]
 
 
-def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, rig: Rig | None) -> list[str]:
-    """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
+def scene_comments(
+    up: str | None, antialiased: bool, panel: Panel, file: SceneFile | None, rig: Rig | None
+) -> list[str]:
+    """Return comments for the header of a scene's file, so that it is shown as it was drawn.
+
+    Args:
+        up: the axis of --up.
+        antialiased: whether it was drawn so.
+        panel: the panel of the rig.
+        file: the file that the scene is from.
+        rig: the cameras, in the coordinates of the file.
+    """
     from lightfield_gs.panels.framing import framing_comment
 
-    known = render_comments(file.comments if file is not None else (), args.antialiased)
-    if file is not None and (args.up or find_up(file.comments)):
-        known.append(f"Vertical Axis: {axes_of(args.up, file).axis}")
+    known = render_comments(file.comments if file is not None else (), antialiased)
+    if file is not None and (up or find_up(file.comments)):
+        known.append(f"Vertical Axis: {scene_up(up, file).axis}")
     return known + ([] if rig is None else [framing_comment(rig, panel)])
 
 
-def load_rig(args: argparse.Namespace, panel: Panel) -> Rig | None:
-    """The rig of --rig, if there is one; says where it looks like one of another panel. Raises InputError."""
-    from lightfield_gs.panels.rig import Rig
+def load_view_cameras(path: Path, panel: Panel, has_view_map: bool) -> Cameras:
+    """Read the camera of each view, and note where they are in the wrong order or look like another panel's.
 
-    if args.rig is None:
-        return None
-    rig = Rig.from_yaml(args.rig)
-    _note_of_centre(args.rig, rig.principal_point_px, panel)
-    return rig
-
-
-def load_cameras(args: argparse.Namespace, panel: Panel) -> Cameras:
-    """Those of --cameras; says where they look as if they were in the wrong order, or made for another panel."""
+    has_view_map: the views of a view map are in an order of its own. Raises InputError.
+    """
     from lightfield_gs.encoding.view_files import read_cameras
 
-    cameras = read_cameras(args.cameras, panel)
-    _note_of_centre(args.cameras, cameras.intrinsics()[:, 2:].median(0).values.tolist(), panel)
-    if args.view_map is None:  # a view map has the views in an order of its own
-        _note_of_order(args.cameras, cameras, panel)
+    cameras = read_cameras(path, panel)
+    _note_off_centre(path, cameras.intrinsics()[:, 2:].median(0).values.tolist(), panel)
+    if not has_view_map:
+        _note_wrong_order(path, cameras, panel)
     return cameras
 
 
-def _note_of_centre(path: Path, principal_point_px: Sequence[float], panel: Panel) -> None:
-    """Says where cameras' lengths look as if they counted pixels of another panel: then the principal point is off the
-    middle in both directions alike. In one alone it is where the content is beside the axis and was centred."""
+def _note_off_centre(path: Path, principal_point_px: Sequence[float], panel: Panel) -> None:
+    """Note cameras that look as if their lengths counted pixels of another panel.
+
+    Then the principal point is off the middle in both directions alike. It is off in one alone where the content is
+    beside the axis and was centred.
+    """
     size = panel.width_px, panel.height_px
-    places = [centre / pixels for centre, pixels in zip(principal_point_px, size)]
-    if max(places) < 0.3 or min(places) > 0.7:
+    fractions = [centre / pixels for centre, pixels in zip(principal_point_px, size)]
+    if max(fractions) < 0.3 or min(fractions) > 0.7:
         x, y = principal_point_px
         note(
             f"{path}: its principal point ({x:g}, {y:g}) is far from the middle of the panel's {size[0]} x {size[1]} "
@@ -226,9 +241,8 @@ def _note_of_centre(path: Path, principal_point_px: Sequence[float], panel: Pane
         )
 
 
-def _note_of_order(path: Path, cameras: Cameras, panel: Panel) -> None:
-    """Says where the cameras go from left to right, as those of quilts do, and views from right to left, or the other
-    way round."""
+def _note_wrong_order(path: Path, cameras: Cameras, panel: Panel) -> None:
+    """Note cameras that go from left to right, as a quilt's do, where the views go from right to left, or reversed."""
     rotations, moves = cameras.world_to_camera[:, :3, :3], cameras.world_to_camera[:, :3, 3:]
     centres = -(rotations.transpose(1, 2) @ moves)[..., 0]
     right = rotations[cameras.count // 2, 0]

@@ -1,8 +1,7 @@
-"""An input on its way to the image of a panel, in three parts: what `encode` does once, and `batch` over and over."""
+"""An input on its way to the image of a panel, in three parts: `encode` does them once, `batch` for each input."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,16 +10,17 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lightfield_gs.app.cameras import comments_of, load_cameras, read_given
+from lightfield_gs.app.cameras import load_view_cameras, read_camera, scene_comments
 from lightfield_gs.app.look import refuse_look
+from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import load_panel
-from lightfield_gs.app.photo_depth import depth_file, depth_model, is_estimated
 from lightfield_gs.app.provenance import file_facts, package_versions, scene_facts, software
 from lightfield_gs.app.scene import (
+    LoadedScene,
+    RenderSettings,
+    build_scene,
     check_scene_options,
     check_scene_path,
-    drawn_of,
-    files_read,
     frame_scene,
     read_source,
 )
@@ -43,29 +43,42 @@ if TYPE_CHECKING:
     from lightfield_gs.base.cuda import HostCopies, HostCopy
     from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.gaussians import Gaussians
 
 
 class Encoding:
-    """args.input to args.output: `read`, then `draw`, then `write`, each in any thread.
+    """One input to one image: `read`, then `draw`, then `write`, each in any thread.
 
-    `draw` alone needs the device; `read` and `write` are the host's work, beside which other inputs are drawn. What can
-    be refused before anything is read is refused when it is made. messages: lines on what was decided; stats: those of
-    `encode`. copies: of one input after the other from CUDA to the host; with them `draw` does not wait for the image,
-    and counts nothing for the stats. All raise InputError.
+    `draw` alone needs the device; `read` and `write` are the host's work, beside which other inputs are drawn. Options
+    that can be refused before anything is read are refused when it is made. All methods raise InputError.
+
+    Attributes:
+        options: what is asked for.
+        messages: lines on what was decided.
+        stats: those of `lightfield_gs.encode`.
+        scene: the scene, once it is drawn.
     """
 
-    def __init__(self, args: argparse.Namespace, watch: Stopwatch, copies: HostCopies | None = None) -> None:
-        self.args, self.watch, self.messages = args, watch, list[str]()
-        self.bits = _check_files(args)
-        check_options(args)
-        self.panel = load_panel(args)
-        self.device = choose_device(args.device)
-        self.given, self.views = read_given(args, self.panel), views_given(args, self.panel)
+    def __init__(self, options: EncodeOptions, watch: Stopwatch, copies: HostCopies | None = None) -> None:
+        """Check the options.
+
+        Args:
+            options: what is asked for.
+            watch: notes the times.
+            copies: from CUDA to the host, one input after the other. With them `draw` does not wait for the image, and
+                counts nothing for the stats.
+        """
+        self.options, self.watch, self.messages = options, watch, list[str]()
+        self.bits = _check_files(options)
+        check_options(options)
+        self.panel = load_panel(options.panel)
+        self.device = choose_device(options.device)
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
+        self.scene: LoadedScene
         self.stored: np.ndarray | CompressedImage  # the image as it is written
         self.image: np.ndarray  # its pixels, where the host has them
+        self._camera = read_camera(options.camera, self.panel)
+        self._sorted_views = _read_views(options, self.panel)
         self._counts = copies is None or self.device == "cpu"
         self._copies = copies
         self._copy: HostCopy | None = None
@@ -74,77 +87,85 @@ class Encoding:
         watch.lap("start")
 
     def read(self) -> None:
-        """Reads the files of the input."""
-        self._source = read_source(self.args)
+        """Read the files of the input."""
+        self._source = read_source(self.options.scene)
 
     def draw(self) -> None:
-        """Makes the scene of what was read, and the image of the scene, which is on its way to the host then."""
+        """Build the scene, draw its image, and start the copy of the image to the host."""
         import torch
 
-        args, panel = self.args, self.panel
-        source, self._source = self._source, None  # its memory is of no use any more
+        options, panel = self.options, self.panel
+        source, self._source = self._source, None  # frees its memory as soon as it is used
         with torch.inference_mode():
-            gaussians, self.file, self.messages = drawn_of(
-                args, cast("SceneFile", source), panel, self.device, self.watch
+            self.scene = build_scene(
+                options.scene,
+                cast("SceneFile | ReadPhoto", source),
+                options.render,
+                options.look,
+                panel,
+                self.device,
+                self.watch,
             )
-            _note_slow_ways(args, panel, self.device)
+            del source
+            self.messages = self.scene.messages
+            gaussians = self.scene.gaussians
+            _note_slow_ways(options, self.scene.render, panel, self.device)
             # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
-            if "cameras" in self.views:
-                self.views["cameras"] = self.views["cameras"].relative_to(gaussians.origin)
+            if "cameras" in self._sorted_views:
+                self._sorted_views["cameras"] = self._sorted_views["cameras"].relative_to(gaussians.origin)
             else:
-                self.rig, how = frame_scene(args, panel, self.given, gaussians, self.file)
+                self.rig, how = frame_scene(self._camera, options.look, self.scene, panel)
                 self.messages += how
-            self.gaussians = gaussians
-            parts = self._parts(self._drawn(self.stats if self._counts else None))
+            parts = self._parts_to_copy(self._encode(self.stats if self._counts else None))
             if self._copies is not None and parts[0].is_cuda:
                 self._copy = self._copies.begin([*parts, *gaussians.fields().values()])
             else:
                 self._take([to_numpy(part) for part in parts])
         self.watch.lap("image", self.stats.get("stages_ms"))
 
-    def _parts(self, image: Tensor) -> list[Tensor]:
-        """What the host needs of the image: the facts of what the device has compressed, or the pixels, or both."""
-        args = self.args
-        if not is_deflated_on_gpu(image, args.output, args.compression):
+    def _parts_to_copy(self, image: Tensor) -> list[Tensor]:
+        """Return the parts of the image that the host needs: its pixels, or facts of the compressed image, or both."""
+        options = self.options
+        if not is_deflated_on_gpu(image, options.output, options.compression):
             return [image]
         self._deflated, facts = deflate(image)
-        return [facts] if args.preview is None else [facts, image]
+        return [facts] if options.preview is None else [facts, image]
 
     def _take(self, parts: Sequence[np.ndarray]) -> None:
-        """Takes these parts on the host."""
+        """Take the parts on the host."""
         out, self._deflated = self._deflated, None
         if out is None:
             self.image = parts[0]
-            self.stored = _stored(self.image, self.bits)
+            self.stored = _to_bits(self.image, self.bits)
         else:
             facts = parts[0]
             if len(parts) > 1:
                 self.image = parts[1]
             self.stored = compressed_image((self.panel.height_px, self.panel.width_px, 3), out, facts)
 
-    def _drawn(self, stats: dict[str, Any] | None) -> Tensor:
-        """The image, and what `encode` tells of it in stats."""
+    def _encode(self, stats: dict[str, Any] | None) -> Tensor:
+        """Return the image; `encode` writes its statistics into stats."""
         from lightfield_gs.encoding.encode import encode
 
-        args = self.args
+        options, render = self.options, self.scene.render
         return encode(
-            self.gaussians,
+            self.scene.gaussians,
             self.panel,
             self.rig,
-            args.method,
-            views=args.views,
-            background=args.background,
+            options.method,
+            views=options.views,
+            background=render.background,
             output="uint8" if self.bits == 8 else "float32",
-            quality=args.quality,
-            threads=args.threads,
+            quality=options.quality,
+            threads=options.threads,
             stats=stats,
-            antialiased=args.antialiased,
-            view_filter=args.view_filter,
-            **self.views,
+            antialiased=render.antialiased,
+            view_filter=render.view_filter,
+            **self._sorted_views,
         )
 
     def write(self) -> None:
-        """Writes all that was asked for."""
+        """Write all files that are asked for."""
         from lightfield_gs.scene.gaussians import from_tensors
 
         if self._copy is None:
@@ -153,198 +174,104 @@ class Encoding:
         import torch
 
         copies = self._copy.wait()
+        gaussians = self.scene.gaussians
         try:
-            count = len(copies) - len(self.gaussians.fields())
+            count = len(copies) - len(gaussians.fields())
             with torch.cuda.stream(torch.cuda.Stream(self.device)):  # on which nothing is queued that is drawn since
                 self._take([copy.numpy() for copy in copies[:count]])
-            if self.args.preview is None:  # which is drawn where they were
-                self.gaussians = replace(from_tensors(copies[count:]), origin=self.gaussians.origin)
+            if self.options.preview is None:  # a preview is drawn on the device
+                self.scene.gaussians = replace(from_tensors(copies[count:]), origin=gaussians.origin)
             self._write()
         finally:
-            for name in ("gaussians", "image", "stored"):  # which are in memory that others write over
+            for name in ("scene", "image", "stored"):  # their memory is written over by other inputs
                 vars(self).pop(name, None)
             self._copy.release()
 
     def _write(self) -> None:
         import torch
 
-        args, gaussians, panel = self.args, self.gaussians, self.panel
-        rig_of_file = self.rig and self.rig.relative_to([-part for part in gaussians.origin])
+        options, scene, panel = self.options, self.scene, self.panel
+        rig_of_file = self.rig and scene.in_file(self.rig)
         with torch.inference_mode():
-            facts = _metadata(args, gaussians, panel, rig_of_file)
-            write_image(args.output, self.stored, facts, args.compression)
-            if args.save_rig is not None:
-                cast("Rig", rig_of_file).to_yaml(args.save_rig)
-            if args.save_gaussians is not None:
-                gaussians.save(args.save_gaussians, comments_of(args, panel, self.file, rig_of_file))
-                along = ", with the framing and what is up" if args.save_gaussians.suffix.lower() == ".ply" else ""
-                self.messages.append(f"{args.save_gaussians}: the Gaussians in their own axes{along}")
+            write_image(options.output, self.stored, _metadata(options, scene, panel, rig_of_file), options.compression)
+            if options.save_rig is not None:
+                cast("Rig", rig_of_file).to_yaml(options.save_rig)
+            if (path := options.save_gaussians) is not None:
+                comments = scene_comments(options.camera.up, scene.render.antialiased, panel, scene.file, rig_of_file)
+                scene.gaussians.save(path, comments)
+                along = ", with the framing and what is up" if path.suffix.lower() == ".ply" else ""
+                self.messages.append(f"{path}: the Gaussians in their own axes{along}")
             self.watch.lap("write")
-            if args.preview is not None:
+            if options.preview is not None:
                 from lightfield_gs.show.preview import write_preview
 
-                drawn_as = args.background, args.antialiased, args.view_filter
-                write_preview(args.preview, self.image, gaussians, panel, cast("Rig", self.rig), *drawn_as)
+                render = scene.render
+                drawn_as = render.background, render.antialiased, render.view_filter
+                rig = cast("Rig", self.rig)
+                write_preview(options.preview, self.image, scene.gaussians, panel, rig, *drawn_as)
                 self.watch.lap("preview")
             self._note_if_empty()
 
     def _note_if_empty(self) -> None:
-        count = self.gaussians.count
+        count = self.scene.gaussians.count
         if not self._counts:
             if not _is_plain(self.stored):
                 return
-            self.gaussians = self.gaussians.to(self.device)
-            self._drawn(self.stats)
+            self.scene.gaussians = self.scene.gaussians.to(self.device)
+            self._encode(self.stats)
         if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
             note(
-                f"{self.args.output} is all background: none of {count} Gaussians is within what the cameras see, or "
-                "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
+                f"{self.options.output} is all background: none of {count} Gaussians is within what the cameras see, "
+                "or opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
             )
 
 
-def _check_files(args: argparse.Namespace) -> int:
-    """Raises InputError for files that cannot be written, or would be written over; returns the bits of the image."""
-    bits = bits_of(check_image_path(args.output), args.bit_depth)
-    if args.save_rig is not None:
-        check_output_path(args.save_rig)
-    if args.save_gaussians is not None:
-        check_scene_path(args.save_gaussians)
-    if args.preview is not None:
-        check_folder(args.preview)
-    check_outputs(outputs_of(args), files_read(args))
-    return bits
-
-
-def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None:
-    """Says where a panel or an option keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_reason
-    from lightfield_gs.rasterizer.quality import Quality
-
-    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
-    if args.method == "direct" and (why := slow_reason(panel, lattices and device == "cuda")):
-        note(why)
-    if (args.antialiased or args.view_filter) and args.quality != "exact" and device == "cuda":
-        note(
-            f"{'anti-aliased scenes' if args.antialiased else 'filtered views'} are drawn neither from lattices nor in "
-            f"half precision on CUDA: --quality {args.quality} saves little time"
-        )
-
-
-def _is_plain(image: np.ndarray | CompressedImage) -> bool:
-    """Whether an image has one colour."""
-    if isinstance(image, CompressedImage):
-        return image.is_plain
-    return all(bool((part == image[0, 0]).all()) for part in (image[::64, ::16], image))
-
-
-def outputs_of(args: argparse.Namespace) -> list[Path | None]:
-    """All files that the command writes; None for what was not asked for."""
-    outputs = [args.output, args.save_rig, args.save_gaussians]
-    if args.preview is None:
-        return outputs
-    from lightfield_gs.show.preview import FILES
-
-    return [*outputs, *(args.preview / name for name in FILES)]
-
-
-def _stored(image: np.ndarray, bits: int) -> np.ndarray:
-    if bits != 16:
-        return image
-    from lightfield_gs.show.preview import to_integers
-
-    return to_integers(image, 16)
-
-
-def use_threads(threads: int) -> None:
-    import OpenImageIO as oiio
-    import torch
-
-    torch.set_num_threads(threads)
-    oiio.attribute("threads", threads)
-
-
-def _metadata(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig | None) -> dict[str, str]:
-    """What the image was made from and by; the values but "software" and "input" are JSON."""
-    scene = scene_facts(gaussians)
-    if any(gaussians.origin):
-        scene["origin"] = gaussians.origin
-    encoding = {
-        "method": args.method,
-        "views": args.views,
-        "background": list(args.background),
-        "quality": args.quality,
-        **({"antialiased": True} if args.antialiased else {}),
-        **({"view_filter": args.view_filter} if args.view_filter else {}),
-    }
-    for name, path in (
-        ("cameras", args.cameras),
-        ("view_map", args.view_map),
-        ("depth", depth_file(args)),
-        ("camera", args.camera and args.camera[0]),
-    ):
-        if path is not None:
-            encoding[name] = file_facts(path)
-    if is_estimated(args):
-        encoding["depth"] = {"model": depth_model(args)}
-    maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
-    return {
-        "software": software(),
-        "input": args.input.name,
-        "panel": json.dumps(panel.to_dict()),
-        **maker,
-        "scene": json.dumps(scene),
-        "encoding": json.dumps(encoding),
-        "versions": json.dumps(package_versions()),
-    }
-
-
-def check_options(args: argparse.Namespace) -> None:
-    """Raises InputError where options do not go together."""
-    check_scene_options(args)
-    quality = None if args.quality == "exact" else args.quality
-    given = {"cameras": args.cameras, "view_map": args.view_map, "memory_budget": args.memory_budget}
-    for name, its in of_other_methods(args.method, **given, quality=quality):
+def check_options(options: EncodeOptions) -> None:
+    """Raise InputError where options exclude each other."""
+    check_scene_options(options.scene, options.camera)
+    quality = None if options.quality == "exact" else options.quality
+    given = {"cameras": options.cameras, "view_map": options.view_map, "memory_budget": options.memory_budget}
+    for name, its in of_other_methods(options.method, **given, quality=quality):
         if name == "quality":
-            raise InputError(f"--quality {quality} is for --method {its}, not {args.method}; leave out one of them")
-        raise InputError(f"--{name.replace('_', '-')} is for --method {its}, not {args.method}")
-    for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map)):
-        if value is not None and args.views == "continuous":
+            raise InputError(f"--quality {quality} is for --method {its}, not {options.method}; leave out one of them")
+        raise InputError(f"--{name.replace('_', '-')} is for --method {its}, not {options.method}")
+    for option, value in (("--cameras", options.cameras), ("--view-map", options.view_map)):
+        if value is not None and options.views == "continuous":
             raise InputError(
                 f"--views continuous is for a rig and the panel's lens, and {option} takes the place of "
                 "one; leave out one of them"
             )
-    if args.cameras is not None:
-        for option, value in (
-            ("--view-filter", args.view_filter or None),
-            ("--rig", args.rig),
-            ("--camera", args.camera),
-            ("--up", args.up),
-            ("--save-rig", args.save_rig),
-            ("--preview", args.preview),
-            ("--depth-report", args.depth_report or None),
-        ):
-            if value is not None:
-                raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
-        refuse_look(args, "is about a rig, and --cameras takes its place")
+    if options.cameras is None:
+        return
+    for option, is_given in (
+        ("--view-filter", bool(options.render.view_filter)),
+        ("--rig", options.camera.rig is not None),
+        ("--camera", options.camera.camera is not None),
+        ("--up", options.camera.up is not None),
+        ("--save-rig", options.save_rig is not None),
+        ("--preview", options.preview is not None),
+        ("--depth-report", options.look.depth_report),
+    ):
+        if is_given:
+            raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
+    refuse_look(options.look, "is about a rig, and --cameras takes its place")
 
 
-def views_given(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
-    """The arguments of `encode` that only the method sorted has, those that were given."""
-    from lightfield_gs.encoding.view_files import read_view_map
-
-    views: dict[str, Any] = {}
-    if args.cameras is not None:
-        views["cameras"] = load_cameras(args, panel)
-    if args.view_map is not None:
-        count = views["cameras"].count if "cameras" in views else panel.views
-        views["view_map"] = read_view_map(args.view_map, panel, count)
-    if args.memory_budget is not None:
-        views["memory_budget"] = args.memory_budget
-    return views
+def _check_files(options: EncodeOptions) -> int:
+    """Return the bits of the image. Raise InputError for files that cannot be written, or would be written over."""
+    bits = _bit_depth(check_image_path(options.output), options.bit_depth)
+    if options.save_rig is not None:
+        check_output_path(options.save_rig)
+    if options.save_gaussians is not None:
+        check_scene_path(options.save_gaussians)
+    if options.preview is not None:
+        check_folder(options.preview)
+    check_outputs(options.outputs(), options.inputs())
+    return bits
 
 
-def bits_of(path: Path, bit_depth: int | None) -> int:
-    """Bits of a sample in the file: 8, 16 or 32 (float)."""
+def _bit_depth(path: Path, bit_depth: int | None) -> int:
+    """Return the bits of a sample in the file: 8, 16 or 32 (float)."""
     suffix = path.suffix.lower()
     bits = bit_depth or (32 if suffix == ".exr" else 8)
     if (suffix == ".exr") != (bits == 32) and suffix not in (".tif", ".tiff"):
@@ -353,3 +280,94 @@ def bits_of(path: Path, bit_depth: int | None) -> int:
             "change --bit-depth or the extension"
         )
     return bits
+
+
+def _read_views(options: EncodeOptions, panel: Panel) -> dict[str, Any]:
+    """Return the arguments of `encode` that only the method sorted takes, as far as they are given."""
+    from lightfield_gs.encoding.view_files import read_view_map
+
+    views: dict[str, Any] = {}
+    if options.cameras is not None:
+        views["cameras"] = load_view_cameras(options.cameras, panel, options.view_map is not None)
+    if options.view_map is not None:
+        count = views["cameras"].count if "cameras" in views else panel.views
+        views["view_map"] = read_view_map(options.view_map, panel, count)
+    if options.memory_budget is not None:
+        views["memory_budget"] = options.memory_budget
+    return views
+
+
+def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel, device: str) -> None:
+    """Note a panel or an option that keeps the method `direct` from its fastest ways."""
+    from lightfield_gs.panels.lens import slow_reason
+    from lightfield_gs.rasterizer.quality import Quality
+
+    lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0
+    if options.method == "direct" and (why := slow_reason(panel, lattices and device == "cuda")):
+        note(why)
+    if (render.antialiased or render.view_filter) and options.quality != "exact" and device == "cuda":
+        note(
+            f"{'anti-aliased scenes' if render.antialiased else 'filtered views'} are drawn neither from lattices nor "
+            f"in half precision on CUDA: --quality {options.quality} saves little time"
+        )
+
+
+def _is_plain(image: np.ndarray | CompressedImage) -> bool:
+    """Return whether an image has one colour."""
+    if isinstance(image, CompressedImage):
+        return image.is_plain
+    return all(bool((part == image[0, 0]).all()) for part in (image[::64, ::16], image))
+
+
+def _to_bits(image: np.ndarray, bits: int) -> np.ndarray:
+    if bits != 16:
+        return image
+    from lightfield_gs.show.preview import to_integers
+
+    return to_integers(image, 16)
+
+
+def use_threads(threads: int) -> None:
+    """Have torch and OpenImageIO use so many threads."""
+    import OpenImageIO as oiio
+    import torch
+
+    torch.set_num_threads(threads)
+    oiio.attribute("threads", threads)
+
+
+def _metadata(options: EncodeOptions, scene: LoadedScene, panel: Panel, rig: Rig | None) -> dict[str, str]:
+    """Return the input, the settings and the versions of an image; all but "software" and "input" are JSON."""
+    gaussians, render = scene.gaussians, scene.render
+    facts = scene_facts(gaussians)
+    if any(gaussians.origin):
+        facts["origin"] = gaussians.origin
+    encoding: dict[str, Any] = {
+        "method": options.method,
+        "views": options.views,
+        "background": list(render.background),
+        "quality": options.quality,
+        **({"antialiased": True} if render.antialiased else {}),
+        **({"view_filter": render.view_filter} if render.view_filter else {}),
+    }
+    photo = options.scene.photo if scene.photo is None else scene.photo.options
+    for name, path in (
+        ("cameras", options.cameras),
+        ("view_map", options.view_map),
+        ("depth", photo.depth_file),
+        ("camera", options.camera.camera and options.camera.camera[0]),
+    ):
+        if path is not None:
+            encoding[name] = file_facts(path)
+    if photo.is_estimated:
+        encoding["depth"] = {"model": photo.depth_network}
+    maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
+    return {
+        "software": software(),
+        "input": options.scene.input.name,
+        "panel": json.dumps(panel.to_dict()),
+        **maker,
+        "scene": json.dumps(facts),
+        "encoding": json.dumps(encoding),
+        "versions": json.dumps(package_versions()),
+    }

@@ -1,91 +1,106 @@
-"""The panel of a command: by its name, or of an encoded image, and what looks wrong with it."""
+"""The panel of a command: by its name, or as an encoded image has it, and whether its numbers are plausible."""
 
 from __future__ import annotations
 
-import argparse
 import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import parse_json
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.simulate import missing_geometry
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
 
 
-def load_panel(args: argparse.Namespace) -> Panel:
-    """The panel of --panel and --device-serial, seen from --viewing-distance, or from its own.
+def load_panel(options: PanelOptions) -> Panel:
+    """Return the panel, seen from the distance that is asked for, and note numbers that look like other units.
 
-    Says where its numbers look as if they were in other units. Raises InputError.
+    Raises:
+        InputError: there is no such panel, or its file cannot be used.
     """
+    name = options.panel or DEFAULT_PANEL
     version = None
     with suppress(OSError):  # its reader says what is wrong with it
-        found = Path(args.panel).stat()
+        found = Path(name).stat()
         version = found.st_size, found.st_mtime_ns
-    panel = at_distance(_panel(args.panel, args.device_serial, version), args.viewing_distance)
-    for doubt in doubts_of_units(panel):
-        note(f"panel {panel.name}: {doubt}")
+    panel = at_distance(_read_panel(name, options.device_serial, version), options.viewing_distance)
+    for words in implausible_units(panel):
+        note(f"panel {panel.name}: {words}")
     return panel
 
 
 @lru_cache(maxsize=8)
-def _panel(name: str, serial: str | None, version: tuple[int, int] | None) -> Panel:
-    """A panel that is read once, however many inputs the command takes, and again when its file is another."""
+def _read_panel(name: str, serial: str | None, version: tuple[int, int] | None) -> Panel:
+    """Read a panel once for all inputs of a command, and again when its file has changed."""
     return Panel.load(name, serial=serial)
 
 
-def doubts_of_units(panel: Panel) -> list[str]:
-    """What of a panel is hardly meant so, and what it may be instead."""
+def implausible_units(panel: Panel) -> list[str]:
+    """Return a line for each number of a panel that may be in another unit, with the number that may be meant."""
     slant, cone, distance, pitch = (panel.slant_tan, panel.cone_deg, panel.viewing_distance_mm, panel.pixel_pitch_mm)
-    doubts = []
+    lines = []
     if abs(slant) > 1:
-        doubts.append(
+        lines.append(
             f"slant_tan {slant:g} leans the lenses by {math.degrees(math.atan(slant)):.3g} degrees; if it is "
             f"the slant in degrees, write its tangent, {math.tan(math.radians(slant)):.6g}"
         )
     if cone < 2:
-        doubts.append(f"cone_deg {cone:g} is hardly a cone; if it is in radians, write {math.degrees(cone):.6g}")
+        lines.append(f"cone_deg {cone:g} is hardly a cone; if it is in radians, write {math.degrees(cone):.6g}")
     if distance is not None and distance < 20:
-        doubts.append(
+        lines.append(
             f"viewing_distance_mm {distance:g} is hardly a distance of eyes; if it is in metres, write "
             f"{1000 * distance:g}"
         )
     if pitch is not None and not 0.01 <= pitch <= 20:
-        doubts.append(f"pixel_pitch_mm {pitch:g} is hardly the width of a pixel (0.05 to 1 mm of most displays)")
-    return doubts
+        lines.append(f"pixel_pitch_mm {pitch:g} is hardly the width of a pixel (0.05 to 1 mm of most displays)")
+    return lines
 
 
 def at_distance(panel: Panel, viewing_distance_mm: float | None) -> Panel:
-    """The panel, seen from this distance in mm; None: from its own."""
+    """Return the panel, seen from this distance in mm; None: from its own."""
     return panel if viewing_distance_mm is None else replace(panel, viewing_distance_mm=viewing_distance_mm)
 
 
 def why_no_eye(panel: Panel) -> str | None:
-    """Why no eye can be placed before the panel, and what to do; None where one can."""
+    """Return why no eye can be placed before the panel, and what to do; None where one can."""
     missing = missing_geometry(panel)
     if not missing:
         return None
     return f"panel {panel.name} lacks {' and '.join(missing)}; {', and '.join(_REMEDIES[key] for key in missing)}"
 
 
-def stored_panel(args: argparse.Namespace) -> Panel:
-    """The panel that args.image was encoded for. Raises InputError where it does not say."""
-    if args.device_serial is not None:
+def panel_of_views(layout: QuiltLayout, panel: Panel) -> Panel:
+    """Return the panel that a quilt's scene is framed for: this one, with the views and the aspect of the quilt."""
+    own = replace(panel, views=layout.views, invert_views=False)
+    if abs(layout.aspect * panel.height_px / panel.width_px - 1) < 0.01:
+        return own
+    return replace(own, width_px=max(1, round(panel.height_px * layout.aspect)))
+
+
+def stored_panel(image: Path, device_serial: str | None) -> Panel:
+    """Return the panel that an image was encoded for.
+
+    Raises:
+        InputError: the image does not name its panel, or a serial is given, which only a --panel has.
+    """
+    if device_serial is not None:
         raise InputError("--device-serial chooses among the calibrations of a --panel; give one, or leave it out")
-    stored = read_info(args.image).metadata.get("panel")
+    stored = read_info(image).metadata.get("panel")
     if stored is None:
-        raise InputError(f"{args.image} does not say which panel it is for; give --panel")
-    return profile(args.image, stored)
+        raise InputError(f"{image} does not say which panel it is for; give --panel")
+    return parse_panel(image, stored)
 
 
-def profile(image: Path, stored: str) -> Panel:
-    """A panel from what is stored in an image. Raises InputError."""
+def parse_panel(image: Path, stored: str) -> Panel:
+    """Return the panel of the JSON text that is stored in an image. Raises InputError."""
     try:
         return Panel(**parse_json(stored))
     except (TypeError, ValueError) as error:

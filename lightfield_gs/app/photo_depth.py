@@ -1,17 +1,15 @@
-"""The depth map of a photo: of a file, beside the photo, inside its file, or estimated by a network."""
+"""The depth map of a photo (of a file, beside it, inside its file, or estimated), and the camera of that photo."""
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.app.photo_camera import camera_of_photo
+from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEPTH_MODEL
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
@@ -21,90 +19,72 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
 
-AUTO = Path("auto")  # in place of the file of --depth
-# How a depth map beside its photo is taken when nothing else is said: bright is near, as Looking Glass has it
+# How a depth map beside its photo is taken when nothing else is description: bright is near, as Looking Glass has it
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
+_OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides of the photo, may be another photo's
+# Usual angles of the longer side, and those beyond which intrinsics must be in other units
+_USUAL_ANGLES_DEG, _ANGLES_DEG = (10.0, 130.0), (1.0, 175.0)
 
 
-def is_estimated(args: argparse.Namespace) -> bool:
-    """Whether the depth of the photo is estimated by a network."""
-    return args.depth == AUTO
-
-
-def depth_file(args: argparse.Namespace) -> Path | None:
-    """The file of --depth, where it is one."""
-    return None if is_estimated(args) else args.depth
-
-
-def depth_model(args: argparse.Namespace) -> str:
-    """The network of --depth auto."""
-    return args.depth_model or DEPTH_MODEL
-
-
-def depth_by_network(args: argparse.Namespace, photo: Photo, device: str) -> DepthMap:
-    """The depth map of --depth auto. Raises InputError."""
+def depth_by_network(options: PhotoOptions, photo: Photo, device: str) -> DepthMap:
+    """Estimate the depth map of --depth auto. Raises InputError."""
     from lightfield_gs.photo.depth_network import estimated_depth
 
     return estimated_depth(
         photo.floats(),
-        depth_model(args),
+        options.depth_network,
         "cuda" if device == "cuda" else "cpu",
-        kind=args.depth_kind,
-        limits=args.depth_range,
+        kind=options.depth_kind,
+        limits=options.depth_range,
         say=lambda words: print(words, flush=True),
     )
 
 
-def has_depth(args: argparse.Namespace) -> bool:
-    """Whether the photo comes with its depths, in a file, beside it in the picture or inside its file, or they are to
-    be estimated."""
-    return args.depth is not None or args.rgbd is not None or is_rgbd_name(args.input) or is_depth_inside(args)
+def has_depth(path: Path, options: PhotoOptions) -> bool:
+    """Return whether a photo has depths: in a file, beside it, inside its file, or estimated."""
+    return options.depth is not None or options.rgbd is not None or is_rgbd_name(path) or is_depth_inside(path, options)
 
 
-def is_depth_inside(args: argparse.Namespace) -> bool:
-    """Whether the depths of a photo are those inside its file: nothing gives others, or asks for an object alone."""
-    others = ("depth", "rgbd", "mask", "checkpoint", "detail", "detail_budget")
-    if is_rgbd_name(args.input) or getattr(args, "remove_background", False):
-        return False
-    if any(getattr(args, name, None) is not None for name in others):
+def is_depth_inside(path: Path, options: PhotoOptions) -> bool:
+    """Return whether to take the depth map inside a photo's file: no option names another, or asks for an object."""
+    others = (options.depth, options.rgbd, options.mask, options.checkpoint, options.detail, options.detail_budget)
+    if is_rgbd_name(path) or options.remove_background or any(value is not None for value in others):
         return False
     from lightfield_gs.photo.embedded_depth import find_embedded_depth
 
-    return find_embedded_depth(args.input) is not None
+    return find_embedded_depth(path) is not None
 
 
-def depth_of_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
-    """The map of --depth, at the photo's size. Raises InputError."""
+def depth_from_file(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
+    """Read the depth map of --depth, at the photo's size. Raises InputError."""
     from lightfield_gs.photo.depth import read_numbers
 
-    numbers = read_numbers(args.depth)
-    turn = _turn_with(args, photo, args.map_orientation)
-    depth = _mapped(args, args.depth, numbers, args.depth_kind, args.depth_range, photo.pixels.shape[:2], turn)
-    return _fitted(
-        str(args.depth), replace(depth, description=f"depth by {args.depth.name}: {depth.description}"), photo
-    )
+    numbers = read_numbers(path)
+    turn = _turn_with(options, photo, options.map_orientation)
+    size = photo.pixels.shape[:2]
+    depth = _map_numbers(path, options, numbers, options.depth_kind, options.depth_range, size, turn)
+    return _resize_to_photo(str(path), replace(depth, description=f"depth by {path.name}: {depth.description}"), photo)
 
 
-def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> DepthMap:
-    """The map in the half `side` of the picture, as Looking Glass has it where nothing else is said. Raises
-    InputError."""
+def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str) -> DepthMap:
+    """Read the depth map in the half `side` of a picture. The defaults are Looking Glass's. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
     from lightfield_gs.photo.side_by_side import read_depth_half
 
-    numbers = read_depth_half(args.input, picture.pixels, side)
-    limits = _limits_or(args, _BESIDE_LIMITS)
+    numbers = read_depth_half(path, picture.pixels, side)
+    limits = _limits_or(options, _BESIDE_LIMITS)
     # A range that is given the other way round says by itself that bright is near
     is_plain = limits is not None and limits[0] <= limits[1]
-    kind = args.depth_kind or (_BESIDE_KIND if is_plain else None)
-    depth = _mapped(args, args.input, numbers, kind, limits, numbers.values.shape[:2])
+    kind = options.depth_kind or (_BESIDE_KIND if is_plain else None)
+    depth = _map_numbers(path, options, numbers, kind, limits, numbers.values.shape[:2])
     assumed = [
         name
         for name, is_assumed in (
-            ("--depth-kind", args.depth_kind is None and is_plain),
-            ("--depth-range", args.depth_range is None),
-            ("--rgbd", args.rgbd is None),
+            ("--depth-kind", options.depth_kind is None and is_plain),
+            ("--depth-range", options.depth_range is None),
+            ("--rgbd", options.rgbd is None),
         )
-        if is_assumed and args.depth_scale is None
+        if is_assumed and options.depth_scale is None
     ]
     near = f", {nearness(kind, limits)}" if kind is not None and is_plain else ""
     description = f"depth by its {side} half: {depth.description}{near}" + (
@@ -113,68 +93,68 @@ def depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Depth
     return replace(depth, description=description)
 
 
-def depth_within(args: argparse.Namespace, photo: Photo) -> DepthMap:
-    """The map inside the photo's file, as its format has it where nothing else is said. Raises InputError."""
+def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
+    """Read the depth map inside the photo's file. The defaults are those of its format. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
     from lightfield_gs.photo.embedded_depth import find_embedded_depth
 
-    inside = find_embedded_depth(args.input)
+    inside = find_embedded_depth(path)
     assert inside is not None
-    limits = _limits_or(args, (inside.near, inside.far) if inside.near and inside.far else _BESIDE_LIMITS)
-    kind = args.depth_kind
-    if kind is None and args.depth_scale is None:
+    limits = _limits_or(options, (inside.near, inside.far) if inside.near and inside.far else _BESIDE_LIMITS)
+    kind = options.depth_kind
+    if kind is None and options.depth_scale is None:
         kind = "disparity" if inside.is_inverse else "distance"
         if inside.is_inverse and limits is not None:
             limits = limits[::-1]  # dark is near in both formats
-    turn = _turn_with(args, photo, args.map_orientation or "stored")
-    depth = _mapped(args, args.input, inside.numbers(args.input), kind, limits, photo.pixels.shape[:2], turn)
+    turn = _turn_with(options, photo, options.map_orientation or "stored")
+    depth = _map_numbers(path, options, inside.numbers(path), kind, limits, photo.pixels.shape[:2], turn)
     description = f"depth inside it ({inside.name}): {depth.description}"
-    if args.depth_kind is None and limits is not None:
+    if options.depth_kind is None and limits is not None:
         near = nearness(str(kind), limits)
         description += "" if near in description else f", {near}"
-        if args.depth_range is None:
+        if options.depth_range is None:
             description += " by its format (--depth-range FAR,NEAR where it is not)"
             description += "" if inside.near else ", near and far assumed (--depth-range)"
-    return _fitted(f"{args.input}: the depth map inside it", replace(depth, description=description), photo)
+    return _resize_to_photo(f"{path}: the depth map inside it", replace(depth, description=description), photo)
 
 
-def _limits_or(args: argparse.Namespace, own: tuple[float, float]) -> tuple[float, float] | None:
-    """The limits that options say, or a map's own where they say neither limits nor a scale."""
-    return own if args.depth_range is None and args.depth_scale is None else args.depth_range
+def _limits_or(options: PhotoOptions, own: tuple[float, float]) -> tuple[float, float] | None:
+    """Return the limits of the options, or the map's own where they give neither limits nor a scale."""
+    return own if options.depth_range is None and options.depth_scale is None else options.depth_range
 
 
-def _mapped(
-    args: argparse.Namespace,
+def _map_numbers(
     path: Path,
+    options: PhotoOptions,
     numbers: DepthNumbers,
     kind: str | None,
     limits: tuple[float, float] | None,
     size: tuple[int, int],
     turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None,
 ) -> DepthMap:
-    """The map of these numbers, by the options; size: height and width of the photo. Raises InputError."""
+    """Return the depth map of these numbers. size: height and width of the photo. Raises InputError."""
     from lightfield_gs.photo.depth import depth_map
 
     return depth_map(
         path,
         numbers,
         kind,
-        scale=args.depth_scale,
+        scale=options.depth_scale,
         limits=limits,
-        invalid=args.depth_invalid or "far",
+        invalid=options.depth_invalid or "far",
         turn=turn,
-        rays=_rays_of(args, size, numbers.focal_px),
+        rays=_ray_lengths(options, size, numbers.focal_px),
     )
 
 
 def _turn_with(
-    args: argparse.Namespace, photo: Photo, choice: str | None
+    options: PhotoOptions, photo: Photo, choice: str | None
 ) -> Callable[[DepthNumbers], tuple[np.ndarray, bool]]:
-    """What turns numbers as upright as the photo is; choice: of --map-orientation."""
+    """Return the function that turns a map's numbers as the photo was turned. choice: of --map-orientation."""
     from lightfield_gs.photo.load import turn_with_photo
 
     return lambda numbers: turn_with_photo(
-        str(args.depth),
+        str(options.depth),
         numbers.values,
         numbers.orientation,
         photo.pixels.shape[:2],
@@ -184,22 +164,28 @@ def _turn_with(
     )
 
 
-def _rays_of(
-    args: argparse.Namespace, size: tuple[int, int], focal_px: float | None
+def _ray_lengths(
+    options: PhotoOptions, size: tuple[int, int], focal_px: float | None
 ) -> Callable[[tuple[int, int]], np.ndarray]:
-    """The lengths of the rays of a map of a photo of this height and width; focal_px: of the depth's file."""
+    """Return the function that gives the ray lengths of a map, by its shape.
+
+    Args:
+        options: they may name the camera.
+        size: height and width of the photo.
+        focal_px: the focal length in the map's file.
+    """
     from lightfield_gs.photo.depth import ray_lengths
     from lightfield_gs.photo.rgbd import known_camera
 
     def rays(shape: tuple[int, int]) -> np.ndarray:
-        focal, centre, _, _ = camera_of_photo(args, *size, focal_px)
+        focal, centre, _, _ = depth_camera(options, *size, focal_px)
         return ray_lengths(shape, size, *known_camera(focal, centre, *size))
 
     return rays
 
 
-def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
-    """A map at the photo's size; of another size it has to have the photo's shape. Raises InputError."""
+def _resize_to_photo(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
+    """Return the map at the photo's size. Raises InputError where it has another shape."""
     from lightfield_gs.photo.joint_upsampling import resize_to_photo
     from lightfield_gs.photo.load import has_same_shape
 
@@ -214,3 +200,70 @@ def _fitted(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     way = "along the photo's edges" if math.prod(shape) <= math.prod(size) else "pixel by pixel"
     description = f"{depth.description}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
     return replace(depth, z=resize_to_photo(depth.z, photo.floats()), description=description)
+
+
+def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float | None) -> tuple:
+    """Return the camera of a photo by --intrinsics, --fov, or the file of its depth map.
+
+    Args:
+        options: those of the photo.
+        height: of the photo, pixels.
+        width: of the photo, pixels.
+        focal_px: focal length in the file of the depth map.
+
+    Returns:
+        Focal lengths and principal point for `from_depth` (None: its defaults), words on them, and notes.
+
+    Raises:
+        InputError: the intrinsics cannot be this photo's.
+    """
+    from lightfield_gs.photo.rgbd import FIELD_OF_VIEW_DEG, focal_length_px
+
+    if options.intrinsics is not None:
+        return options.intrinsics[:2], options.intrinsics[2:], *_check_intrinsics(options.intrinsics, height, width)
+    # Angles are those of the photo as it is seen, at the height of its pixels
+    wide = options.pixel_aspect or 1.0
+    squeezed = "" if options.pixel_aspect is None else f", its pixels {wide:g} times as wide as high"
+    if options.fov is not None:
+        focal = focal_length_px(options.fov, height, width * wide)
+        return (focal / wide, focal), None, f"field of view {options.fov:g} degrees{squeezed}", []
+    if focal_px is not None:
+        focals = focal_px / wide, focal_px
+        _, notes = _check_intrinsics((*focals, width / 2, height / 2), height, width)
+        name = "its file" if options.depth is None else options.depth.name
+        return focals, None, f"focal length {focal_px:.5g} px, of {name}{squeezed}", notes
+    description = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
+    if options.pixel_aspect is None:
+        return None, None, description, []
+    focal = focal_length_px(FIELD_OF_VIEW_DEG, height, width * wide)
+    return (focal / wide, focal), None, description, []
+
+
+def _check_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) -> tuple[str, list[str]]:
+    """Return words on intrinsics, and notes on unusual values. Raises InputError where they cannot be the photo's."""
+    fx, fy, cx, cy = intrinsics
+    angle = 2 * math.degrees(math.atan(max(width / fx, height / fy) / 2))
+    off = max(abs(cx / width - 0.5), abs(cy / height - 0.5))
+    at = f"{fx:g},{fy:g},{cx:g},{cy:g} of a photo of {width} x {height}"
+    if off > 0.5 or not _ANGLES_DEG[0] <= angle <= _ANGLES_DEG[1]:
+        why = (
+            f"the principal point {cx:g},{cy:g} is outside it"
+            if off > 0.5
+            else f"the longer side would take {angle:.4g} degrees"
+        )
+        raise InputError(
+            f"--intrinsics: {why} ({at}); expected pixels of this photo, upright: scale them with its "
+            "size, or give --fov DEG"
+        )
+    notes = []
+    if off > _OFF_CENTRE:
+        notes.append(
+            f"--intrinsics {at}: the principal point is far off its middle; are they of another size, or of "
+            "the photo before it was turned?"
+        )
+    if not _USUAL_ANGLES_DEG[0] <= angle <= _USUAL_ANGLES_DEG[1] or not 0.5 <= fx / fy <= 2:
+        notes.append(
+            f"--intrinsics {at}: the longer side takes {angle:.4g} degrees, fx / fy is {fx / fy:.3g}; are "
+            "they of another size?"
+        )
+    return f"focal lengths {fx:g},{fy:g} px", notes

@@ -1,95 +1,137 @@
-"""The scene of a command, and the cameras that look at it."""
+"""The scene of a command: a file of Gaussians, or what is made of a photo; and the cameras that look at it."""
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.app.cameras import Given, choose_rig
+from lightfield_gs.app.cameras import CameraChoice, chosen_rig, file_rig
 from lightfield_gs.app.look import apply_look, report_depth
-from lightfield_gs.app.photo import ReadPhoto, photo_scene, quilt_in_name, read_photo
-from lightfield_gs.app.photo_depth import depth_file, has_depth, is_estimated
+from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
+from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
+from lightfield_gs.app.photo_depth import has_depth
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_output_path
-from lightfield_gs.io.file_kinds import refuse_unread
+from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb
 from lightfield_gs.io.scenes.files import check_written_suffix, is_scene_path
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
-    from lightfield_gs.app.photo import ReadPhoto
     from lightfield_gs.io.scenes.files import SceneFile
-    from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.gaussians import Gaussians
 
-_PHOTO_OPTIONS = (
-    "mask",
-    "remove_background",
-    "checkpoint",
-    "depth",
-    "depth_model",
-    "rgbd",
-    "map_orientation",
-    "detail",
-    "detail_budget",
-)
-_DEPTH_OPTIONS = (
-    "depth_kind",
-    "depth_range",
-    "depth_scale",
-    "depth_invalid",
-    "pixel_aspect",
-    "fov",
-    "intrinsics",
-    "fit",
-)
-_WHITE = (1.0, 1.0, 1.0)
-_READ = ("input", "rig", "panel", "mask", "depth", "checkpoint", "cameras", "view_map", "path")
+_DEPTH_OPTIONS: tuple[str, ...] = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "pixel_aspect", "fov")
+_DEPTH_OPTIONS += ("intrinsics", "fit")
+_NETWORK_OPTIONS = ("checkpoint", "detail", "detail_budget")
+_PHOTO_OPTIONS: tuple[str, ...] = ("mask", "remove_background", "checkpoint", "depth", "depth_model", "rgbd")
+_PHOTO_OPTIONS += ("map_orientation", "detail", "detail_budget")
 
 
-def check_scene_options(args: argparse.Namespace) -> None:
-    """Raises InputError where options of the scene do not go together, or not with the input."""
-    if _is_scene_file(args):
-        _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
+@dataclass(frozen=True)
+class RenderSettings:
+    """Anti-aliasing and background of a picture, by the options or else by the scene's file."""
+
+    background: tuple[float, float, float]
+    antialiased: bool
+    view_filter: float
+
+
+@dataclass
+class LoadedScene:
+    """A scene on the device.
+
+    Attributes:
+        path: the file it is from.
+        gaussians: the scene.
+        render: how it is drawn.
+        file: what else its file holds. None: it is from a photo.
+        photo: how the scene of a photo came about.
+        messages: lines on what was decided.
+    """
+
+    path: Path
+    gaussians: Gaussians
+    render: RenderSettings
+    file: SceneFile | None = None
+    photo: PhotoPlacement | None = None
+    messages: list[str] = field(default_factory=list)
+
+    def in_file(self, rig: Rig) -> Rig:
+        """Return a rig in the coordinates of the scene's file, as files of cameras are."""
+        return rig.relative_to([-part for part in self.gaussians.origin])
+
+
+@dataclass
+class FramedScene:
+    """A scene on the device, and the rig that looks at it, in its coordinates; messages: lines on what was decided."""
+
+    scene: LoadedScene
+    rig: Rig
+    messages: list[str]
+
+
+def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
+    """Raise InputError where options of the scene exclude each other, or do not suit the input."""
+    path, photo = options.input, options.photo
+    is_file = is_scene_path(path)
+    if is_file:
+        _refuse(photo, _PHOTO_OPTIONS, f"is for photos, and {path} is a file of Gaussians")
     else:
-        refuse_unread(args.input)
-        _refuse(args, ("skip_invalid", "time", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
-    if _is_scene_file(args) or not has_depth(args):
-        _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
+        refuse_unsupported(path)
+        reason = f"is for files of Gaussians, and {path} is none"
+        _refuse(options, ("skip_invalid", "time"), reason)
+        _refuse(camera, ("up", "camera"), reason)
+    if is_file or not has_depth(path, photo):
+        _refuse(photo, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
-        _refuse(args, ("checkpoint", "detail", "detail_budget"), "is for the network, which --depth does without")
-    if args.depth is not None:
-        _refuse(args, ("rgbd",), "takes the place of --depth")
-    if is_estimated(args):
-        if args.depth_kind == "ray":
+        _refuse(photo, _NETWORK_OPTIONS, "is for the network, which --depth does without")
+    _check_photo_options(photo)
+
+
+def _check_photo_options(photo: PhotoOptions) -> None:
+    if photo.depth is not None:
+        _refuse(photo, ("rgbd",), "takes the place of --depth")
+    if photo.is_estimated:
+        if photo.depth_kind == "ray":
             raise InputError("--depth-kind: ray is for a depth map in a file; --depth auto estimates none of that kind")
-        _refuse(args, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
+        _refuse(photo, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
     else:
-        _refuse(args, ("depth_model",), "is for --depth auto")
-    if args.mask is None and depth_file(args) is None:
-        _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
-    if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
+        _refuse(photo, ("depth_model",), "is for --depth auto")
+    if photo.mask is None and photo.depth_file is None:
+        _refuse(photo, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
+    if photo.intrinsics is not None and min(photo.intrinsics[:2]) <= 0:
         raise InputError(
-            f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and {args.intrinsics[1]:g}"
+            f"--intrinsics: expected focal lengths > 0 px, got {photo.intrinsics[0]:g} and {photo.intrinsics[1]:g}"
         )
     for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics"), ("pixel_aspect", "intrinsics")):
-        if getattr(args, one) is not None:
-            _refuse(args, (other,), f"takes the place of {_option(one)}")
+        if getattr(photo, one) is not None:
+            _refuse(photo, (other,), f"takes the place of {_option(one)}")
+
+
+def _refuse(options: PhotoOptions | SceneOptions | CameraOptions, names: tuple[str, ...], reason: str) -> None:
+    """Raise InputError for the first of these options that was given."""
+    for name in names:
+        if getattr(options, name) not in (None, False):
+            raise InputError(f"{_option(name)} {reason}; leave out one of them")
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
 
 
 def check_scene_path(path: Path) -> None:
-    """Raises InputError where no Gaussians can be written. The name says the format, of those that are written."""
+    """Raise InputError where Gaussians cannot be written to a path, by its folder or its extension."""
     check_output_path(path)
     check_written_suffix(path)
 
 
 def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
-    """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
+    """Read a file of Gaussians, and note what looks wrong in it and what was left out. Raises InputError."""
     from lightfield_gs.io.scenes.files import read_scene
 
     scene = read_scene(path, skip_invalid=skip_invalid, time=time)
@@ -99,143 +141,134 @@ def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> Sce
 
 
 def say_origin(path: Path, gaussians: Gaussians) -> None:
+    """Print the origin that was taken off the coordinates of a file, where it has one."""
     if any(gaussians.origin):
-        place = ", ".join(f"{part:.0f}" for part in gaussians.origin)
-        print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
+        origin = ", ".join(f"{part:.0f}" for part in gaussians.origin)
+        print(f"{path}: origin {origin}, taken off its double coordinates (rigs and cameras are in the file's)")
 
 
-def read_source(args: argparse.Namespace) -> SceneFile | ReadPhoto:
-    """What the files of the input hold; nothing is computed yet. Raises InputError."""
-    if _is_scene_file(args):
-        file = read_noted(args.input, args.skip_invalid, args.time)
-        say_origin(args.input, file.gaussians)
+def read_source(options: SceneOptions) -> SceneFile | ReadPhoto:
+    """Read the files of the input; nothing is computed yet. Raises InputError."""
+    path = options.input
+    if is_scene_path(path):
+        file = read_noted(path, options.skip_invalid, options.time)
+        say_origin(path, file.gaussians)
         return file
-    _note_quilt(args.input)
-    return read_photo(args)
-
-
-def scene_of(
-    args: argparse.Namespace, source: SceneFile | ReadPhoto, device: str, watch: Stopwatch, panel: Panel
-) -> tuple[Gaussians, SceneFile | None]:
-    """The Gaussians of an input that was read, on the device, and what else its file holds; None of a photo.
-
-    panel: where it will be shown, which decides how finely a photo is taken, and what one with depths is to fill.
-    """
-    if isinstance(source, ReadPhoto):
-        return photo_scene(args, source, device, watch, panel), None
-    gaussians = source.gaussians.to(device)
-    watch.lap("load")
-    return gaussians, source
-
-
-def load_scene(
-    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel
-) -> tuple[Gaussians, SceneFile | None]:
-    """What scene_of makes of the input. Raises InputError."""
-    return scene_of(args, read_source(args), device, watch, panel)
-
-
-def _note_quilt(path: Path) -> None:
-    """Says so where a photo's name is that of a quilt."""
     if name := quilt_in_name(path):
         note(
             f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
             "photo; `lightfield-gs weave` takes its views"
         )
+    return read_photo(path, options.photo)
 
 
-def _is_scene_file(args: argparse.Namespace) -> bool:
-    return is_scene_path(args.input)
+def build_scene(
+    options: SceneOptions,
+    source: SceneFile | ReadPhoto,
+    render: RenderOptions,
+    look: LookOptions,
+    panel: Panel,
+    device: str,
+    watch: Stopwatch,
+) -> LoadedScene:
+    """Return the scene of an input that was read, on the device, and settle how it is drawn.
+
+    Args:
+        options: those of the input.
+        source: what its files hold.
+        render: anti-aliasing and background, as far as they are given.
+        look: decides how wide a margin a photo with depths needs.
+        panel: decides how finely a photo is taken, and which shape one with depths is to fill.
+        device: where the scene goes.
+        watch: notes the times.
+
+    Raises:
+        InputError: there is no scene in the photo, or what the file says of its fit cannot be read.
+    """
+    photo, file = None, None
+    if isinstance(source, ReadPhoto):
+        gaussians, photo = photo_scene(source, panel, look, device, watch)
+    else:
+        gaussians, file = source.gaussians.to(device), source
+        watch.lap("load")
+    settings, messages = settle_render(render, options.input, file)
+    return LoadedScene(options.input, gaussians, settings, file, photo, messages)
 
 
-def _refuse(args: argparse.Namespace, names: tuple[str, ...], reason: str) -> None:
-    """Raises InputError for the first of these options that was given."""
-    for name in names:
-        if getattr(args, name) not in (None, False):
-            raise InputError(f"{_option(name)} {reason}; leave out one of them")
+def load_scene(
+    options: SceneOptions, render: RenderOptions, look: LookOptions, panel: Panel, device: str, watch: Stopwatch
+) -> LoadedScene:
+    """Read the input and build its scene, see `build_scene`. Raises InputError."""
+    return build_scene(options, read_source(options), render, look, panel, device, watch)
 
 
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) -> tuple[RenderSettings, list[str]]:
+    """Return how a scene is drawn, by the options or else its file, and lines on what was taken from the file.
 
+    Args:
+        options: those given.
+        path: of the scene's file, for errors.
+        file: what the file holds. None: the scene is from a photo.
 
-def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str]:
-    """Sets those of args.antialiased and args.background that the command has and that nobody gave; lines on what was
-    taken from the file. file: None for a photo. Raises InputError where the file's word on its fit cannot be read."""
-    open_ones = [name for name in ("antialiased", "background") if getattr(args, name, ()) is None]
-    comments = file.comments if file is not None and open_ones else ()
-    with named(args.input):
+    Raises:
+        InputError: what the file says of its fit cannot be read.
+    """
+    antialiased, background = options.antialiased, options.background
+    comments = file.comments if file is not None and None in (antialiased, background) else ()
+    with named(path):
         fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     messages = []
-    if "antialiased" in open_ones:
-        args.antialiased = trained is not None
-        if args.antialiased:
+    if antialiased is None:
+        antialiased = trained is not None
+        if antialiased:
             messages.append(
                 f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)"
             )
-    if "background" in open_ones:
-        args.background = (fitted and fitted.background) or _WHITE
+    if background is None:
+        background = (fitted and fitted.background) or WHITE
         if fitted is not None and fitted.background is not None:
             messages.append(
                 f"background: {format_rgb(fitted.background)}, which the scene was fitted before (--background)"
             )
-    return messages
+    return RenderSettings(background, antialiased, options.view_filter), messages
 
 
-@dataclass
-class Framed:
-    """A scene on the device, and the cameras that look at it, in its coordinates.
+def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
+    """Return the rig in the coordinates of the Gaussians, and lines on how it was chosen.
 
-    file: what else its file holds; None of a photo. messages: lines on what was decided.
+    The first of these counts: the options, the photo, the cameras that the scene's file brings along, automatic
+    framing. Raises InputError.
     """
-
-    gaussians: Gaussians
-    file: SceneFile | None
-    rig: Rig
-    messages: list[str] = field(default_factory=list)
-
-    @property
-    def rig_of_file(self) -> Rig:
-        """In the coordinates of the scene's file, as files of cameras are."""
-        return self.rig.relative_to([-part for part in self.gaussians.origin])
+    if (rig := chosen_rig(choice, panel, scene.gaussians)) is not None:
+        return rig, choice.messages
+    if scene.photo is not None:
+        return photo_rig(scene.photo, panel, scene.gaussians), []
+    assert scene.file is not None
+    return file_rig(choice.up, scene.path, scene.file, panel, scene.gaussians)
 
 
-def load_framed(args: argparse.Namespace, panel: Panel, given: Given, device: str, watch: Stopwatch) -> Framed:
-    """Loads the scene of a command, settles how it is drawn, and frames it. Raises InputError."""
-    gaussians, file, messages = load_drawn(args, panel, device, watch)
-    rig, how = frame_scene(args, panel, given, gaussians, file)
-    return Framed(gaussians, file, rig, messages + how)
+def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
+    """Return the rig as the options want it, and lines on how it came about and how deep the scene is.
+
+    The rig is in the coordinates of the Gaussians. Raises InputError.
+    """
+    chosen, how = choose_rig(choice, scene, panel)
+    rig, looks = apply_look(look, chosen, panel, scene.gaussians)
+    # The framing of an object leaves space around it, as no other does
+    may_fill = scene.photo is None or choice.rig is not None or scene.photo.is_whole
+    return rig, [*how, *looks, *report_depth(look, rig, panel, scene.gaussians, may_fill)]
 
 
-def load_drawn(
-    args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch
-) -> tuple[Gaussians, SceneFile | None, list[str]]:
-    """The Gaussians, on the device, what else their file holds (None of a photo), and lines on how they are drawn,
-    which is settled in args. panel: see scene_of. Raises InputError."""
-    return drawn_of(args, read_source(args), panel, device, watch)
-
-
-def drawn_of(
-    args: argparse.Namespace, source: SceneFile | ReadPhoto, panel: Panel, device: str, watch: Stopwatch
-) -> tuple[Gaussians, SceneFile | None, list[str]]:
-    """What load_drawn returns, of an input that was read."""
-    gaussians, file = scene_of(args, source, device, watch, panel)
-    return gaussians, file, settle_drawing(args, file)
-
-
-def frame_scene(
-    args: argparse.Namespace, panel: Panel, given: Given, gaussians: Gaussians, file: SceneFile | None
-) -> tuple[Rig, list[str]]:
-    """The rig as the options want it, in the coordinates of the Gaussians, and lines on how it came about and on how
-    deep the scene is. Raises InputError."""
-    chosen, how = choose_rig(given, args, panel, gaussians, file)
-    rig, looks = apply_look(args, chosen, panel, gaussians)
-    # Framing leaves room around the object of a photo, as around no other scene
-    may_fill = file is not None or given.rig is not None or has_depth(args)
-    return rig, [*how, *looks, *report_depth(args, rig, panel, gaussians, may_fill)]
-
-
-def files_read(args: argparse.Namespace) -> tuple[Path | str | None, ...]:
-    """The files that the options name to be read, which no output may be; None for what was not given."""
-    camera = getattr(args, "camera", None)
-    return (*(getattr(args, name, None) for name in _READ), camera and camera[0])
+def load_framed(
+    options: SceneOptions,
+    choice: CameraChoice,
+    render: RenderOptions,
+    look: LookOptions,
+    panel: Panel,
+    device: str,
+    watch: Stopwatch,
+) -> FramedScene:
+    """Load the scene of a command and frame it, see `build_scene` and `frame_scene`. Raises InputError."""
+    scene = load_scene(options, render, look, panel, device, watch)
+    rig, how = frame_scene(choice, look, scene, panel)
+    return FramedScene(scene, rig, scene.messages + how)

@@ -1,8 +1,7 @@
-"""What the frames of a video show: one scene with cameras that move, or a scene for each picture of a sequence."""
+"""The frames of a video: one scene with cameras that move, or a scene for each picture of a sequence."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import hashlib
 import io
@@ -11,88 +10,99 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightfield_gs.app.cameras import axes_of, read_given
+from lightfield_gs.app.cameras import read_camera, scene_up
 from lightfield_gs.app.look import apply_look, report_depth
+from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
 from lightfield_gs.app.photo import photo_rig
-from lightfield_gs.app.photo_depth import depth_file, depth_model, is_estimated
 from lightfield_gs.app.provenance import scene_hash
-from lightfield_gs.app.scene import check_scene_options, frame_scene, load_drawn, load_scene, settle_drawing
-from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS
+from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
+from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import scratch_folder, sha256
 from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
-from lightfield_gs.io.scenes.files import SceneFile
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
-from lightfield_gs.video.rendering import FrameSource as FrameScenes
-from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, pictures_and_maps
+from lightfield_gs.video.rendering import FrameSource
+from lightfield_gs.video.sequence import ImageSequence, is_sequence, open_sequence, pictures_and_maps
 
 _PHOTO_DEGREES = 20.0
-# Options that decide what the scene of a picture is; of a folder of frames, they belong to its job
-_OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov", "fit")
-_MORE_OF_PICTURES = (
-    "intrinsics",
-    "pixel_aspect",
-    "remove_background",
-    "reframe",
-    "focus",
-    "depth_amount",
-    "cone",
-    "zoom",
-    "pan",
+# Options that decide what the scene of a picture is: frames in a folder must have the same ones
+_PHOTO_OF_JOB: tuple[str, ...] = (
+    "depth_kind",
+    "depth_range",
+    "depth_scale",
+    "depth_invalid",
+    "rgbd",
+    "map_orientation",
+    "fov",
+    "fit",
 )
+_PHOTO_OF_JOB += ("intrinsics", "pixel_aspect", "remove_background")
+_LOOK_OF_JOB = ("focus", "depth_amount", "cone", "zoom", "pan")
 
 
 @dataclass
 class Shots:
-    """count: of frames; take: see video.make.Shots; rig_of_file: of a frame's metadata, in the coordinates of the
-    scene's file, None where it is not known before the frame is drawn; job: what the frames hang on beside the options
-    of drawing, JSON values; messages: lines on what was decided."""
+    """The scene and the rig of each frame.
+
+    Attributes:
+        count: of frames.
+        fps: frames a second.
+        is_one_scene: whether all frames show the same scene.
+        take: see `FrameSource`.
+        rig_of_file: the rig for a frame's metadata, in the coordinates of the scene's file. None: not known before the
+            frame is drawn.
+        render: how frames are drawn.
+        job: what the frames depend on beside the options of drawing, JSON values.
+        messages: lines on what was decided.
+    """
 
     count: int
     fps: Fraction
     is_one_scene: bool
-    take: FrameScenes
+    take: FrameSource
     rig_of_file: Callable[[int], Rig | None]
+    render: RenderSettings
     job: dict[str, Any]
     messages: list[str] = field(default_factory=list)
 
 
-def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
-    """One scene, or the scene of one photo, with cameras that move. Raises InputError."""
-    if args.reframe:
-        raise InputError(f"--reframe is for pictures in a row, and {args.input} is one scene; leave it out")
-    check_scene_options(args)
-    given = read_given(args, panel)
-    path = None if args.path is None else CameraPath.load(args.path, panel)
-    gaussians, file, messages = load_drawn(args, panel, device, watch)
-    fps = args.fps or DEFAULT_FPS
+def still_shots(options: VideoOptions, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
+    """Return the shots of one scene, or of one photo, with cameras that move. Raises InputError."""
+    motion, source = options.motion, options.scene.input
+    if motion.reframe:
+        raise InputError(f"--reframe is for pictures in a row, and {source} is one scene; leave it out")
+    check_scene_options(options.scene, options.camera)
+    choice = read_camera(options.camera, panel)
+    path = None if motion.path is None else CameraPath.load(motion.path, panel)
+    scene = load_scene(options.scene, options.render, options.look, panel, device, watch)
+    gaussians, messages = scene.gaussians, scene.messages
+    fps = motion.fps or DEFAULT_FPS
     if path is not None:
-        bare = path.relative_to(gaussians.origin).frames(float(fps), args.frames)
-        rigs = [apply_look(args, rig, panel, gaussians)[0] for rig in bare]
-        messages.append(f"path: {args.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
-        messages += report_depth(args, rigs[0], panel, gaussians)
+        bare = path.relative_to(gaussians.origin).frames(float(fps), motion.frames)
+        rigs = [apply_look(options.look, rig, panel, gaussians)[0] for rig in bare]
+        messages.append(f"path: {motion.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
+        messages += report_depth(options.look, rigs[0], panel, gaussians)
     else:
-        rig, how = frame_scene(args, panel, given, gaussians, file)
-        rigs, words = _turntable(args, panel, rig, file, fps)
+        rig, how = frame_scene(choice, options.look, scene, panel)
+        rigs, words = _turntable(options, panel, rig, scene, fps)
         messages += [*how, words]
-    back = [-part for part in gaussians.origin]
-    of_file = [rig.relative_to(back) for rig in rigs]
+    of_file = [scene.in_file(rig) for rig in rigs]
     job = {
-        "input": args.input.name,
+        "input": source.name,
         "device": device,  # which rounds in its own way
         "scene": scene_hash(gaussians),
         "rigs": hashlib.sha256(json.dumps([rig.to_dict() for rig in of_file]).encode()).hexdigest(),
@@ -104,114 +114,134 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
         True,
         lambda numbers: ((number, gaussians, rigs[number]) for number in numbers),
         of_file.__getitem__,
+        scene.render,
         job,
         messages,
     )
 
 
 def _turntable(
-    args: argparse.Namespace, panel: Panel, rig: Rig, file: SceneFile | None, fps: Fraction
+    options: VideoOptions, panel: Panel, rig: Rig, scene: LoadedScene, fps: Fraction
 ) -> tuple[list[Rig], str]:
-    """The rigs of --turntable, and a line on them."""
-    seconds = DEFAULT_SECONDS if args.turntable is None else args.turntable
-    frames = args.frames or max(1, round(seconds * fps))
+    """Return the rigs of --turntable, and a line on them."""
+    motion, file = options.motion, scene.file
+    seconds = DEFAULT_SECONDS if motion.turntable is None else motion.turntable
+    frames = motion.frames or max(1, round(seconds * fps))
     if frames > MOST_FRAMES:
         raise InputError(f"--turntable: expected at most {MOST_FRAMES} frames, got {frames}; give a smaller --fps")
-    degrees = (_PHOTO_DEGREES if file is None else 360.0) if args.degrees is None else args.degrees
+    degrees = (_PHOTO_DEGREES if file is None else 360.0) if motion.degrees is None else motion.degrees
     up: np.ndarray | None = None
     axis = "the camera's vertical"
-    if file is not None and (args.up or find_up(file.comments)):
-        axis = axes_of(args.up, file).axis
+    if file is not None and (options.camera.up or find_up(file.comments)):
+        axis = scene_up(options.camera.up, file).axis
         up = -upright_rotation(axis)[1]
-    is_said = args.turntable is not None or args.degrees is not None
+    is_said = motion.turntable is not None or motion.degrees is not None
     assumed = "" if is_said else " (assumed; another: --turntable, --degrees, --path)"
     words = f"turntable: {degrees:g} degrees about {axis} in {float(frames / fps):g} s{assumed}"
     return turntable(rig, panel, frames, degrees, up), words
 
 
-def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
-    """A scene for each picture of a folder or a video. Raises InputError."""
+def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
+    """Return the shots of a folder of pictures, or of a video: a scene for each picture. Raises InputError."""
+    motion, look, scene = options.motion, options.look, options.scene
+    source = scene.input
     for name in ("turntable", "degrees", "path"):
-        if getattr(args, name) is not None:
-            raise InputError(f"--{name} is for one scene, and {args.input} is a sequence; leave out one of them")
-    pictures = open_sequence(args.input)
-    paired = [] if args.rgbd is not None else _take_pairs(args, pictures)
-    beside = {name: _beside(args, name, pictures.count) for name in ("depth", "mask")}
+        if getattr(motion, name) is not None:
+            raise InputError(f"--{name} is for one scene, and {source} is a sequence; leave out one of them")
+    pictures = open_sequence(source)
+    photo, paired = scene.photo, list[str]()
+    if photo.rgbd is None:
+        photo, paired = _take_pairs(source, photo, pictures)
+    maps = {"depth": photo.depth_file, "mask": photo.mask}
+    beside = {name: _open_beside(name, path, source, pictures.count) for name, path in maps.items() if path is not None}
     folder = stack.enter_context(scratch_folder())
-    parts = {"input": pictures, **{name: part for name, part in beside.items() if part is not None}}
-    stack.enter_context(_said_of({"half": pictures, **parts}, folder))
-    count = min(pictures.count, args.frames or pictures.count)
-    shown, halved = _settle_half(args, pictures, count, folder)
-    given = read_given(args, panel)
+    parts = {"input": pictures, **beside}
+    stack.enter_context(_naming_videos({"half": pictures, **parts}, folder))
+    count = min(pictures.count, motion.frames or pictures.count)
+    photo, shown, halved = _find_half(photo, pictures, count, folder)
+    choice = read_camera(options.camera, panel)
 
-    def scenes(numbers: list[int]) -> Iterator[tuple[int, argparse.Namespace]]:
-        """The arguments of each picture, as if it were alone."""
-        rows = [part.pictures(numbers, _made(folder / name)) for name, part in parts.items()]
-        for row in zip(*rows):
-            own = argparse.Namespace(**vars(args))
-            for name, (_, path) in zip(parts, row):
-                setattr(own, name, path)
-            yield row[0][0], own
+    def load(own: SceneOptions, watch: Stopwatch) -> LoadedScene:
+        return load_scene(own, options.render, look, panel, device, watch)
 
-    def loaded(own: argparse.Namespace) -> Gaussians:
-        return load_scene(own, device, Stopwatch(0.0), panel)[0]
-
-    _, first = next(scenes([shown]))
-    check_scene_options(first)
-    gaussians, file = load_scene(first, device, watch, panel)
-    if file is not None:
-        raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
-    if is_estimated(first):  # also where no object is cut out
-        args.depth = first.depth
-    messages = [*paired, *halved, *settle_drawing(args, None)]
-    messages += [note for part in (pictures, *beside.values()) if part is not None for note in part.notes]
-    rig, how = frame_scene(first, panel, given, gaussians, None)
+    _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
+    check_scene_options(own, options.camera)
+    first = load(own, watch)
+    if first.photo is None:
+        raise InputError(f"{first.path} is a file of Gaussians; a sequence takes pictures")
+    if first.photo.options.is_estimated:  # also where no object is cut out
+        photo = replace(photo, depth=AUTO)
+    messages = [*paired, *halved, *(note for part in parts.values() for note in part.notes)]
+    rig, how = frame_scene(choice, look, first, panel)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
-        for number, own in scenes(numbers) if numbers else ():
-            # What is to be said of the first is said of it; of all others it would be the same again
+        each = _pictures(replace(scene, photo=photo), parts, numbers, folder) if numbers else ()
+        for number, own in each:
+            # The messages of the first are printed; those of all others would be the same
             with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
                 with named(f"frame {number}"):
-                    gaussians = loaded(own)
+                    loaded = load(own, Stopwatch(0.0))
                     framed = rig
-                    if args.reframe:
-                        framed, _ = apply_look(args, photo_rig(own, panel, gaussians), panel, gaussians)
-            yield number, gaussians, framed
+                    if motion.reframe and loaded.photo is not None:
+                        bare = photo_rig(loaded.photo, panel, loaded.gaussians)
+                        framed, _ = apply_look(look, bare, panel, loaded.gaussians)
+            yield number, loaded.gaussians, framed
 
-    fps = args.fps or pictures.fps or DEFAULT_FPS
+    fps = motion.fps or pictures.fps or DEFAULT_FPS
     job = {
-        "input": args.input.name,
+        "input": source.name,
         "device": device,
         "pictures": pictures.digest(),
-        "rig": None if args.reframe else rig.to_dict(),
-        **{name: part.digest() for name, part in beside.items() if part is not None},
-        **{name: getattr(args, name) for name in (*_OF_PICTURES, *_MORE_OF_PICTURES)},
-        **({"depth_model": depth_model(args)} if is_estimated(args) else {}),
-        "checkpoint": args.checkpoint and sha256(args.checkpoint),
+        "rig": None if motion.reframe else rig.to_dict(),
+        **{name: part.digest() for name, part in beside.items()},
+        **{name: getattr(photo, name) for name in _PHOTO_OF_JOB},
+        "reframe": motion.reframe,
+        **{name: getattr(look, name) for name in _LOOK_OF_JOB},
+        **({"depth_model": photo.depth_network} if photo.is_estimated else {}),
+        "checkpoint": photo.checkpoint and sha256(photo.checkpoint),
     }
-    name = first.input.name if pictures.files else args.input.name
+    name = first.path.name if pictures.files else source.name
     example = f"{name}, {f'frame {shown}' if shown else 'the first'}"
-    words = "each by itself" if args.reframe else f"all as {example} (each by itself: --reframe)"
+    words = "each by itself" if motion.reframe else f"all as {example} (each by itself: --reframe)"
     watch.lap("first picture")
     return Shots(
         count,
         fps,
         False,
         take,
-        lambda number: None if args.reframe else rig,
+        lambda number: None if motion.reframe else rig,
+        first.render,
         job,
         [*messages, *how, f"framing: {words}"],
     )
 
 
+def _pictures(
+    scene: SceneOptions, parts: dict[str, ImageSequence], numbers: list[int], folder: Path
+) -> Iterator[tuple[int, SceneOptions]]:
+    """Yield the number and the options of each picture, as if it were alone.
+
+    Args:
+        scene: what all have in common.
+        parts: the pictures ("input"), and their depth maps and masks, if any.
+        numbers: of the pictures.
+        folder: for the frames of videos.
+    """
+    for row in zip(*(part.pictures(numbers, _make(folder / name)) for name, part in parts.items())):
+        paths = {name: path for name, (_, path) in zip(parts, row)}
+        photo = scene.photo
+        photo = replace(photo, depth=paths.get("depth", photo.depth), mask=paths.get("mask", photo.mask))
+        yield row[0][0], replace(scene, input=paths["input"], photo=photo)
+
+
 class _Renaming:
-    """In place of sys.stdout or sys.stderr: what is written goes there with other names in it."""
+    """A stream in place of sys.stdout or sys.stderr that passes text on with other names in it."""
 
     def __init__(self, usual: Any, renamed: Callable[[str], str]):
         self._usual, self._renamed = usual, renamed
 
     def write(self, text: str) -> int:
-        """Passes a text on."""
+        """Pass a text on."""
         self._usual.write(self._renamed(text))
         return len(text)
 
@@ -220,14 +250,14 @@ class _Renaming:
 
 
 @contextlib.contextmanager
-def _said_of(parts: dict[str, Sequence], folder: Path) -> Iterator[None]:
-    """What is printed or complained of meanwhile names the videos, not the files of their frames in the folder."""
+def _naming_videos(parts: dict[str, ImageSequence], folder: Path) -> Iterator[None]:
+    """Have prints and errors name the videos, not the files of their frames in the folder."""
     names = {str(folder / name / f"{part.path.stem}.png"): str(part.path) for name, part in parts.items()}
     names |= {f"{part.path.stem}.png": part.path.name for part in parts.values() if not part.files}
-    written = re.compile(r"(?<![^\s('\"])(" + "|".join(map(re.escape, names)) + ")")
+    frame_name = re.compile(r"(?<![^\s('\"])(" + "|".join(map(re.escape, names)) + ")")
 
     def renamed(text: str) -> str:
-        return written.sub(lambda match: names[match[0]], text)
+        return frame_name.sub(lambda match: names[match[0]], text)
 
     try:
         with (
@@ -239,47 +269,51 @@ def _said_of(parts: dict[str, Sequence], folder: Path) -> Iterator[None]:
         raise InputError(renamed(str(error))) from None
 
 
-def _take_pairs(args: argparse.Namespace, pictures: Sequence) -> list[str]:
-    """Has args.depth be the depth maps beside the pictures in their folder, unless others are given; a line on it."""
-    maps = pictures_and_maps(args.input)[1] if pictures.files else []
+def _take_pairs(source: Path, photo: PhotoOptions, pictures: ImageSequence) -> tuple[PhotoOptions, list[str]]:
+    """Take the depth maps beside the pictures in their folder, unless others are given; return a line on them too."""
+    maps = pictures_and_maps(source)[1] if pictures.files else []
     if not maps:
-        return []
+        return photo, []
     first = f"{pictures.files[0].name} with {maps[0].name}"
-    if args.depth is not None:
-        return [f"{args.input}: its depth maps ({maps[0].name}, ...) are left out, as --depth gives others"]
-    args.depth = args.input
-    return [f"{args.input}: {pictures.count} pictures, each with the depth map beside it ({first})"]
+    if photo.depth is not None:
+        return photo, [f"{source}: its depth maps ({maps[0].name}, ...) are left out, as --depth gives others"]
+    words = f"{source}: {pictures.count} pictures, each with the depth map beside it ({first})"
+    return replace(photo, depth=source), [words]
 
 
-def _settle_half(args: argparse.Namespace, pictures: Sequence, count: int, folder: Path) -> tuple[int, list[str]]:
-    """Sets args.rgbd for pictures that have their depth maps beside them by their names: the half is that of the first
-    picture that shows it, for others may be black. Returns the number of that picture, else 0, and a line on it."""
+def _find_half(
+    photo: PhotoOptions, pictures: ImageSequence, count: int, folder: Path
+) -> tuple[PhotoOptions, int, list[str]]:
+    """Find the half that is the depth map, in pictures whose names say that one is.
+
+    The half is that of the first picture that shows it, for others may be black.
+
+    Returns:
+        The options with that half, the number of that picture (else 0), and a line on it.
+    """
     named_ones = pictures.files or (pictures.path,)
-    if args.rgbd is not None or args.depth is not None or not all(map(is_rgbd_name, named_ones)):
-        return 0, []
-    for number, path in pictures.pictures(list(range(count)), _made(folder / "half")):
+    if photo.rgbd is not None or photo.depth is not None or not all(map(is_rgbd_name, named_ones)):
+        return photo, 0, []
+    for number, path in pictures.pictures(list(range(count)), _make(folder / "half")):
         if (side := depth_side(read_picture(path).pixels, is_named=True)) is not None:
-            args.rgbd = side
-            return number, [f"depth: the {side} half of each picture, as picture {number} shows it (assumed; --rgbd)"]
-    return 0, []
+            words = f"depth: the {side} half of each picture, as picture {number} shows it (assumed; --rgbd)"
+            return replace(photo, rgbd=side), number, [words]
+    return photo, 0, []
 
 
-def _beside(args: argparse.Namespace, name: str, count: int) -> Sequence | None:
-    """The pictures of --depth or --mask, one for each of the sequence. Raises InputError."""
-    path: Path | None = depth_file(args) if name == "depth" else getattr(args, name)
-    if path is None:
-        return None
+def _open_beside(name: str, path: Path, source: Path, count: int) -> ImageSequence:
+    """Open the pictures of --depth or --mask, one for each of the sequence. Raises InputError."""
     if not path.is_dir() and not is_sequence(path):
         refuse_video(path)
-        raise InputError(f"--{name}: expected a folder or a video, as {args.input} is a sequence, got {path}")
+        raise InputError(f"--{name}: expected a folder or a video, as {source} is a sequence, got {path}")
     pictures = open_sequence(path, maps=True)
     if pictures.count != count:
         raise InputError(
-            f"--{name}: expected one for each of the {count} pictures of {args.input}, got {pictures.count} in {path}"
+            f"--{name}: expected one for each of the {count} pictures of {source}, got {pictures.count} in {path}"
         )
     return pictures
 
 
-def _made(folder: Path) -> Path:
+def _make(folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
     return folder

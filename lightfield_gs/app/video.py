@@ -1,81 +1,236 @@
-"""Where the frames of a video go: which file, of what kind, by which codec."""
+"""The options of a video, and the files its frames go to."""
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import dataclass, replace
+import json
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
+from lightfield_gs.app.provenance import software
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Compression, Device, QualityName, Views
 from lightfield_gs.io.atomic import check_folder, check_output_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, stated_layout, with_suffix
 from lightfield_gs.video.video_file import VIDEO_SUFFIXES, CodecName, Kind, choose_codec
 
+if TYPE_CHECKING:
+    from lightfield_gs.app.shots import Shots
+
 DEFAULT_FPS, DEFAULT_SECONDS = Fraction(30), 10.0
-_MOST_SIDE_PX = 4096  # of a quilt where no size is said: more than that many decoders of H.264 do not take
+_MOST_SIDE_PX = 4096  # of a quilt without a given size: many decoders of H.264 take no more
+
+
+@dataclass(frozen=True, slots=True)
+class MotionOptions:
+    """How the cameras of a video move, and how many frames there are.
+
+    Attributes:
+        turntable: seconds of one turn.
+        degrees: angle of the turntable.
+        path: file of keyframes.
+        reframe: whether each picture of a sequence is framed by itself.
+        fps: frames a second.
+        frames: number of frames.
+    """
+
+    turntable: float | None = None
+    degrees: float | None = None
+    path: Path | None = None
+    reframe: bool = False
+    fps: Fraction | None = None
+    frames: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VideoOptions:
+    """A scene with moving cameras, or pictures in a row, that become frames.
+
+    Attributes:
+        output: a folder of PNG files, or a video.
+        scene, panel, camera, look, render, motion: see there.
+        kind: what a frame shows. None: by the other options and the name.
+        codec, crf: of a video.
+        quilt: layout, or columns and rows, of a quilt.
+        quilt_size: width and height of a quilt, pixels.
+        sway: seconds of the eye's way to both sides and back.
+        compression, writers: of PNG files, and how many threads write them.
+        overwrite: whether to remove frames that are in the folder.
+        bridge: address of Looking Glass Bridge, which shows the quilt.
+        views, quality, device, threads: see `lightfield_gs.encode`.
+    """
+
+    output: Path
+    scene: SceneOptions
+    panel: PanelOptions
+    camera: CameraOptions
+    look: LookOptions
+    render: RenderOptions
+    motion: MotionOptions
+    kind: Kind | None = None
+    codec: CodecName | None = None
+    crf: int = 18
+    quilt: QuiltLayout | tuple[int, ...] | None = None
+    quilt_size: tuple[int, ...] | None = None
+    sway: float | None = None
+    compression: Compression = "fast"
+    writers: int | None = None
+    overwrite: bool = False
+    bridge: str | None = None
+    views: Views = "integer"
+    quality: QualityName = "exact"
+    device: Device = "auto"
+    threads: int | None = None
+
+    def inputs(self) -> tuple[Path | str | None, ...]:
+        """All files that are read, the scene first; None for those not given."""
+        return files_read(self.scene, self.camera, self.panel, self.motion.path)
 
 
 @dataclass(frozen=True)
-class Result:
-    """Where the frames go. codec: None for a folder of PNG files. layout: of a quilt, with its size."""
+class VideoTarget:
+    """Where the frames go.
+
+    Attributes:
+        path: a folder, or a video.
+        kind: what a frame shows.
+        codec: of a video. None: a folder of PNG files.
+        layout: of a quilt, with its size.
+    """
 
     path: Path
     kind: Kind
     codec: CodecName | None
     layout: QuiltLayout | None
 
+    def words(self) -> str:
+        """Return kind and codec in words."""
+        kind = {"native": "native", "quilt": "quilt", "2d": "one eye"}[self.kind]
+        if self.layout is not None:
+            kind += f" of {self.layout.columns} x {self.layout.rows} views"
+        return f"{kind}, {self.codec or 'PNG'}"
 
-def checked_result(args: argparse.Namespace, panel: Panel) -> Result:
-    """What the options say of the result. Raises InputError where they do not go together, or it cannot be written."""
-    path: Path = args.output
+
+def video_target(options: VideoOptions, panel: Panel) -> VideoTarget:
+    """Return where the frames go. Raises InputError where options exclude each other, or it cannot be written."""
+    path = options.output
     stated = stated_layout(path)
-    kind: Kind = args.kind or ("quilt" if args.quilt or args.quilt_size or stated else "native")
-    if args.kind is None and args.sway is not None:
+    kind = options.kind or ("quilt" if options.quilt or options.quilt_size or stated else "native")
+    if options.kind is None and options.sway is not None:
         kind = "2d"
-    _refuse(args, kind)
-    layout = _layout(args, panel, stated) if kind == "quilt" else None
+    _refuse_others(options, kind)
+    layout = _layout(options, panel, stated) if kind == "quilt" else None
     if not path.suffix or path.is_dir():
-        if args.codec is not None:
+        if options.codec is not None:
             raise InputError(f"--codec is of videos, and {path} is a folder of PNG files; leave out one of them")
-        return Result(check_folder(path), kind, None, layout)
-    codec = choose_codec(path, kind, args.codec)
-    if args.overwrite:
+        return VideoTarget(check_folder(path), kind, None, layout)
+    codec = choose_codec(path, kind, options.codec)
+    if options.overwrite:
         raise InputError("--overwrite is about folders of frames; a video is written anew in any case, leave it out")
-    return Result(check_output_path(path if layout is None else with_suffix(path, layout)), kind, codec, layout)
+    return VideoTarget(check_output_path(path if layout is None else with_suffix(path, layout)), kind, codec, layout)
 
 
-def _layout(args: argparse.Namespace, panel: Panel, stated: QuiltLayout | None) -> QuiltLayout:
-    """The layout of a quilt with its size: even sides, which 4:2:0 needs, and tiles that fill it. Raises InputError."""
+def _refuse_others(options: VideoOptions, kind: Kind) -> None:
+    """Raise InputError for options of another kind, and for those that take each other's place."""
+    for name, own in (("quilt", "quilt"), ("quilt_size", "quilt"), ("bridge", "quilt"), ("sway", "2d")):
+        if getattr(options, name) is not None and kind != own:
+            raise InputError(f"--{name.replace('_', '-')} is for --kind {own}, not {kind}; leave out one of them")
+    if options.bridge is not None and options.output.suffix.lower() not in VIDEO_SUFFIXES:
+        raise InputError(f"--bridge shows one file, and {options.output} is a folder; give a name that ends in .mp4")
+    motion, camera = options.motion, options.camera
+    values: dict[str, object] = {"turntable": motion.turntable, "degrees": motion.degrees}
+    values |= {"rig": camera.rig, "camera": camera.camera, "up": camera.up}
+    pairs: list[tuple[str, object, str, object]]
+    pairs = [("path", motion.path, name, value) for name, value in values.items()]
+    for one, first, other, second in (*pairs, ("turntable", motion.turntable, "frames", motion.frames)):
+        if first is not None and second is not None:
+            raise InputError(f"--{one} and --{other} take each other's place; leave out one of them")
+
+
+def _layout(options: VideoOptions, panel: Panel, stated: QuiltLayout | None) -> QuiltLayout:
+    """Return the layout of a quilt with its size. Raises InputError.
+
+    Its sides are even, which 4:2:0 needs, and its tiles fill it.
+    """
     aspect = stated.aspect if stated is not None else panel.width_px / panel.height_px
-    base = args.quilt or stated or QuiltLayout(8, 6, aspect)  # as many as Looking Glass Portrait
+    base = options.quilt or stated or QuiltLayout(8, 6, aspect)  # as many as Looking Glass Portrait
     if not isinstance(base, QuiltLayout):
         base = QuiltLayout(base[0], base[1], aspect)
-    width, height = args.quilt_size or (base.width_px, base.height_px)
+    width, height = options.quilt_size or (base.width_px, base.height_px)
     if width is None or height is None:
         across = min(_MOST_SIDE_PX // base.columns, int(_MOST_SIDE_PX // base.rows * base.aspect))
         width, height = across * base.columns, round(across / base.aspect) * base.rows
-    sides = [_filled(side, tiles) for side, tiles in ((width, base.columns), (height, base.rows))]
+    sides = [_even_multiple(side, tiles) for side, tiles in ((width, base.columns), (height, base.rows))]
     if min(sides) < 1:
         raise InputError(f"--quilt-size: {width} x {height} pixels are too few for {base.columns} x {base.rows} views")
     return replace(base, width_px=sides[0], height_px=sides[1])
 
 
-def _filled(side_px: int, tiles: int) -> int:
-    """The largest even multiple of the number of tiles up to a side."""
+def _even_multiple(side_px: int, tiles: int) -> int:
+    """Return the largest even multiple of the number of tiles up to a side."""
     each = side_px // tiles
     return tiles * (each - each * tiles % 2)
 
 
-def _refuse(args: argparse.Namespace, kind: Kind) -> None:
-    """Raises InputError for options of another kind, and for those that take each other's place."""
-    for name, of in (("quilt", "quilt"), ("quilt_size", "quilt"), ("bridge", "quilt"), ("sway", "2d")):
-        if getattr(args, name) is not None and kind != of:
-            raise InputError(f"--{name.replace('_', '-')} is for --kind {of}, not {kind}; leave out one of them")
-    if args.bridge is not None and args.output.suffix.lower() not in VIDEO_SUFFIXES:
-        raise InputError(f"--bridge shows one file, and {args.output} is a folder; give a name that ends in .mp4")
-    of_path = (("path", name) for name in ("turntable", "degrees", "rig", "camera", "up"))
-    for one, other in (*of_path, ("turntable", "frames")):
-        if getattr(args, one) is not None and getattr(args, other) is not None:
-            raise InputError(f"--{one} and --{other} take each other's place; leave out one of them")
+def frame_drawer(options: VideoOptions, panel: Panel, target: VideoTarget, shots: Shots) -> Any:
+    """Return what draws a frame. Raises InputError."""
+    from lightfield_gs.video.rendering import EyeRenderer, FrameOptions, NativeRenderer, QuiltRenderer
+
+    render = shots.render
+    drawing = FrameOptions(options.views, render.background, options.quality, render.antialiased, render.view_filter)
+    if target.kind != "native" and (options.views, options.quality) != ("integer", "exact"):
+        raise InputError(f"--views and --quality are of native pictures, not of --kind {target.kind}; leave them out")
+    if target.layout is not None:
+        return QuiltRenderer(panel, drawing, target.layout)
+    if target.kind == "2d":
+        return EyeRenderer(panel, drawing, None if options.sway is None else float(options.sway * shots.fps))
+    return NativeRenderer(panel, drawing, shots.is_one_scene)
+
+
+def frame_sink(options: VideoOptions, panel: Panel, target: VideoTarget, shots: Shots, size_px: tuple[int, int]) -> Any:
+    """Return the video or the folder that the frames go to; a folder may hold some of them. Raises InputError."""
+    if target.codec is not None:
+        from lightfield_gs.video.video_file import VideoFile
+
+        return VideoFile(target.path, shots.count, size_px, shots.fps, target.codec, options.crf)
+    from lightfield_gs.video.frame_folder import FrameFolder
+
+    maker = software()
+    native = {"panel": json.dumps(panel.to_dict())} if target.kind == "native" else {}
+
+    def metadata(number: int) -> dict[str, str]:
+        rig = shots.rig_of_file(number)
+        more = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
+        return {"software": maker, "input": options.scene.input.name, **native, **more, "frame": str(number)}
+
+    render = shots.render
+    job = {
+        "software": maker,
+        "kind": target.kind,
+        "size": list(size_px),
+        "quilt": None if target.layout is None else asdict(target.layout),
+        "panel": panel.to_dict(),
+        "views": options.views,
+        "quality": options.quality,
+        "background": list(render.background),
+        "antialiased": render.antialiased,
+        "view_filter": render.view_filter,
+        "compression": options.compression,
+        "sway": options.sway,
+        "frames": shots.count,
+        "fps": str(shots.fps),
+        **shots.job,
+    }
+    return FrameFolder(
+        target.path,
+        shots.count,
+        job,
+        fps=float(shots.fps),
+        metadata=metadata,
+        compression=options.compression,
+        writers=options.writers,
+        overwrite=options.overwrite,
+    )

@@ -15,11 +15,13 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from lightfield_gs.app.photo import detail_given
+from lightfield_gs.app.options import PhotoOptions
+from lightfield_gs.app.photo import network_detail
 from lightfield_gs.base.options import Detail
 from lightfield_gs.bench import options
 from lightfield_gs.bench.report import aligned, in_ms
 from lightfield_gs.bench.timing import timed
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.scene import add_detail
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.models.splatter_net import PRETRAINED
@@ -161,6 +163,6 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Rows of every photo and number of threads, and their text."""
     photos = [str(EXAMPLE)] if args.photo is None else args.photo.split(",")
     options.check_photos(photos)
-    threads, detail = options.thread_counts(args.threads), detail_given(args)
+    threads, detail = options.thread_counts(args.threads), network_detail(read_options(PhotoOptions, args))
     found = rows(photos, args.model, options.panel_of(args), args.device, args.repeats, threads, detail)
     return {"rows": found}, table(found)

@@ -21,12 +21,12 @@ from lightfield_gs.bench.pareto import Subject, drawing
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene, with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoding.encode import draw_lens, encode
+from lightfield_gs.encoding.encode import draw_direct, encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.direct import COLOUR_ORDER, LensJob
+from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import Frames
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rasterizer.scene import background_tensor
@@ -220,12 +220,12 @@ def _colour_orders(subject: Subject) -> Skip:
 def _colours(subject: Subject, quality: Quality) -> Draw:
     """Draws with polynomials up to one order, and exactly where their error is beyond what the quality allows."""
     background = background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
-    job = LensJob(subject.gaussians.fields().values(), background, lens_view(subject.panel, subject.rig))
+    job = DirectRender(subject.gaussians.fields().values(), background, lenticular_camera(subject.panel, subject.rig))
     if subject.gaussians.means.is_cuda:
         frames = Frames(job, quality)
         frames.orders, frames.colour_order = (COLOUR_ORDER,), COLOUR_ORDER
         return partial(frames.draw, job, True)
-    return partial(draw_lens, job, True, quality)
+    return partial(draw_direct, job, True, quality)
 
 
 @dataclass

@@ -13,7 +13,7 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs calibrate`, of each of its actions."""
+    """Add the arguments of `lightfield-gs calibrate`, those of each of its actions."""
     parser.description = "Makes a profile fit its panel: show a pattern, look, and change the profile."
     actions = parser.add_subparsers(title="actions", required=True, metavar="ACTION", dest="action")
     for name, purpose in ACTIONS.items():
@@ -24,5 +24,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Runs the action. Raises InputError."""
+    """Run the action. Raises InputError."""
     importlib.import_module(f"lightfield_gs.commands.calibrate_{args.action}").run(args)

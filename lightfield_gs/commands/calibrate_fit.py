@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel, why_no_eye
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.calibrate_nudge import said_of_change
+from lightfield_gs.commands.calibrate_nudge import change_lines
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
-from lightfield_gs.commands.options.parser import numbers
+from lightfield_gs.commands.options.parser import numbers, read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.calibration_fit import CalibrationFit, ViewpointFit, fit_lens, most_spread_views
 from lightfield_gs.panels.calibration_photos import Viewpoint, load_viewpoint, read_viewpoints
@@ -22,8 +24,29 @@ from lightfield_gs.panels.lens_change import check_profile_path, write_profile
 _MOST_OFFSET_VIEWS = 0.3  # between a place and the lens of all, above which its eye or the profile is doubtful
 
 
+@dataclass(frozen=True, slots=True)
+class CalibrationOptions:
+    """Photographs of a pattern that a panel shows.
+
+    Attributes:
+        photos: the photographs, or a .yaml that lists them.
+        output: the profile with the lens found.
+        panel: the profile that the pattern was drawn for.
+        eye: position of the camera for each place, mm.
+        corners: of the panel in the photographs of each place, eight pixels.
+        one_place: whether photographs from one place will do.
+    """
+
+    photos: list[Path]
+    output: Path
+    panel: PanelOptions
+    eye: list[tuple[float, float, float]] | None = None
+    corners: list[tuple[float, ...]] | None = None
+    one_place: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs calibrate fit`."""
+    """Add the arguments of `lightfield-gs calibrate fit`."""
     parser.epilog = (
         "What to photograph: `calibrate pattern phase --shift 0`, 1 and 2 of the very profile START, shown full screen "
         "and unscaled, in a dark room, from each of two places at least, a twentieth of the viewing zone apart, best "
@@ -73,26 +96,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Estimates the lens and writes it. Raises InputError."""
-    path = check_profile_path(args.output, args.panel)
-    check_outputs((path,), (args.panel, *args.photos))
-    start = load_panel(args)
+    """Estimate the lens and write it. Raises InputError."""
+    options = read_options(CalibrationOptions, args)
+    profile, serial = args.panel, args.device_serial
+    path = check_profile_path(options.output, profile)
+    check_outputs((path,), (profile, *options.photos))
+    start = load_panel(options.panel)
     if why := why_no_eye(start):
         raise InputError(why)
-    fit = fit_lens(places_of(args), start, args.one_place)
-    write_profile(path, args.panel, fit.panel, args.device_serial)
-    print(f"{path}: {args.panel} with the lens of the photographs, for eyes at {start.viewing_distance_mm:g} mm")
-    for line in (
-        *said_of_change(args.panel, start, fit.panel, args.device_serial),
-        *map(_said_of_place, fit.viewpoints),
-    ):
+    fit = fit_lens(read_photographs(options), start, options.one_place)
+    write_profile(path, profile, fit.panel, serial)
+    print(f"{path}: {profile} with the lens of the photographs, for eyes at {start.viewing_distance_mm:g} mm")
+    for line in (*change_lines(profile, start, fit.panel, serial), *map(_place_line, fit.viewpoints)):
         print(line)
-    for words in doubts_of(fit):
+    for words in implausible_places(fit):
         note(words)
 
 
-def doubts_of(fit: CalibrationFit) -> list[str]:
-    """Lines on the places whose photographs spread too far about the lens found, or lie off it as a whole."""
+def implausible_places(fit: CalibrationFit) -> list[str]:
+    """Return a line for each place whose photographs spread too far about the lens found, or lie off it."""
     most = most_spread_views(fit.panel)
     spread = [
         f"{place.name}: what is seen spreads by {place.spread_views:.2g} views about the lens found, and good "
@@ -111,32 +133,32 @@ def doubts_of(fit: CalibrationFit) -> list[str]:
     return spread or off
 
 
-def places_of(args: argparse.Namespace) -> list[Viewpoint]:
-    """The places of a .yaml, or of the photographs, --eye and --corners. Raises InputError."""
-    is_list = [photo.suffix.lower() in (".yaml", ".yml") for photo in args.photos]
+def read_photographs(options: CalibrationOptions) -> list[Viewpoint]:
+    """Read the photographs of each place, by a .yaml or by --eye and --corners. Raises InputError."""
+    is_list = [photo.suffix.lower() in (".yaml", ".yml") for photo in options.photos]
     if any(is_list):
-        if len(args.photos) > 1 or args.eye or args.corners:
+        if len(options.photos) > 1 or options.eye or options.corners:
             raise InputError(
                 "a .yaml says all of the photographs: give it alone, without --eye, --corners and other files"
             )
-        return read_viewpoints(args.photos[0])
-    eyes: Sequence[tuple[float, float, float]] = args.eye or ()
-    each = {len(eyes): 1, 3 * len(eyes): 3}.get(len(args.photos))
+        return read_viewpoints(options.photos[0])
+    eyes: Sequence[tuple[float, float, float]] = options.eye or ()
+    each = {len(eyes): 1, 3 * len(eyes): 3}.get(len(options.photos))
     if each is None:
         raise InputError(
-            f"expected three photographs for each --eye (shifts 0, 1, 2), or one (rgb), got {len(args.photos)} "
+            f"expected three photographs for each --eye (shifts 0, 1, 2), or one (rgb), got {len(options.photos)} "
             f"photographs and {len(eyes)} --eye"
         )
-    if args.corners is not None and len(args.corners) != len(eyes):
-        raise InputError(f"expected --corners for each --eye, or none, got {len(args.corners)} for {len(eyes)}")
-    corners = [np.reshape(one, (4, 2)).tolist() for one in args.corners] if args.corners else [None] * len(eyes)
+    if options.corners is not None and len(options.corners) != len(eyes):
+        raise InputError(f"expected --corners for each --eye, or none, got {len(options.corners)} for {len(eyes)}")
+    corners = [np.reshape(one, (4, 2)).tolist() for one in options.corners] if options.corners else [None] * len(eyes)
     return [
-        load_viewpoint(args.photos[each * k : each * (k + 1)], eye, at)
+        load_viewpoint(options.photos[each * k : each * (k + 1)], eye, at)
         for k, (eye, at) in enumerate(zip(eyes, corners))
     ]
 
 
-def _said_of_place(place: ViewpointFit) -> str:
+def _place_line(place: ViewpointFit) -> str:
     corners = "  ".join(f"{x:.1f},{y:.1f}" for x, y in place.corners_px)
     return (
         f"{place.name}: {place.offset_views:+.3f} views off the lens found, spread {place.spread_views:.3f}; "

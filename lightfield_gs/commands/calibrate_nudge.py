@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.calibrate_pattern import KINDS, draw_pattern, write_pattern
+from lightfield_gs.commands.calibrate_pattern import KINDS, PatternOptions, draw_pattern, write_pattern
 from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.parser import numbers
+from lightfield_gs.commands.options.parser import numbers, read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.lens_change import (
     LensChange,
@@ -22,11 +23,37 @@ from lightfield_gs.panels.lens_change import (
 )
 from lightfield_gs.panels.panel import Panel
 
+_CHANGES = ("pitch_by", "slope_by", "centre_by", "line_number_by", "slant_by", "phase_by")
 _TO_SHOW = [kind for kind in KINDS if kind != "single"]
 
 
+@dataclass(frozen=True, slots=True)
+class NudgeOptions:
+    """Changes of a lens; amounts are (value, whether it is percent), the others have one value.
+
+    Attributes:
+        profile: name of the profile, or a path to it.
+        output: the changed profile.
+        device_serial: the display, where the profile has several.
+        pitch_by, slope_by, centre_by: in the terms of Looking Glass.
+        line_number_by, slant_by, phase_by: in those of a .yaml.
+        pattern: kind of the pattern that is written too.
+    """
+
+    profile: str
+    output: Path
+    device_serial: str | None = None
+    pitch_by: tuple[float, bool] | None = None
+    slope_by: tuple[float, bool] | None = None
+    centre_by: tuple[float] | None = None
+    line_number_by: tuple[float] | None = None
+    slant_by: tuple[float] | None = None
+    phase_by: tuple[float] | None = None
+    pattern: str | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs calibrate nudge`."""
+    """Add the arguments of `lightfield-gs calibrate nudge`."""
     parser.epilog = (
         "Pitch, slope and centre are the words of Looking Glass, line number, slant and phase those of a .yaml: either "
         "may be given for either. What the middle of the panel shows stays, unless the centre or the phase is moved. "
@@ -46,48 +73,52 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Writes the changed profile. Raises InputError."""
-    path = check_profile_path(args.output, args.profile)
-    pattern = path.with_name(f"{path.stem}-{args.pattern}.png") if args.pattern else None
-    check_outputs((path, pattern), (args.profile,))
-    before = Panel.load(args.profile, serial=args.device_serial)
-    after = changed(before, change_of(args, before))
-    image = None
-    if pattern is not None:
-        asked = argparse.Namespace(kind=args.pattern, step=None, shift=None, span=None, bands=None)
-        image = draw_pattern(after, asked)
-    write_profile(path, args.profile, after, args.device_serial)
-    print(f"{path}: {args.profile} with another lens")
-    for line in said_of_change(args.profile, before, after, args.device_serial):
+    """Write the changed profile. Raises InputError."""
+    _nudge(read_options(NudgeOptions, args))
+
+
+def _nudge(options: NudgeOptions) -> None:
+    profile, serial, kind = options.profile, options.device_serial, options.pattern
+    path = check_profile_path(options.output, profile)
+    pattern = path.with_name(f"{path.stem}-{kind}.png") if kind else None
+    check_outputs((path, pattern), (profile,))
+    before = Panel.load(profile, serial=serial)
+    after = changed(before, lens_change(options, before))
+    image = None if kind is None else draw_pattern(after, PatternOptions(kind))
+    write_profile(path, profile, after, serial)
+    print(f"{path}: {profile} with another lens")
+    for line in change_lines(profile, before, after, serial):
         print(line)
-    if pattern is not None and image is not None:
-        write_pattern(pattern, after, args.pattern, image)
-        print(f"{pattern}: {args.pattern}, for the new profile; show it full screen, unscaled")
+    if pattern is not None and kind is not None and image is not None:
+        write_pattern(pattern, after, kind, image)
+        print(f"{pattern}: {kind}, for the new profile; show it full screen, unscaled")
 
 
-def change_of(args: argparse.Namespace, panel: Panel) -> LensChange:
-    """What the options ask for. Raises InputError where they ask for nothing, or for what the profile cannot say."""
-    options = ("pitch_by", "slope_by", "centre_by", "line_number_by", "slant_by", "phase_by")
-    if all(getattr(args, option) is None for option in options):
-        names = ", ".join(f"--{option.replace('_', '-')}" for option in options)
+def lens_change(options: NudgeOptions, panel: Panel) -> LensChange:
+    """Return the change that the options ask for.
+
+    Raises:
+        InputError: they ask for nothing, or for what the profile cannot say.
+    """
+    if all(getattr(options, change) is None for change in _CHANGES):
+        names = ", ".join(f"--{change.replace('_', '-')}" for change in _CHANGES)
         raise InputError(f"nothing to change; give one or more of {names}")
-    centre, line_number, slant, phase = (
-        value[0] if value else 0.0 for value in (args.centre_by, args.line_number_by, args.slant_by, args.phase_by)
-    )
+    others = (options.centre_by, options.line_number_by, options.slant_by, options.phase_by)
+    centre, line_number, slant, phase = (value[0] if value else 0.0 for value in others)
     pitch = slope = 0.0
-    if args.pitch_by is not None:
-        pitch, relative = args.pitch_by
+    if options.pitch_by is not None:
+        pitch, relative = options.pitch_by
         if not relative:
             pitch *= 100 / pitch_lpi(panel)
-    if args.slope_by is not None:
-        slope, relative = args.slope_by
+    if options.slope_by is not None:
+        slope, relative = options.slope_by
         if not relative:
-            slope *= 100 / slope_of(args.profile, panel, args.device_serial)
+            slope *= 100 / lens_slope(options.profile, panel, options.device_serial)
     return LensChange(pitch, slope, centre, line_number, slant, phase)
 
 
 def pitch_lpi(panel: Panel) -> float:
-    """Lenses per inch across their axis. Raises InputError where the profile has no pixel pitch."""
+    """Return the lenses per inch across their axis. Raises InputError where the profile has no pixel pitch."""
     if panel.pixel_pitch_mm is None:
         raise InputError(
             f"panel {panel.name} lacks pixel_pitch_mm, without which there are no lenses per inch; give the change "
@@ -96,8 +127,8 @@ def pitch_lpi(panel: Panel) -> float:
     return 3 * 25.4 / (panel.pixel_pitch_mm * panel.line_number) * math.hypot(1, panel.slant_tan)
 
 
-def slope_of(source: str | Path, panel: Panel, serial: str | None) -> float:
-    """dy/dx of the lens axis, as the profile has it. Raises InputError where the lenses stand upright."""
+def lens_slope(source: str | Path, panel: Panel, serial: str | None) -> float:
+    """Return dy/dx of the lens axis, as the profile has it. Raises InputError where the lenses stand upright."""
     if is_looking_glass(source):
         return looking_glass_lens(source, panel, serial)["slope"]
     if panel.slant_tan == 0:
@@ -105,8 +136,8 @@ def slope_of(source: str | Path, panel: Panel, serial: str | None) -> float:
     return -1 / panel.slant_tan
 
 
-def said_of_change(source: str | Path, before: Panel, after: Panel, serial: str | None) -> list[str]:
-    """The lens before and after in the terms of a Looking Glass, where it has them, and in those of a .yaml."""
+def change_lines(source: str | Path, before: Panel, after: Panel, serial: str | None) -> list[str]:
+    """Return lines on the lens before and after, in the terms of a Looking Glass, if any, and of a .yaml."""
     lines = []
     if is_looking_glass(source):
         old, new = (looking_glass_lens(source, panel, serial) for panel in (before, after))
@@ -122,6 +153,6 @@ def said_of_change(source: str | Path, before: Panel, after: Panel, serial: str 
 
 
 def _amount(text: str) -> tuple[float, bool]:
-    """ "0.1%" -> (0.1, True): percent; "0.05" -> (0.05, False)."""
+    """Parse "0.1%" to (0.1, True), which is percent; "0.05" to (0.05, False)."""
     relative = text.endswith("%")
     return numbers(1)(text.removesuffix("%"))[0], relative

@@ -5,18 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.parser import whole, within
+from lightfield_gs.commands.options.parser import read_options, whole, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels import patterns
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.patterns import Fan
 
 KINDS = {
     "hues": "each view in one hue, red (view 0) to magenta: an eye at the viewing distance sees one colour all over",
@@ -40,8 +43,29 @@ _TAKERS = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class PatternOptions:
+    """A calibration pattern. Options that the kind does not take are None.
+
+    Attributes:
+        kind: of KINDS.
+        view: of "single": the white view, or the first and the last.
+        step: of "numbers": how many views share a number.
+        shift: of "phase": thirds of a lens.
+        span: largest change or disparity of the bands.
+        bands: their number.
+    """
+
+    kind: str
+    view: tuple[int, ...] | None = None
+    step: int | None = None
+    shift: int | None = None
+    span: float | None = None
+    bands: int | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs calibrate pattern`."""
+    """Add the arguments of `lightfield-gs calibrate pattern`."""
     parser.epilog = "Kinds: " + "; ".join(f"{kind}, {meaning}" for kind, meaning in KINDS.items()) + "."
     add = parser.add_argument
     add("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
@@ -77,43 +101,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Writes the pattern of args.kind. Raises InputError."""
+    """Write the pattern of args.kind. Raises InputError."""
+    options = read_options(PatternOptions, args)
     path = check_image_path(args.output)
     check_outputs((path,), (args.panel,))
     panel = Panel.load(args.panel, serial=args.device_serial)
     for option, takers in _TAKERS.items():
-        if getattr(args, option) is not None and args.kind not in takers:
-            raise InputError(f"--{option} is for the kinds {', '.join(takers)}, not {args.kind}; leave it out")
-    write_pattern(path, panel, args.kind, draw_pattern(panel, args))
+        if getattr(options, option) is not None and options.kind not in takers:
+            raise InputError(f"--{option} is for the kinds {', '.join(takers)}, not {options.kind}; leave it out")
+    write_pattern(path, panel, options.kind, draw_pattern(panel, options))
     print(
-        f"{path}: {args.kind}, {panel.width_px} x {panel.height_px}, for panel {panel.name}; show it full screen, "
+        f"{path}: {options.kind}, {panel.width_px} x {panel.height_px}, for panel {panel.name}; show it full screen, "
         "unscaled"
     )
-    if args.kind == "numbers":
-        shared = math.ceil(panel.views / len(np.unique(patterns.displayed_numbers(panel, args.step))))
+    if options.kind == "numbers":
+        shared = math.ceil(panel.views / len(np.unique(patterns.displayed_numbers(panel, options.step))))
         print(
             f"{shared} of {panel.views} views share a number; a lens lights about {panel.views / panel.line_number:.3g}"
         )
 
 
-def draw_pattern(panel: Panel, args: argparse.Namespace) -> np.ndarray:
-    """The pattern uint8 [H, W, 3] of args.kind, with the options that are given. Raises InputError."""
-    kind = args.kind
+def draw_pattern(panel: Panel, options: PatternOptions) -> np.ndarray:
+    """Return the pattern, uint8 [H, W, 3]. Raises InputError."""
+    kind = options.kind
     if kind in ("hues", "greys"):
         return patterns.sweep(panel, kind == "hues")
     if kind == "numbers":
-        return patterns.numbers(panel, args.step)
+        return patterns.numbers(panel, options.step)
     if kind == "single":
-        return patterns.single(panel, *(args.view or (panel.views // 2,)))
+        return patterns.single(panel, *(options.view or (panel.views // 2,)))
     if kind in ("phase", "rgb"):
-        return patterns.bars(panel, None if kind == "rgb" else args.shift or 0)
+        return patterns.bars(panel, None if kind == "rgb" else options.shift or 0)
     if kind == "depth":
-        return patterns.depth_ramp(panel, args.span, args.bands)
-    return patterns.fan(panel, kind, args.span, args.bands)
+        return patterns.depth_ramp(panel, options.span, options.bands)
+    return patterns.fan(panel, cast(Fan, kind), options.span, options.bands)
 
 
 def write_pattern(path: Path, panel: Panel, kind: str, image: np.ndarray) -> None:
-    """Writes a pattern with the panel that it is for, as `simulate` reads it. Raises InputError."""
+    """Write a pattern with the panel that it is for, as `simulate` reads it. Raises InputError."""
     told = {
         "software": f"lightfield-gs {version('lightfield-gs')}",
         "pattern": kind,
@@ -123,7 +148,7 @@ def write_pattern(path: Path, panel: Panel, kind: str, image: np.ndarray) -> Non
 
 
 def _views(text: str) -> tuple[int, ...]:
-    """ "40" -> (40,), "40-44" -> (40, 44)."""
+    """Parse "40" to (40,), "40-44" to (40, 44)."""
     words = text.split("-")
     if len(words) > 2 or not all(word.isdecimal() and len(word) < 6 for word in words):
         raise argparse.ArgumentTypeError(f"expected a view such as 40, or a range such as 40-44, got '{text}'")

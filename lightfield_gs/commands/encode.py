@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.app.encoding import Encoding, use_threads
+from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.encoding import add_device, add_encoding
+from lightfield_gs.commands.options.parser import read_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs encode`."""
+    """Add the arguments of `lightfield-gs encode`."""
     parser.description = "Encodes a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel."
     add = parser.add_argument
     add(
@@ -46,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Encodes args.input into args.output. Raises InputError."""
-    encoding = Encoding(args, Stopwatch(args.began))
+    """Encode args.input into args.output. Raises InputError."""
+    encoding = Encoding(read_options(EncodeOptions, args), Stopwatch(args.began))
     if args.threads is not None:
         use_threads(args.threads)
     encoding.read()
@@ -57,13 +59,13 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _say(encoding: Encoding) -> None:
-    """What was made, how long it took, and what was decided or looks wrong."""
-    args, panel, count = encoding.args, encoding.panel, encoding.gaussians.count
-    if args.preview is not None and (why := why_no_eye(panel)):
-        note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
-    print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {count} Gaussians")
+    """Print the size of the image, the times, and what was decided or looks wrong."""
+    options, panel, count = encoding.options, encoding.panel, encoding.scene.gaussians.count
+    if options.preview is not None and (why := why_no_eye(panel)):
+        note(f"{options.preview} has no left-eye.png and right-eye.png: {why}")
+    print(f"{options.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {count} Gaussians")
     print(encoding.watch.line())
-    if args.stats:
+    if options.stats:
         print("\n".join(_stats_lines(encoding.stats, count)))
     print("".join(f"{line}\n" for line in encoding.messages), end="")
 

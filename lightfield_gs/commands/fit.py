@@ -16,15 +16,15 @@ from lightfield_gs.base.checks import counted
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.fit import (
+    CaptureOptions,
+    FitOptions,
     add_capture,
     add_cone,
     add_optimisation,
     add_run,
-    check_cone,
-    cone_given,
-    names_in,
-    settings_given,
+    read_names,
 )
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_folder, make_folder
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs fit`."""
+    """Add the arguments of `lightfield-gs fit`."""
     parser.description = (
         "Fits Gaussians to photographs of a scene, with cameras that COLMAP or another program found. Ctrl-C stops it "
         "and writes the scene so far; the same command goes on from there. The same capture, options and machine give "
@@ -57,78 +57,85 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fits args.input into args.output; 128 and the signal where one stopped it. Raises InputError."""
-    check_scene_path(args.output)
-    folder = check_folder(args.output.with_suffix(".fit") if args.run is None else args.run)
-    choose_device(args.device)
-    held = names_in(args.test_list)
-    check_cone(args)
+    """Fit args.input into args.output; return 128 and the signal where one stopped it. Raises InputError."""
+    return fit_scene(read_options(FitOptions, args))
+
+
+def fit_scene(options: FitOptions) -> int:
+    """Fit a capture and write its scene; return 128 and the signal where one stopped it. Raises InputError."""
+    output, report, source = options.output, options.report, options.capture
+    check_scene_path(output)
+    folder = check_folder(output.with_suffix(".fit") if report.run is None else report.run)
+    choose_device(options.device)
+    held_out = None if source.test_list is None else read_names(source.test_list)
+    options.cone.check()
 
     from lightfield_gs.fitting.fit import fit
     from lightfield_gs.fitting.several import is_first
 
     with Interrupts() as interrupts:
-        capture = _capture(args, folder)
-        if held is not None:
-            with named(args.test_list):
-                capture.split(None, held)
+        capture = _read_capture(source, folder)
+        if held_out is not None:
+            with named(source.test_list):
+                capture.split(None, held_out)
         result = fit(
             capture,
-            test_every=args.test_every,
-            test_names=held,
-            device=args.device,
+            test_every=source.test_every,
+            test_names=held_out,
+            device=options.device,
             folder=folder,
-            fresh=args.fresh,
-            checkpoint_every=args.checkpoint_every,
-            evaluate_every=args.evaluate_every,
-            picture_every=args.picture_every,
-            stop_early=args.stop_early,
-            tensorboard=args.tensorboard,
+            fresh=report.fresh,
+            checkpoint_every=report.checkpoint_every,
+            evaluate_every=report.evaluate_every,
+            picture_every=report.picture_every,
+            stop_early=report.stop_early,
+            tensorboard=report.tensorboard,
             stop=lambda: interrupts.number is not None,
-            **cone_given(args),
-            **settings_given(args),
+            **options.cone.arguments(),
+            **options.optimisation.arguments(),
         )
         if is_first():
-            result.save(args.output)
+            result.save(output)
     if is_first():
-        _say(args, result, folder)
+        _say(options, result, folder)
     return 128 + interrupts.number if result.stopped and interrupts.number is not None else 0
 
 
-def _capture(args: argparse.Namespace, folder: Path) -> Capture:
-    """The capture that is fitted, posed first with --sfm."""
+def _read_capture(options: CaptureOptions, folder: Path) -> Capture:
+    """Read the capture; with --sfm find its cameras first."""
     from lightfield_gs.io.captures.capture import folder_in, read_capture
     from lightfield_gs.io.captures.sfm import structure_from_motion
 
-    where, images, masks = args.input, args.images, args.mask_folder
-    if args.sfm:
+    where, images, masks = options.input, options.images, options.mask_folder
+    if options.sfm:
         if images is not None:
             raise InputError("--sfm: CAPTURE itself is the folder of photographs; leave out --images")
-        where, images = folder / "sfm", args.input.absolute()
+        where, images = folder / "sfm", options.input.absolute()
         if masks is not None:
             masks = folder_in("masks", images, masks).absolute()
         if not (where / "sparse/0").exists():
             if "RANK" in os.environ:
                 raise InputError("--sfm: find the cameras in one process first: leave torchrun out, or use pycolmap")
             structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True), masks)
-    return read_capture(where, images=images, masks=masks, scale=args.scale, longest_px=args.longest_px)
+    return read_capture(where, images=images, masks=masks, scale=options.scale, longest_px=options.longest_px)
 
 
-def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
-    """What came out, how well, and how to go on."""
+def _say(options: FitOptions, result: FitResult, folder: Path) -> None:
+    """Print the scores, the files, and how to go on."""
     from lightfield_gs.fitting.evaluate import protocol
 
     if result.scores is not None:
         print(f"{result.scores.table()}\n{protocol(result.settings.poses)}")
         _say_angles(result)
-    print(f"{args.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
+    print(f"{options.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
     scores = ", scores.json" if result.scores is not None else ""
     print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
         from lightfield_gs.fitting.display import rig_path
 
-        rig = rig_path(args.output)
-        print(f"{rig}: the rig in the capture's coordinates: encode {args.output} --rig {rig} --panel {_panel(args)}")
+        rig = rig_path(options.output)
+        encode = f"encode {options.output} --rig {rig} --panel {_panel(options.cone.cone)}"
+        print(f"{rig}: the rig in the capture's coordinates: {encode}")
         if result.shown is None:
             print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
@@ -136,7 +143,7 @@ def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
 
 
 def _say_angles(result: FitResult) -> None:
-    """Scores by angle, where there is a cone; by what the panel can show, before and after the rest was left out."""
+    """Print scores by angle where there is a cone, and in the panel's frame before and after pruning."""
     if result.angles is None or result.scores is None:
         return
     print(f"from {result.angles.centre}, cone of {result.angles.cone_deg:g} degrees:")
@@ -150,17 +157,19 @@ def _say_angles(result: FitResult) -> None:
         )
 
 
-def _panel(args: argparse.Namespace) -> str:
-    """What encode is given as --panel to show what --cone names."""
+def _panel(cone: str | None) -> str:
+    """Return the --panel of `encode` that shows the panel of --cone."""
     from lightfield_gs.fitting.display import is_angle
     from lightfield_gs.panels.panel import DEFAULT_PANEL
 
-    return DEFAULT_PANEL if is_angle(args.cone) else args.cone
+    return DEFAULT_PANEL if cone is None or is_angle(cone) else cone
 
 
 class Interrupts:
-    """While it is entered, `number` is that of the first signal that came, or None. A second one is a
-    KeyboardInterrupt. Outside the main thread signals go their usual way."""
+    """Catches Ctrl-C and SIGTERM: the first one asks the command to stop in good order, a second one aborts it.
+
+    `number` is the first signal that came, or None. Outside the main thread signals go their usual way.
+    """
 
     def __init__(self) -> None:
         self.number: int | None = None

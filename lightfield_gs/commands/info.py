@@ -12,7 +12,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.cameras import add_up
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.scene import add_reading
-from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unread
+from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unsupported
 from lightfield_gs.io.scenes.files import is_scene_path
 from lightfield_gs.io.text_files import MOST_BYTES, read_text
 from lightfield_gs.panels.panel import Panel
@@ -24,7 +24,7 @@ _CAMERAS_SHOWN = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs info`."""
+    """Add the arguments of `lightfield-gs info`."""
     parser.add_argument(
         "file",
         type=Path,
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Prints what args.file holds, a line a fact. Raises InputError."""
+    """Print the facts of args.file, a line each. Raises InputError."""
     for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up, args.time):
         print(f"{key}: {value}")
 
@@ -46,10 +46,17 @@ def run(args: argparse.Namespace) -> None:
 def describe(
     path: Path, serial: str | None = None, skip_invalid: bool = False, up: str | None = None, time: float | None = None
 ) -> list[tuple[str, object]]:
-    """Facts about a file of Gaussians, an image, a panel or rig (.yaml, .json, a panel's name) or a .safetensors file.
+    """Return facts about a file.
 
-    serial: of the display, where the file has several. skip_invalid, time: of a scene, see read_scene. up: which axis
-    of it points up, in place of what its file says.
+    Args:
+        path: a file of Gaussians, an image, a panel or rig (.yaml, .json, a panel's name) or a .safetensors file.
+        serial: of the display, where the file has several.
+        skip_invalid: of a scene, see `read_scene`.
+        up: the axis that points up in a scene, in place of the file's.
+        time: of a scene, see `read_scene`.
+
+    Raises:
+        InputError: the file cannot be read, or an option is not for it.
     """
     suffix = path.suffix.lower()
     if serial is not None and suffix != ".json":
@@ -65,7 +72,7 @@ def describe(
         return _rig(path)
     if suffix == ".json" and _is_camera_file(path):
         return _camera_file(path)
-    refuse_unread(path)
+    refuse_unsupported(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
         return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
@@ -74,7 +81,7 @@ def describe(
 def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -> list[tuple[str, object]]:
     import torch
 
-    from lightfield_gs.app.cameras import axes_of, brought_along
+    from lightfield_gs.app.cameras import fit_and_cameras, scene_up
     from lightfield_gs.app.provenance import scene_hash
     from lightfield_gs.app.scene import read_noted
 
@@ -87,8 +94,8 @@ def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -
         ("gaussians", scene.count),
         ("sh_degree", scene.sh_degree),
         ("sha256", scene_hash(scene)),
-        ("axes", axes_of(up, file).describe()),
-        *brought_along(file),
+        ("axes", scene_up(up, file).describe()),
+        *fit_and_cameras(file),
         ("opacity", _range(scene.opacities)),
         ("median opacity", f"{scene.opacities.median():.3f}"),
         ("scale", _range(scene.scales)),
@@ -120,7 +127,7 @@ def _range(values: Tensor) -> str:
 
 
 def _digits(centres: Tensor) -> int:
-    """Significant digits that show centres [N, 3] to a ten-thousandth of the extent of most, 4 to 17."""
+    """Return the digits, 4 to 17, that show centres [N, 3] to a ten-thousandth of the extent of most."""
     spread = float((centres[int(0.99 * (len(centres) - 1))] - centres[int(0.01 * (len(centres) - 1))]).max())
     farthest = float(centres.abs().max())
     return 4 if spread <= 0 or farthest <= 0 else min(17, 4 + max(0, math.ceil(math.log10(farthest / spread))))
@@ -150,7 +157,7 @@ def _is_camera_file(path: Path) -> bool:
 
 
 def _camera_file(path: Path) -> list[tuple[str, object]]:
-    """The cameras by the index that --camera takes; of many the first."""
+    """Return the cameras by the index that --camera takes; of many the first."""
     from lightfield_gs.io.captures.camera_files import read_camera_file
 
     cameras = read_camera_file(path)

@@ -3,25 +3,50 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.app.cameras import choose_rig, comments_of, read_given
+from lightfield_gs.app.cameras import read_camera, scene_comments
 from lightfield_gs.app.look import apply_look
+from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
 from lightfield_gs.app.panel import load_panel
-from lightfield_gs.app.scene import check_scene_path, files_read, read_noted, say_origin, settle_drawing
+from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, read_noted, say_origin, settle_render
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES
+from lightfield_gs.base.options import DEVICES, Device
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.cameras import add_camera, add_look
 from lightfield_gs.commands.options.panel import add_panel
-from lightfield_gs.commands.options.parser import within
+from lightfield_gs.commands.options.parser import read_options, within
 from lightfield_gs.commands.options.scene import add_antialiased, add_reading, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 
 
+@dataclass(frozen=True, slots=True)
+class PruneOptions:
+    """A scene that loses what hardly shows on a panel.
+
+    Attributes:
+        output: the scene without it.
+        scene, panel, camera, look, render: see there.
+        contribution_cut: mean error that colours of 0..1 may have.
+        save_rig: file for the rig.
+        device: where the scene is drawn.
+    """
+
+    output: Path
+    scene: SceneOptions
+    panel: PanelOptions
+    camera: CameraOptions
+    look: LookOptions
+    render: RenderOptions
+    contribution_cut: float
+    save_rig: Path | None = None
+    device: Device = "auto"
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs prune`."""
+    """Add the arguments of `lightfield-gs prune`."""
     parser.description = (
         "Writes a scene without the Gaussians that contribute least to its image on a panel, from all "
         "viewpoints of the panel: it is drawn faster from then on."
@@ -54,47 +79,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Prunes args.input into args.output. Raises InputError."""
-    watch = Stopwatch(args.began)
-    check_scene_path(args.output)
-    if args.save_rig is not None:
-        check_output_path(args.save_rig)
-    check_outputs((args.output, args.save_rig), files_read(args))
-    panel = load_panel(args)
-    device = choose_device(args.device)
+    """Prune args.input into args.output. Raises InputError."""
+    _prune(read_options(PruneOptions, args), Stopwatch(args.began))
+
+
+def _prune(options: PruneOptions, watch: Stopwatch) -> None:
+    source, output = options.scene.input, options.output
+    check_scene_path(output)
+    if options.save_rig is not None:
+        check_output_path(options.save_rig)
+    check_outputs((output, options.save_rig), files_read(options.scene, options.camera, options.panel))
+    panel = load_panel(options.panel)
+    device = choose_device(options.device)
 
     from lightfield_gs.encoding.pruning import prune
 
-    given = read_given(args, panel)
+    choice = read_camera(options.camera, panel)
     watch.lap("start")
-    file = read_noted(args.input, args.skip_invalid, args.time)
-    scene = file.gaussians
-    say_origin(args.input, scene)
-    drawn_so = settle_drawing(args, file)
+    file = read_noted(source, options.scene.skip_invalid, options.scene.time)
+    say_origin(source, file.gaussians)
+    render, messages = settle_render(options.render, source, file)
     watch.lap("load")
-    on_device = scene.to(device)
-    chosen, messages = choose_rig(given, args, panel, on_device, file)
-    rig, looks = apply_look(args, chosen, panel, on_device)
-    messages += looks
-    rig_of_file = rig.relative_to([-part for part in scene.origin])
-    kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased, args.view_filter)
+    scene = LoadedScene(source, file.gaussians.to(device), render, file)
+    chosen, how = choose_rig(choice, scene, panel)
+    rig, looks = apply_look(options.look, chosen, panel, scene.gaussians)
+    messages += [*how, *looks]
+    rig_of_file = scene.in_file(rig)
+    kept = prune(scene.gaussians, panel, rig, options.contribution_cut, render.antialiased, render.view_filter)
     watch.lap("prune")
     if kept.count == 0:
         raise InputError(
-            f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
+            f"{output}: nothing would be left of {scene.gaussians.count} Gaussians; give a smaller "
             "--contribution-cut or another --rig"
         )
-    kept.to("cpu").save(args.output, comments_of(args, panel, file, rig_of_file))
-    if args.save_rig is not None:
-        rig_of_file.to_yaml(args.save_rig)
+    comments = scene_comments(options.camera.up, render.antialiased, panel, file, rig_of_file)
+    kept.to("cpu").save(output, comments)
+    if options.save_rig is not None:
+        rig_of_file.to_yaml(options.save_rig)
     watch.lap("write")
     print(
-        f"{args.output}: {kept.count} of {scene.count} Gaussians, the others within {args.contribution_cut:g} of the "
-        f"light of {panel.width_px} x {panel.height_px}, {panel.views} views"
+        f"{output}: {kept.count} of {scene.gaussians.count} Gaussians, the others within "
+        f"{options.contribution_cut:g} of the light of {panel.width_px} x {panel.height_px}, {panel.views} views"
     )
     print(watch.line())
-    if args.output.suffix.lower() == ".ply":
-        messages.append(
-            f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it"
-        )
-    print("\n".join(drawn_so + messages))
+    if output.suffix.lower() == ".ply":
+        messages.append(f"{output}: in the axes of {source}, with the framing it was pruned for: encode takes it")
+    print("\n".join(messages))

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.app.cameras import read_given
-from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.cameras import read_camera
+from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
+from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.provenance import package_versions, scene_facts, software
-from lightfield_gs.app.scene import check_scene_options, files_read, load_framed
+from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES
+from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
-from lightfield_gs.commands.options.parser import whole_numbers, within
+from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
@@ -36,13 +37,45 @@ from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.scene.gaussians import Gaussians
 
 _DEFAULT_PRESET = "65"
 
 
+@dataclass(frozen=True, slots=True)
+class QuiltOptions:
+    """A photo or a scene that becomes a quilt.
+
+    Attributes:
+        output: the quilt; its name is completed.
+        scene, panel, camera, look, render: see there. Without a panel the layout is a preset's.
+        preset: name of the device that the layout is for.
+        tiles: columns and rows.
+        size: width and height of the quilt, pixels.
+        aspect: width by height of a view as it is seen.
+        save_rig: file for the rig.
+        save_rgbd: file for the centre view beside its depth map.
+        device: where network and rasterizer run.
+        compression: of the file.
+    """
+
+    output: Path
+    scene: SceneOptions
+    panel: PanelOptions
+    camera: CameraOptions
+    look: LookOptions
+    render: RenderOptions
+    preset: str | None = None
+    tiles: tuple[int, int] | None = None
+    size: tuple[int, int] | None = None
+    aspect: float | None = None
+    save_rig: Path | None = None
+    save_rgbd: Path | None = None
+    device: Device = "auto"
+    compression: Compression = "fast"
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs quilt`."""
+    """Add the arguments of `lightfield-gs quilt`."""
     parser.description = (
         "Renders the views of a photo or a scene of 3D Gaussians as a quilt, which Looking Glass displays and `weave` "
         "take: the left-most camera's view at the bottom left, then to the right, then up."
@@ -109,60 +142,63 @@ def _add_layout(add) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Renders args.input into a quilt. Raises InputError."""
-    watch = Stopwatch(args.began)
-    panel = None if args.panel is None else load_panel(args)
-    if panel is None and (args.device_serial or args.viewing_distance):
+    """Render args.input into a quilt. Raises InputError."""
+    _quilt(read_options(QuiltOptions, args), Stopwatch(args.began))
+
+
+def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
+    panel = None if options.panel.panel is None else load_panel(options.panel)
+    if panel is None and (options.panel.device_serial or options.panel.viewing_distance):
         raise InputError("--device-serial and --viewing-distance are about a --panel; give one, or leave them out")
-    if panel is None and args.depth_report:
+    if panel is None and options.look.depth_report:
         raise InputError("--depth-report is about the lens of a --panel; give one, or leave it out")
-    layout = chosen_layout(args, panel)
-    _check_files(args, layout)
-    check_scene_options(args)
-    frame = framed_for(layout, panel)
+    layout = quilt_layout(options, panel)
+    output, save_rgbd = _output_paths(options, layout)
+    check_scene_options(options.scene, options.camera)
+    frame = layout.panel(DEFAULT_CONE_DEG) if panel is None else panel_of_views(layout, panel)
     import torch
 
-    device = choose_device(args.device)
-    given = read_given(args, frame)
+    device = choose_device(options.device)
+    choice = read_camera(options.camera, frame)
     watch.lap("start")
     with torch.inference_mode():
         from lightfield_gs.encoding.quilt import quilt
 
-        framed = load_framed(args, frame, given, device, watch)
-        gaussians = framed.gaussians
+        framed = load_framed(options.scene, choice, options.render, options.look, frame, device, watch)
+        gaussians, render = framed.scene.gaussians, framed.scene.render
         tile, fan_rig = layout.fitted(frame, framed.rig)
-        drawn_as = {name: getattr(args, name) for name in ("background", "antialiased", "view_filter")}
-        image = quilt(gaussians, layout, fan_rig, tile, **drawn_as).cpu()
+        image = quilt(gaussians, layout, fan_rig, tile, **vars(render)).cpu()
         watch.lap("views")
-        of_file = fan_rig.relative_to([-part for part in gaussians.origin])
-        write_image(args.output, image.numpy(), _metadata(args, gaussians, layout, tile, of_file), args.compression)
-        if args.save_rig is not None:
-            of_file.to_yaml(args.save_rig)
+        of_file = framed.scene.in_file(fan_rig)
+        metadata = _metadata(options, framed.scene, layout, tile, of_file)
+        write_image(output, image.numpy(), metadata, options.compression)
+        if options.save_rig is not None:
+            of_file.to_yaml(options.save_rig)
         watch.lap("write")
-        if args.save_rgbd is not None:
-            framed.messages.append(_write_rgbd(args, gaussians, frame, framed.rig))
+        if save_rgbd is not None:
+            framed.messages.append(_write_rgbd(save_rgbd, options, framed, frame))
             watch.lap("RGB-D")
     width, height = layout.tile_px()
-    print(f"{args.output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
+    print(f"{output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
     print(watch.line())
     print("".join(f"{line}\n" for line in framed.messages), end="")
 
 
-def chosen_layout(args: argparse.Namespace, panel: Panel | None) -> QuiltLayout:
-    """The layout by the options, or else the name of the output, the panel or the preset. Raises InputError."""
-    if panel is not None and args.preset is not None:
+def quilt_layout(options: QuiltOptions, panel: Panel | None) -> QuiltLayout:
+    """Return the layout by the options, or else by the output's name, the panel or the preset. Raises InputError."""
+    if panel is not None and options.preset is not None:
         raise InputError("--panel takes the place of --preset; leave out one of them")
-    stated = stated_layout(args.output)
-    tiles = args.tiles or (stated and args.preset is None and (stated.columns, stated.rows)) or None
-    base = QUILT_PRESETS[args.preset or _DEFAULT_PRESET] if panel is None else panel_quilt(panel, tiles)
-    if panel is None and args.preset is None and tiles:
+    stated = stated_layout(options.output)
+    tiles = options.tiles or (stated and options.preset is None and (stated.columns, stated.rows)) or None
+    base = QUILT_PRESETS[options.preset or _DEFAULT_PRESET] if panel is None else panel_quilt(panel, tiles)
+    if panel is None and options.preset is None and tiles:
         alike = [one for one in QUILT_PRESETS.values() if (one.columns, one.rows) == tiles]
         base = alike[0] if alike else base
     columns, rows = tiles or (base.columns, base.rows)
-    aspect = args.aspect or (stated.aspect if stated and args.preset is None else base.aspect)
+    aspect = options.aspect or (stated.aspect if stated and options.preset is None else base.aspect)
     width, height = base.width_px or 0, base.height_px or 0
-    if args.size is not None:
-        width, height = args.size
+    if options.size is not None:
+        width, height = options.size
     elif (columns, rows) != (base.columns, base.rows):
         width, height = width // columns * columns, height // rows * rows
     if width < columns or height < rows:
@@ -172,53 +208,50 @@ def chosen_layout(args: argparse.Namespace, panel: Panel | None) -> QuiltLayout:
     return layout
 
 
-def framed_for(layout: QuiltLayout, panel: Panel | None) -> Panel:
-    """The panel that scenes are framed for: that of --panel itself, where the views have its aspect."""
-    if panel is None:
-        return layout.panel(DEFAULT_CONE_DEG)
-    own = replace(panel, views=layout.views, invert_views=False)
-    if abs(layout.aspect * panel.height_px / panel.width_px - 1) < 0.01:
-        return own
-    return replace(own, width_px=max(1, round(panel.height_px * layout.aspect)))
+def _output_paths(options: QuiltOptions, layout: QuiltLayout) -> tuple[Path, Path | None]:
+    """Return the complete names of the quilt and of the RGB-D image.
 
-
-def _check_files(args: argparse.Namespace, layout: QuiltLayout) -> None:
-    """Completes the names of the outputs; raises InputError for those that cannot be written, or would be written
-    over."""
-    args.output = check_image_path(with_suffix(args.output, layout))
-    if args.output.suffix.lower() == ".exr":
-        raise InputError(f"cannot write {args.output}: a quilt has 8 bits; give .png or .tif")
-    if args.save_rgbd is not None:
-        path = args.save_rgbd
+    Raises:
+        InputError: an output cannot be written, or would be written over an input.
+    """
+    output = check_image_path(with_suffix(options.output, layout))
+    if output.suffix.lower() == ".exr":
+        raise InputError(f"cannot write {output}: a quilt has 8 bits; give .png or .tif")
+    save_rgbd = None
+    if (path := options.save_rgbd) is not None:
         if not is_rgbd_name(path):
             path = path.with_name(f"{path.stem}_rgbd{path.suffix}")
-        args.save_rgbd = check_image_path(path if path.suffix else path.with_name(f"{path.name}.png"))
-    if args.save_rig is not None:
-        check_output_path(args.save_rig)
-    check_outputs((args.output, args.save_rig, args.save_rgbd), files_read(args))
+        save_rgbd = check_image_path(path if path.suffix else path.with_name(f"{path.name}.png"))
+    if options.save_rig is not None:
+        check_output_path(options.save_rig)
+    inputs = files_read(options.scene, options.camera, options.panel)
+    check_outputs((output, options.save_rig, save_rgbd), inputs)
+    return output, save_rgbd
 
 
-def _write_rgbd(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig) -> str:
-    """Writes the RGB-D image of the centre view, and returns how to read it."""
+def _write_rgbd(path: Path, options: QuiltOptions, framed: FramedScene, panel: Panel) -> str:
+    """Write the RGB-D image of the centre view, and return how to read it."""
     import math
 
     from lightfield_gs.encoding.quilt import rgbd
 
-    image, (near, far) = rgbd(gaussians, panel, rig, background=args.background, antialiased=args.antialiased)
+    rig, render = framed.rig, framed.scene.render
+    image, (near, far) = rgbd(
+        framed.scene.gaussians, panel, rig, background=render.background, antialiased=render.antialiased
+    )
     longer = max(panel.width_px / rig.focal_px[0], panel.height_px / rig.focal_px[1])
     angle = 2 * math.degrees(math.atan(longer / 2))
     depths = {"kind": "disparity", "near": near, "far": far, "field_of_view_deg": angle}
-    metadata = {"software": software(), "input": args.input.name, "depth": json.dumps(depths)}
-    write_image(args.save_rgbd, image.cpu().numpy(), metadata, args.compression)
-    return f"{args.save_rgbd}: read it with --depth-range {near:.6g},{far:.6g} --fov {angle:.5g}"
+    metadata = {"software": software(), "input": options.scene.input.name, "depth": json.dumps(depths)}
+    write_image(path, image.cpu().numpy(), metadata, options.compression)
+    return f"{path}: read it with --depth-range {near:.6g},{far:.6g} --fov {angle:.5g}"
 
 
-def _metadata(
-    args: argparse.Namespace, gaussians: Gaussians, layout: QuiltLayout, panel: Panel, rig: Rig
-) -> dict[str, str]:
-    """What the quilt was made from and how it is divided; the values but "software" and "input" are JSON."""
+def _metadata(options: QuiltOptions, scene: LoadedScene, layout: QuiltLayout, panel: Panel, rig: Rig) -> dict[str, str]:
+    """Return the input, the tiles and the versions of a quilt; all but "software" and "input" are JSON."""
     expect("layout", layout, QuiltLayout)
     width, height = layout.tile_px()
+    view_filter = scene.render.view_filter
     tiles = {
         "columns": layout.columns,
         "rows": layout.rows,
@@ -226,13 +259,13 @@ def _metadata(
         "views": layout.views,
         "tile_px": [width, height],
         "cone_deg": rig.cone_deg or panel.cone_deg,
-        **({"view_filter": args.view_filter} if args.view_filter else {}),
+        **({"view_filter": view_filter} if view_filter else {}),
     }
     return {
         "software": software(),
-        "input": args.input.name,
+        "input": options.scene.input.name,
         "quilt": json.dumps(tiles),
         "rig": json.dumps(rig.to_dict()),
-        "scene": json.dumps(scene_facts(gaussians)),
+        "scene": json.dumps(scene_facts(scene.gaussians)),
         "versions": json.dumps(package_versions()),
     }

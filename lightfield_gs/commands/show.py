@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
+from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import stored_panel
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.serving import add_serving, serve
+from lightfield_gs.commands.options.parser import read_options
+from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve
 from lightfield_gs.io.images import as_floats, read_image
 from lightfield_gs.panels.panel import Panel
 
 
+@dataclass(frozen=True, slots=True)
+class ShowOptions:
+    """An encoded image, the panel it is for (None: the one it names), and where the page is served."""
+
+    image: Path
+    panel: PanelOptions
+    serving: ServingOptions
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs show`."""
+    """Add the arguments of `lightfield-gs show`."""
     parser.description = (
         "Opens a page in the browser with an encoded image, full screen and pixel for pixel: on the panel, if the "
         "browser stands there. A loud word says so where it is scaled or on another screen. Ctrl-C ends it."
@@ -27,17 +39,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Serves the panel's page of args.image until Ctrl-C. Raises InputError."""
+    """Serve the panel's page of args.image until Ctrl-C. Raises InputError."""
+    _show(read_options(ShowOptions, args))
+
+
+def _show(options: ShowOptions) -> None:
     from lightfield_gs.show.page.routes import shown_routes
     from lightfield_gs.show.preview import to_integers
 
-    panel = Panel.load(args.panel, serial=args.device_serial) if args.panel is not None else stored_panel(args)
-    image = read_image(args.image, as_stored=True)
+    path, name, serial = options.image, options.panel.panel, options.panel.device_serial
+    panel = stored_panel(path, serial) if name is None else Panel.load(name, serial=serial)
+    image = read_image(path, as_stored=True)
     if image.shape[:2] != (panel.height_px, panel.width_px) or image.shape[2] < 3:
         raise InputError(
-            f"{args.image} is {image.shape[1]} x {image.shape[0]} pixels of {image.shape[2]} channels, panel "
+            f"{path} is {image.shape[1]} x {image.shape[0]} pixels of {image.shape[2]} channels, panel "
             f"{panel.name} is {panel.width_px} x {panel.height_px} of 3; name the panel it was encoded for"
         )
     pixels = image[..., :3] if image.dtype == "uint8" else to_integers(as_floats(image[..., :3]), 8)
-    print(f"{args.image}: {panel.width_px} x {panel.height_px}, for panel {panel.name}")
-    serve(args, shown_routes(panel, pixels), "/panel")
+    print(f"{path}: {panel.width_px} x {panel.height_px}, for panel {panel.name}")
+    serve(options.serving, shown_routes(panel, pixels), "/panel")

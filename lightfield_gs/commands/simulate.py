@@ -5,25 +5,50 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from lightfield_gs.app.panel import at_distance, load_panel, profile, stored_panel, why_no_eye
+from lightfield_gs.app.options import PanelOptions
+from lightfield_gs.app.panel import at_distance, load_panel, parse_panel, stored_panel, why_no_eye
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
-from lightfield_gs.commands.options.parser import numbers, within
+from lightfield_gs.commands.options.parser import numbers, read_options, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import Psf, eye_row, simulate_eyes
 
-_NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
+_NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # sub-pixels show the same whatever they are
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateOptions:
+    """What an eye sees of an encoded image.
+
+    Attributes:
+        image: the encoded image.
+        output: the picture that is seen.
+        panel: None in it: the one that the image names.
+        eye: position x, y, z in mm.
+        eyes: positions from, to in mm, and their count.
+        spread: width of what a lens lights, sub-pixels.
+        psf: file of a measured spread.
+    """
+
+    image: Path
+    output: Path
+    panel: PanelOptions
+    eye: tuple[float, float, float] | None = None
+    eyes: tuple[float, float, float] | None = None
+    spread: float | None = None
+    psf: Path | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs simulate`."""
+    """Add the arguments of `lightfield-gs simulate`."""
     parser.description = "The picture that an eye sees of an encoded image through the lenses, one sample a lens."
     add = parser.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
@@ -60,49 +85,59 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Simulates one eye before args.image. Raises InputError."""
+    """Simulate eyes before args.image. Raises InputError."""
+    _simulate(read_options(SimulateOptions, args), Stopwatch(args.began))
+
+
+def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
     from lightfield_gs.show.preview import to_integers
     from lightfield_gs.show.sheet import in_rows
 
-    watch = Stopwatch(args.began)
-    path = check_image_path(args.output)
-    check_outputs((path,), (args.image, args.panel, args.psf))
-    _check_choices(args)
-    psf = None if args.psf is None else Psf.load(args.psf)
+    path = check_image_path(options.output)
+    check_outputs((path,), (options.image, options.panel.panel, options.psf))
+    if (options.eye is None) == (options.eyes is None):
+        raise InputError("simulate needs a place to look from: give --eye X,Y,Z or --eyes FROM,TO,COUNT, one of them")
+    if options.psf is not None and options.spread is not None:
+        raise InputError("--spread is for the usual spread of light, and --psf takes its place; leave out one of them")
+    psf = None if options.psf is None else Psf.load(options.psf)
     watch.lap("start")
-    panel = load_panel(args) if args.panel is not None else at_distance(stored_panel(args), args.viewing_distance)
+    if options.panel.panel is not None:
+        panel = load_panel(options.panel)
+    else:
+        stored = stored_panel(options.image, options.panel.device_serial)
+        panel = at_distance(stored, options.panel.viewing_distance)
     if why := why_no_eye(panel):
         raise InputError(why)
-    image = read_image(args.image, as_stored=True)
+    image = read_image(options.image, as_stored=True)
     watch.lap("load")
-    eyes = [args.eye] if args.eyes is None else eye_row(panel, *args.eyes).tolist()
-    pictures = simulate_eyes(image, panel, eyes, args.spread or 1.0, psf=psf)
+    eyes = _eyes(options, panel)
+    pictures = simulate_eyes(image, panel, eyes, options.spread or 1.0, psf=psf)
     seen = in_rows(list(pictures))
     watch.lap("simulate")
     write_image(path, seen if path.suffix.lower() == ".exr" else to_integers(seen, 8), compression="small")
     watch.lap("write")
     height, width = pictures.shape[1:3]
-    places = tuple(args.eye) if args.eyes is None else f"{len(eyes)} places, {eyes[0][0]:g} to {eyes[-1][0]:g}"
-    print(f"{path}: {width} x {height}, one sample a lens, from {places} mm")
+    positions = options.eye or f"{len(eyes)} places, {eyes[0][0]:g} to {eyes[-1][0]:g}"
+    print(f"{path}: {width} x {height}, one sample a lens, from {positions} mm")
     print(watch.line())
-    doubts = {_doubt_of_eye(panel, eye): None for eye in (eyes[0], eyes[-1])}  # each once
-    for doubt in (*doubts, _doubt_of_panel(args, panel)):
-        if doubt:
-            note(doubt)
+    notes = {_implausible_eye(panel, eye): None for eye in (eyes[0], eyes[-1])}  # each once
+    for words in (*notes, _other_lens(options, panel)):
+        if words:
+            note(words)
 
 
-def _check_choices(args: argparse.Namespace) -> None:
-    """Raises InputError where not exactly one of two options that exclude each other was given, or both."""
-    if (args.eye is None) == (args.eyes is None):
-        raise InputError("simulate needs a place to look from: give --eye X,Y,Z or --eyes FROM,TO,COUNT, one of them")
-    if args.psf is not None and args.spread is not None:
-        raise InputError("--spread is for the usual spread of light, and --psf takes its place; leave out one of them")
+def _eyes(options: SimulateOptions, panel: Panel) -> list[tuple[float, float, float]]:
+    """Return the positions x, y, z of the eyes, mm."""
+    if options.eyes is None:
+        return [cast("tuple[float, float, float]", options.eye)]
+    first, last, count = options.eyes
+    return eye_row(panel, first, last, cast(int, count)).tolist()
 
 
-def _doubt_of_eye(panel: Panel, eye_mm: Sequence[float]) -> str | None:
-    """Why a place (x, y, z in mm) of the eye is hardly meant, perhaps in other units; None where it may well be.
+def _implausible_eye(panel: Panel, eye_mm: Sequence[float]) -> str | None:
+    """Return why the position (x, y, z in mm) of an eye is hardly meant, perhaps in other units; None where it may be.
 
-    Along the slant of the lenses the view stays the same, so that only the rest of the way counts for the cone.
+    Along the slant of the lenses the view stays the same: only the rest of the way counts for the cone.
     """
     x, y, z = eye_mm
     distance_mm = cast(float, panel.viewing_distance_mm)  # or the eye would have had no place
@@ -117,19 +152,19 @@ def _doubt_of_eye(panel: Panel, eye_mm: Sequence[float]) -> str | None:
     return None
 
 
-def _doubt_of_panel(args: argparse.Namespace, panel: Panel) -> str | None:
-    """How the lens of the panel differs from the one that the image says it was encoded for; None where it does not."""
-    stored = None if args.panel is None else read_info(args.image).metadata.get("panel")
+def _other_lens(options: SimulateOptions, panel: Panel) -> str | None:
+    """Return how the lens differs from that of the panel in the image's metadata; None where it does not."""
+    stored = None if options.panel.panel is None else read_info(options.image).metadata.get("panel")
     if stored is None:
         return None
     try:
-        made_for = profile(args.image, stored)
+        made_for = parse_panel(options.image, stored)
     except InputError:
-        return f"{args.image}: the panel profile in it cannot be used, nor compared with --panel"
+        return f"{options.image}: the panel profile in it cannot be used, nor compared with --panel"
     others = [key for key, value in vars(panel).items() if key not in _NOT_OF_THE_LENS and value != vars(made_for)[key]]
     if not others:
         return None
     return (
-        f"{args.image} was encoded for panel {made_for.name}, whose {' and '.join(others)} differ from those of "
+        f"{options.image} was encoded for panel {made_for.name}, whose {' and '.join(others)} differ from those of "
         f"{panel.name}: the picture is that of an image on the wrong panel; leave out --panel for its own"
     )

@@ -3,22 +3,38 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.app.cameras import read_given
+from lightfield_gs.app.cameras import read_camera
+from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.options import DEVICES
+from lightfield_gs.base.options import DEVICES, Device
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.cameras import add_camera, add_look
 from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
-from lightfield_gs.commands.options.serving import add_serving, serve
+from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve
+
+
+@dataclass(frozen=True, slots=True)
+class ViewOptions:
+    """A scene that a page shows. device: where it is drawn; the others: see there."""
+
+    scene: SceneOptions
+    panel: PanelOptions
+    camera: CameraOptions
+    look: LookOptions
+    render: RenderOptions
+    serving: ServingOptions
+    device: Device = "auto"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs view`."""
+    """Add the arguments of `lightfield-gs view`."""
     parser.description = (
         "Opens a page in the browser that shows what eyes before the panel see of a photo or of a scene of 3D "
         "Gaussians, with sliders for depth, and the panel's own page for the native picture. Ctrl-C ends it."
@@ -37,12 +53,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Serves the page of args.input until Ctrl-C. Raises InputError."""
-    watch = Stopwatch(args.began)
-    check_scene_options(args)
-    panel = load_panel(args)
-    device = choose_device(args.device)
-    given = read_given(args, panel)
+    """Serve the page of args.input until Ctrl-C. Raises InputError."""
+    _view(read_options(ViewOptions, args), Stopwatch(args.began))
+
+
+def _view(options: ViewOptions, watch: Stopwatch) -> None:
+    check_scene_options(options.scene, options.camera)
+    panel = load_panel(options.panel)
+    device = choose_device(options.device)
+    choice = read_camera(options.camera, panel)
 
     import torch
 
@@ -52,9 +71,10 @@ def run(args: argparse.Namespace) -> None:
 
     watch.lap("start")
     with torch.no_grad():
-        framed = load_framed(args, panel, given, device, watch)
-    drawn_as = args.background, args.antialiased, args.input.name, args.view_filter
-    stage = Stage(framed.gaussians, panel, framed.rig, *drawn_as)
-    print(f"{args.input}: {framed.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
+        framed = load_framed(options.scene, choice, options.render, options.look, panel, device, watch)
+    scene, render, path = framed.scene, framed.scene.render, options.scene.input
+    drawn_as = render.background, render.antialiased, path.name, render.view_filter
+    stage = Stage(scene.gaussians, panel, framed.rig, *drawn_as)
+    print(f"{path}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
     print("\n".join([watch.line(), *framed.messages]))
-    serve(args, steering_routes(stage, exports(stage)), "/")
+    serve(options.serving, steering_routes(stage, exports(stage)), "/")

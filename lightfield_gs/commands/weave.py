@@ -5,22 +5,28 @@ from __future__ import annotations
 import argparse
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_panel
-from lightfield_gs.commands.options.parser import background, numbers, whole, whole_numbers, within
+from lightfield_gs.commands.options.parser import background, numbers, read_options, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from lightfield_gs.app.weaving import WeaveOptions
 
 _FITS = ("cover", "contain", "stretch")
 _INTERPOLATIONS = ("linear", "nearest")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `lightfield-gs weave`."""
+    """Add the arguments of `lightfield-gs weave`."""
     parser.description = (
         "Interlaces views for a panel: each sub-pixel from the view that it shows, or from the two beside it where "
         "there are more or fewer views than the panel has."
@@ -103,14 +109,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _span(text: str):
-    """ "FIRST:LAST:STEP", of which any may be left out -> which frames. Raises ArgumentTypeError."""
-    from lightfield_gs.view_sets.movies import Span
+    """Parse "FIRST:LAST:STEP", of which any may be left out, to the frames that are taken."""
+    from lightfield_gs.view_sets.movies import FrameRange
 
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
     first, last, step = (int(part) if part else None for part in (match.groups() if match else ("", "", "0")))
     if step == 0 or last is not None and last < (first or 0):
         raise argparse.ArgumentTypeError(f"expected FIRST:LAST or FIRST:LAST:STEP, such as 0:23:1, got '{text}'")
-    return Span(first or 0, last, step or 1)
+    return FrameRange(first or 0, last, step or 1)
 
 
 def _add_framing(add) -> None:
@@ -139,54 +145,58 @@ def _add_framing(add) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Weaves args.input into args.output. Raises InputError."""
+    """Weave args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
-    from lightfield_gs.app.weaving import metadata_of, say_colours, weave_movie, weaving_of, words_of
+    from lightfield_gs.app.weaving import WeaveOptions
+
+    _weave(read_options(WeaveOptions, args), watch)
+
+
+def _weave(options: WeaveOptions, watch: Stopwatch) -> None:
+    from lightfield_gs.app.weaving import interpolation_words, say_colours, weave_arguments, weave_metadata, weave_movie
     from lightfield_gs.encoding.view_files import read_view_map
     from lightfield_gs.encoding.weave import weave
     from lightfield_gs.view_sets.movies import is_movie
     from lightfield_gs.view_sets.view_set import QuiltMovie, open_views
 
-    if not is_movie(args.input):  # of which it hangs on the tiles what it becomes
-        check_image_path(args.output)
-    check_outputs((args.output,), (args.input, args.panel, args.view_map))
-    panel = load_panel(args)
+    source, output = options.input, options.output
+    if not is_movie(source):  # the tiles of a movie decide what it becomes
+        check_image_path(output)
+    check_outputs((output,), (source, options.panel.panel, options.view_map))
+    panel = load_panel(options.panel)
     found = open_views(
-        args.input,
-        args.tiles,
-        row=args.row,
-        top_first=args.top_first,
-        right_to_left=args.right_to_left,
-        span=args.frames,
-        background=args.background,
-        keeps_linear=args.output.suffix.lower() == ".exr",
+        source,
+        options.tiles,
+        row=options.row,
+        top_first=options.top_first,
+        right_to_left=options.right_to_left,
+        span=options.frames,
+        background=options.background,
+        keeps_linear=output.suffix.lower() == ".exr",
     )
     if isinstance(found, QuiltMovie):
-        weave_movie(args, panel, found, watch)
+        weave_movie(options, panel, found, watch)
         return
-    check_image_path(args.output)
-    if args.overwrite:
+    check_image_path(output)
+    if options.overwrite:
         raise InputError("--overwrite is about folders of frames; leave it out")
     views = found.views
-    table = None if args.view_map is None else read_view_map(args.view_map, panel, views.count)
+    view_map = None if options.view_map is None else read_view_map(options.view_map, panel, views.count)
     watch.lap("load")
-    image = weave(views, panel, **weaving_of(args, panel, views, found.aspect, table)).cpu()
+    image = weave(views, panel, **weave_arguments(options, panel, views, found.aspect, view_map)).cpu()
     watch.lap("weave")
-    write_image(
-        args.output, _stored(args.output, image.numpy()), metadata_of(args, panel, views.count), args.compression
-    )
+    metadata = weave_metadata(options, panel, views.count)
+    write_image(output, _to_file_type(output, image.numpy()), metadata, options.compression)
     watch.lap("write")
-    print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
+    print(f"{output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
-    print(
-        f"{args.input}: {found.description}, {views.width_px} x {views.height_px} pixels each; "
-        f"{words_of(args, views, panel)}"
-    )
+    size = f"{views.width_px} x {views.height_px} pixels each"
+    print(f"{source}: {found.description}, {size}; {interpolation_words(options, views, panel)}")
     say_colours(found.colours)
 
 
-def _stored(path: Path, image):
-    """In the type that the file takes: .png takes no floats, .exr nothing else."""
+def _to_file_type(path: Path, image: np.ndarray) -> np.ndarray:
+    """Return the image in the type that the file takes: .png takes no floats, .exr nothing else."""
     from lightfield_gs.io.images import as_floats
     from lightfield_gs.show.preview import to_integers
 

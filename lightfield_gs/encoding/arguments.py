@@ -12,7 +12,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, Views, of_other_methods
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.autograd import refuse_tangents
+from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians

@@ -18,11 +18,11 @@ from lightfield_gs.encoding.sorted_plan import views_shown
 from lightfield_gs.panels.lens import view_aperture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.image_render import Aperture, dense_in_parts
+from lightfield_gs.rasterizer.image_render import Aperture, draw_in_chunks
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -60,10 +60,10 @@ def draw_cameras(
 ) -> Tensor:
     """Image [1, K, H, W, 3] of one scene before cameras [K], unchecked and without gradients. background: what
     broadcasts to [1, K, 3]."""
-    means, cameras = about_cameras(gaussians.means, cameras)
+    means, cameras = recentre(gaussians.means, cameras)
     cameras = cameras.to(gaussians.means)
     _, *others = gaussians.fields().values()
-    return dense_in_parts(
+    return draw_in_chunks(
         [field.unsqueeze(0) for field in (means, *others)],
         background.expand(1, cameras.count, 3),
         [t[None] for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())],

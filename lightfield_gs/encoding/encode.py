@@ -25,23 +25,23 @@ from lightfield_gs.encoding.arguments import (
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
-from lightfield_gs.panels.lens import lens_view, view_aperture
+from lightfield_gs.panels.lens import lenticular_camera, view_aperture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.direct import LensJob
+from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import frames_of
 from lightfield_gs.rasterizer.image_render import PINHOLE
-from lightfield_gs.rasterizer.lenticular_camera import LensView
+from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats, count_culled
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
 
 
 def encode_direct(
     gaussians: Gaussians,
-    view: LensView,
+    camera: LenticularCamera,
     background: Tensor,
     output: Output,
     quality: Quality,
@@ -59,16 +59,16 @@ def encode_direct(
         refuse_with_gradients(
             quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
         )
-        return torch.ops.lightfield_gs.render_lens(*fields, background, *view.lists(), antialiased)
+        return torch.ops.lightfield_gs.render_direct(*fields, background, *camera.numbers(), antialiased)
     stats = stats or Stats()
     with torch.no_grad():
         with stats.stage("plan"):
-            job = LensJob(fields, background, view, antialiased)
-        return draw_lens(job, output == "uint8", quality, stats, threads, out)
+            job = DirectRender(fields, background, camera, antialiased)
+        return draw_direct(job, output == "uint8", quality, stats, threads, out)
 
 
-def draw_lens(
-    job: LensJob,
+def draw_direct(
+    job: DirectRender,
     as_bytes: bool = False,
     quality: Quality = EXACT,
     stats: Stats | None = None,
@@ -86,8 +86,8 @@ def draw_lens(
         return frames_of(job, quality).draw(job, as_bytes, stats, out)
     work = job.workspace(stats, threads, quality)
     with stats.stage("composite"):
-        out = job.image(as_bytes) if out is None else out
-        work.composite_lens(job.native, quality, job.background, out)
+        out = job.new_image(as_bytes) if out is None else out
+        work.composite_direct(job.native, quality, job.background, out)
     return out
 
 
@@ -158,9 +158,9 @@ def encode(
         refuse_gradients("method 'sorted'")
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "direct":
-        view = lens_view(panel, cast(Rig, rig), continuous, view_filter)
+        camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
         counted = None if stats is None else counters
-        image = encode_direct(gaussians, view, colour, output, quality, threads, counted, out, antialiased)
+        image = encode_direct(gaussians, camera, colour, output, quality, threads, counted, out, antialiased)
     elif method == "classic" and follows:
         refuse_with_gradients(threads=threads is not None, stats=stats is not None, view_filter=view_filter > 0)
         return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
@@ -180,7 +180,7 @@ def encode(
     else:
         with counters.stage("plan"):
             seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)
-        means, seen = about_cameras(gaussians.means, seen)
+        means, seen = recentre(gaussians.means, seen)
         gaussians = replace(gaussians, means=means)
         aperture = PINHOLE if rig is None else view_aperture(panel, rig, view_filter)
         image = encode_sorted(

@@ -14,7 +14,7 @@ from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options, check_view_filter, refuse_gradients, wants_gradients
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder_frames import STAGES, CpuFrames, CudaFrames
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import Quality
@@ -158,7 +158,7 @@ class Encoder:
                 if on_cuda
                 else CpuFrames(precision, as_bytes, self.quality, self.antialiased)
             )
-        view = lens_view(self.panel, self.rig, self.views == "continuous", self.view_filter)
+        view = lenticular_camera(self.panel, self.rig, self.views == "continuous", self.view_filter)
         image, kept = self._frames.draw(gaussians, self.background, view)
         self.stats["frames"] += 1
         for stage in kept:

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
-from lightfield_gs.rasterizer.direct import LensJob
+from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import Frame, Frames, frames_of
-from lightfield_gs.rasterizer.lenticular_camera import LensView
+from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
@@ -27,7 +27,7 @@ class _Drawn:
     that are the same, a copy of the image."""
 
     inputs: dict[str, Tensor]
-    view: LensView
+    view: LenticularCamera
     work: Workspace
     image: Tensor | None
 
@@ -40,7 +40,7 @@ class CpuFrames:
         self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
         self.last: _Drawn | None = None
 
-    def draw(self, gaussians: Gaussians, background: Colour, view: LensView) -> tuple[Tensor, set[str]]:
+    def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
         """The image, which belongs to the caller, and the stages that were not repeated. Raises InputError."""
         background = background_tensor(background, torch.empty(0, dtype=self.precision)).reshape(-1)
         last, inputs = self.last, {**gaussians.fields(), "background": background}
@@ -53,11 +53,11 @@ class CpuFrames:
             return same.image.clone(), set(STAGES)
 
         self.last = None  # so that an error below leaves nothing half done behind
-        job = LensJob(gaussians.to(dtype=self.precision).fields().values(), background, view, self.antialiased)
+        job = DirectRender(gaussians.to(dtype=self.precision).fields().values(), background, view, self.antialiased)
         kept = same.work if same is not None and changed <= {"background"} else None
         work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
-        image = job.image(self.as_bytes)
-        work.composite_lens(job.native, self.quality, job.background, image)
+        image = job.new_image(self.as_bytes)
+        work.composite_direct(job.native, self.quality, job.background, image)
         copies = {name: value.detach().clone() if name in changed else before[name] for name, value in inputs.items()}
         self.last = _Drawn(copies, view, work, image.clone() if same is not None and not changed else None)
         return image, set() if kept is None else {"project", "order", "bin"}
@@ -78,7 +78,7 @@ _SH, _BACKGROUND = 4, 5  # where they are among the tensors of an _Input
 class _Input:
     """What a frame is drawn from: tensors (the five fields, the background), by their versions, and a view."""
 
-    def __init__(self, tensors: list[Tensor], view: LensView):
+    def __init__(self, tensors: list[Tensor], view: LenticularCamera):
         self.tensors, self.view = tensors, view
         self.places = [(t.data_ptr(), t.shape) for t in tensors]  # a tensor's .data may be set later
         self.versions = [_version(t) for t in tensors]
@@ -113,9 +113,9 @@ class CudaFrames:
         self.frames: Frames | None = None  # drew the last image
         self.image: Tensor | None = None
         self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
-        self.last_view: LensView | None = None
+        self.last_view: LenticularCamera | None = None
 
-    def draw(self, gaussians: Gaussians, background: Colour, view: LensView) -> tuple[Tensor, set[str]]:
+    def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
         """The image, drawn over by the next call, and the stages that were not repeated.
 
         gaussians: float32, contiguous. Raises InputError.
@@ -157,10 +157,10 @@ class CudaFrames:
         """The image and the stages that were not repeated; moved: whether the view is another than the last one."""
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
-            job = LensJob(fields, background, given.view, self.antialiased)
+            job = DirectRender(fields, background, given.view, self.antialiased)
             with job.scene.guard:
                 if self.image is None or self.image.device != background.device:
-                    self.image = job.image(self.as_bytes)
+                    self.image = job.new_image(self.as_bytes)
                 if moved:
                     # The view is among the arguments of the kernels, and a graph of this one might be of no more use:
                     # they are launched one by one.
@@ -176,7 +176,7 @@ class CudaFrames:
 class _Capture:
     """A frame as CUDA graphs: as a whole and, when first wanted, without order and bin."""
 
-    def __init__(self, given: _Input, job: LensJob, image: Tensor, quality: Quality):
+    def __init__(self, given: _Input, job: DirectRender, image: Tensor, quality: Quality):
         self.given, self.job, self.image = given, job, image
         self.drawn: _Input | None = None  # what was drawn last, whose lists the frame still has
         self.frames: Frames = frames_of(job, quality)

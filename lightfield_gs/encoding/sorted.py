@@ -18,7 +18,7 @@ from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_sho
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
-from lightfield_gs.rasterizer.scene import Scene, check, floats_or_bytes
+from lightfield_gs.rasterizer.scene import SceneTensors, check, float_and_byte_addresses
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import CpuWorkspace
 from lightfield_gs.scene.cameras import Cameras
@@ -37,7 +37,7 @@ class CudaStages:
     default_work = 1 << 30
     reserve = 256  # 1 / reserve of the budget is left, for torch rounds every buffer up
 
-    def __init__(self, scene: Scene, plan: SortedPlan):
+    def __init__(self, scene: SceneTensors, plan: SortedPlan):
         self.scene, self.plan = scene, plan
         self.most_views = max(1, min(_MOST_VIEWS, _MOST_NUMBERED // max(scene.count, plan.tiles)))
 
@@ -47,25 +47,27 @@ class CudaStages:
     def binning_bytes(self, views: int, counts: tuple[int, int]) -> int:
         return _PAIR_BYTES * counts[0] + _LIST_BYTES * views * self.plan.tiles + _GAPS
 
-    def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
+    def workspace(self, scene: SceneTensors, views: int, stats: Stats) -> Any:
         return SortedWorkspace(scene, self.plan, views, stats)
 
     def counts(self, work: Any) -> tuple[int, int]:
-        return work.pair_count, 0
+        return work.intersection_count, 0
 
     def composite(
-        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+        self, work: Any, cameras: _core.float32.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
-        _core.cuda.composite_sorted(work.native, native, background.data_ptr(), *floats_or_bytes(out), work.stream)
+        _core.cuda.composite_sorted(
+            work.native, native, background.data_ptr(), *float_and_byte_addresses(out), work.stream
+        )
 
 
 class SortedWorkspace:
     """A chunk in the making, with the stages of workspace.Workspace that it takes. Its memory is one buffer, and one
     more for the lists once the host knows how many pairs there are, for which it waits."""
 
-    def __init__(self, scene: Scene, plan: SortedPlan, views: int, stats: Stats):
-        self.scene, self.views, self.stats, self.pair_count = scene, views, stats, 0
+    def __init__(self, scene: SceneTensors, plan: SortedPlan, views: int, stats: Stats):
+        self.scene, self.views, self.stats, self.intersection_count = scene, views, stats, 0
         self.native = _core.cuda.SortedChunk(
             views=views, gaussians=scene.count, width_px=plan.width_px, height_px=plan.height_px, tile=plan.tile
         )
@@ -73,7 +75,7 @@ class SortedWorkspace:
         self.native.place(self.work.data_ptr())
         self.stream = torch.cuda.current_stream(scene.device).cuda_stream
 
-    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
+    def project_images(self, cameras: _core.float32.Cameras) -> None:
         _core.cuda.project_sorted(self.native, self.scene.native(), cameras, self.stream)
 
     def order_and_bin(self, admit: Callable[[], bool]) -> bool:
@@ -86,15 +88,15 @@ class SortedWorkspace:
             counted = torch.cuda.Event()
             counted.record()
             counted.synchronize()
-            self.pair_count, drawn = _STATE.unpack(bytes(state.numpy()))
+            self.intersection_count, drawn = _STATE.unpack(bytes(state.numpy()))
             if not admit():
                 return False
-            self.ids = self.scene.new(self.pair_count, dtype=torch.int32)
+            self.ids = self.scene.new(self.intersection_count, dtype=torch.int32)
             self.native.place_ids(self.ids.data_ptr())
             cuda.fill_sorted(self.native, self.stream)
         with stats.stage("order"):
             cuda.order_sorted(self.native, self.stream)
-        stats.pairs += self.pair_count
+        stats.pairs += self.intersection_count
         stats.images += self.views
         stats.gaussians_drawn += drawn
         return True
@@ -164,7 +166,7 @@ class _CpuStages:
     reserve = 16  # 1 / reserve of the budget is left for pages used in part and for what the C library needs itself
     most_views = 4096  # in a chunk
 
-    def __init__(self, scene: Scene, plan: SortedPlan, threads: int):
+    def __init__(self, scene: SceneTensors, plan: SortedPlan, threads: int):
         self.scene, self.plan, self.threads = scene, plan, threads
         self.number = scene.tensors[0].element_size()
         self.bands = _core.band_count(plan.height_px)
@@ -183,17 +185,17 @@ class _CpuStages:
         tile_lists = 24 * self.bands + self.threads * (32768 + 3 * (most * (8 + 4 * tiles) + 16 * (tiles + 1)))
         return lists + max(order, bins, tile_lists)
 
-    def workspace(self, scene: Scene, views: int, stats: Stats) -> CpuWorkspace:
+    def workspace(self, scene: SceneTensors, views: int, stats: Stats) -> CpuWorkspace:
         return CpuWorkspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, self.threads)
 
     def counts(self, work: CpuWorkspace) -> Counts:
         per_band = work.band_offsets.diff()
-        return work.pair_count, int(per_band.max()) if per_band.numel() else 0
+        return work.intersection_count, int(per_band.max()) if per_band.numel() else 0
 
     def composite(
         self,
         work: CpuWorkspace,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         lists: tuple[Tensor, Tensor],
         background: Tensor,
         out: Tensor,
@@ -206,7 +208,7 @@ class _CpuStages:
                 cameras,
                 native,
                 background.data_ptr(),
-                *floats_or_bytes(out),
+                *float_and_byte_addresses(out),
                 self.threads,
             )
         )
@@ -233,7 +235,7 @@ def encode_sorted(
     the states of Table 3 of the paper, image being the sorted sub-pixels. Raises InputError when not even one
     view fits the budget. aperture: of all cameras.
     """
-    scene = Scene(*(field.unsqueeze(0) for field in gaussians.fields().values()))
+    scene = SceneTensors(*(field.unsqueeze(0) for field in gaussians.fields().values()))
     device = scene.device
     if plan.device_type != device.type:
         raise InputError(
@@ -250,7 +252,7 @@ def encode_sorted(
     return out
 
 
-def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: Scene) -> list[Tensor]:
+def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: SceneTensors) -> list[Tensor]:
     """Poses, intrinsics and limits of the cameras of all views shown, as the core takes them. They go to the device at
     once, for a copy from the host waits until the device has nothing else to do; and in one copy."""
     if scene.dtype == torch.float64:
@@ -267,7 +269,7 @@ class _Encoding:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: SceneTensors,
         cameras: Cameras,
         plan: SortedPlan,
         budget: int | None,
@@ -338,7 +340,7 @@ class _Encoding:
         cameras = self._native_cameras(first, views)
         with stats.stage("project"):
             work = self.stages.workspace(self.scene, views, stats)
-            work.project_dense(cameras)
+            work.project_images(cameras)
         if not work.order_and_bin(lambda: self._admit(work, first, views) or fits):
             return False
         with stats.stage("composite"):
@@ -367,7 +369,7 @@ class _Encoding:
         self.plan.release()
         self.resident = False
 
-    def _native_cameras(self, first: int, views: int) -> _core._Stages.Cameras:
+    def _native_cameras(self, first: int, views: int) -> _core.float32.Cameras:
         """The core's view of a chunk's cameras, which holds as long as self.cameras does."""
         poses, optics, edges = (t[first:].data_ptr() for t in self.cameras)
         return self.scene.core.Cameras(
@@ -390,9 +392,9 @@ class _Encoding:
         cameras = self._native_cameras(place, 1)
         pairs = most = 0
         for first in range(0, self.scene.count, _PROBE):
-            some = Scene(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
+            some = SceneTensors(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
             work = self.stages.workspace(some, 1, Stats())
-            work.project_dense(cameras)
+            work.project_images(cameras)
             work.order_and_bin(lambda: False)
             counts = self.stages.counts(work)
             pairs, most = pairs + counts[0], most + counts[1]

@@ -17,8 +17,8 @@ from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.poses import Poses
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.rasterizer.image_render import DenseImages
-from lightfield_gs.rasterizer.scene import Wanted
+from lightfield_gs.rasterizer.image_render import ImageBuffers
+from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.scene.gaussians import Gaussians
 
 STEPS, RATE = 100, 1e-3  # of each camera; the rate at the start, extents and radians a step
@@ -52,6 +52,6 @@ def _aligned_pose(
         loss, g_image = photo_loss_and_gradient(images.image[0], photos, weights, settings.ssim_lambda)
         better = loss < least
         best, least = torch.where(better, poses.world_to_camera, best), torch.where(better, loss, least)
-        gradients = job.backward(images, DenseImages(g_image[None], None, None), Wanted(cameras=True))
+        gradients = job.backward(images, ImageBuffers(g_image[None], None, None), GradientRequest(cameras=True))
         poses.update(poses.gathered(gradients.cameras, first), first + step, kept)
     return best

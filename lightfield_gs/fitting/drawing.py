@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.rasterizer.image_render import DenseJob
+from lightfield_gs.rasterizer.image_render import ImageArguments, ImageRender
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -19,7 +19,7 @@ def view_job(
     *,
     room: int | None = None,
     size_px: tuple[int, int] | None = None,
-) -> DenseJob:
+) -> ImageRender:
     """The job that draws the views `chosen` [V] of C, from the poses world_to_camera [C,4,4], over background [V,3].
 
     room: for how many (tile, splat) pairs, on CUDA; None: the host waits for their number. size_px: width and height of
@@ -30,7 +30,7 @@ def view_job(
         tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, views.intrinsics, views.limits)
     )
     means, quaternions, scales, opacities, sh = (field[None] for field in gaussians.fields().values())
-    return DenseJob.of(
+    arguments = ImageArguments(
         means,
         quaternions,
         scales,
@@ -43,5 +43,5 @@ def view_job(
         width,
         height,
         antialiased,
-        room=room,
     )
+    return ImageRender.from_arguments(arguments, capacity=room)

@@ -60,7 +60,7 @@ def dropout(shares: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
     shares = shares.contiguous()
     factors = shares.new_empty(whole_number("count", count, 0, 2**40))
     job = core.Dropout(
-        shares=shares.data_ptr(),
+        rates=shares.data_ptr(),
         rows=len(shares),
         step=step.data_ptr(),
         seed=whole_number("seed", seed, 0, 2**64 - 1),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
@@ -26,7 +28,7 @@ def check_tensor(
     return value.contiguous()
 
 
-def core_of(what: str, tensor: Tensor) -> type[_core._Stages]:
+def core_of(what: str, tensor: Tensor) -> ModuleType:
     """The core's functions and buffers for the tensor's precision. Raises InputError where its dtype or device has no
     stages: CUDA has them for float32 only."""
     device, dtype = tensor.device, tensor.dtype

@@ -82,14 +82,14 @@ class _Job:
             partials = image.new_empty(stages.photo_loss_partials(*sizes), dtype=torch.float64)
             loss, gradient = image.new_empty(()), torch.empty_like(image)
             job = self.core.PhotoLoss(
-                views=sizes[0],
+                images=sizes[0],
                 height_px=sizes[1],
                 width_px=sizes[2],
                 image=image.data_ptr(),
                 photo=0 if photo.dtype == torch.uint8 else photo.data_ptr(),
                 photo_bytes=photo.data_ptr() if photo.dtype == torch.uint8 else 0,
                 weights=optional_address(self.weights),
-                ssim_share=self.ssim_lambda,
+                ssim_lambda=self.ssim_lambda,
                 derivatives=derivatives.data_ptr(),
                 partials=partials.data_ptr(),
                 loss=loss.data_ptr(),

@@ -1,4 +1,4 @@
-"""Random numbers that are a function of what they are for: seed, step, purpose and index (csrc/math/fit/philox.h).
+"""Random numbers that are a function of what they are for: seed, step, purpose and index (csrc/math/fit/random.h).
 
 Nothing has to be stored to go on from a checkpoint, and every run draws the same, on any device; normal numbers are
 equal up to the rounding of the logarithm, the root, the sine and the cosine. They are those of Philox4x32-10, Salmon et

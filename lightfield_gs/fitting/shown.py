@@ -20,8 +20,8 @@ from lightfield_gs.fitting.frame import PROTOCOL, Frame, framed
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
-from lightfield_gs.rasterizer.image_render import DenseImages
-from lightfield_gs.rasterizer.scene import Wanted
+from lightfield_gs.rasterizer.image_render import ImageBuffers
+from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
 # Of the mean error that colours of 0..1 may have for what is pruned: 1/39 of a step of 8 bits, a third of what `prune`
@@ -167,7 +167,7 @@ def photographed(gaussians: Gaussians, views: Views, antialiased: bool = False) 
         job = view_job(grey, views, chosen, views.world_to_camera, black, antialiased)
         images = job.draw()
         counts = views.counts(place)[None, None, ..., None].expand_as(images.image)
-        gradients = job.backward(images, DenseImages(counts.contiguous(), None, None), Wanted(cameras=False))
+        gradients = job.backward(images, ImageBuffers(counts.contiguous(), None, None), GradientRequest(cameras=False))
         total += gradients.fields[-1][0].double().sum((1, 2)) / SH_CONSTANT / 3
     return total
 

@@ -26,8 +26,8 @@ from lightfield_gs.fitting.several import ALONE, Group
 from lightfield_gs.fitting.tally import Tally
 from lightfield_gs.fitting.update import Gradients, update
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.rasterizer.image_render import DenseImages, DenseJob
-from lightfield_gs.rasterizer.scene import Wanted
+from lightfield_gs.rasterizer.image_render import ImageBuffers, ImageRender
+from lightfield_gs.rasterizer.scene import GradientRequest
 
 
 @dataclass
@@ -114,8 +114,8 @@ class Step:
         job = view_job(gaussians, views, chosen, from_where, background, antialiased, room=self.room)
         images = job.draw()
         loss, g_image, g_exposure = self._compared(images.image[0], chosen, background)
-        wanted = Wanted(self.tally.screen_numbers, cameras=poses is not None)
-        gradients = job.backward(images, DenseImages(g_image[None], None, None), wanted)
+        wanted = GradientRequest(self.tally.screen_numbers, cameras=poses is not None)
+        gradients = job.backward(images, ImageBuffers(g_image[None], None, None), wanted)
         self._note(job)
         of_fields = Gradients(*(g[0] for g in gradients.fields))
         if factors is not None:
@@ -150,10 +150,10 @@ class Step:
             return loss, gradient, loss.new_zeros(0)
         return loss, *exposure.reverse(image, gradient, chosen)
 
-    def _note(self, job: DenseJob) -> None:
+    def _note(self, job: ImageRender) -> None:
         """Notes how many pairs there were in the process that had most, and whether that were too many for it: there is
         as much room in all, and all stop together."""
-        counters, pairs = self.counters, job.pairs_on_device
+        counters, pairs = self.counters, job.intersections_on_device
         self.group.max_(pairs)
         torch.maximum(counters.pairs, pairs, out=counters.pairs)
         if self.room is not None:

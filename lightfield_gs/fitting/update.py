@@ -194,10 +194,12 @@ class _Job:
 
     def buffers(self) -> dict:
         """Their addresses, which hold as long as this job does."""
-        fields, first, second = (self.core.Fields(*(t.data_ptr() for t in tensors)) for tensors in self.raw)
+        fields, first, second = (self.core.Parameters(*(t.data_ptr() for t in tensors)) for tensors in self.raw)
         gradients = self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in self.gradients))
         scales, opacities = (t.data_ptr() for t in self.drawn)
-        return dict(gradients=gradients, fields=fields, first=first, second=second, scales=scales, opacities=opacities)
+        return dict(
+            gradients=gradients, parameters=fields, first=first, second=second, scales=scales, opacities=opacities
+        )
 
 
 def _checked_betas(betas: tuple[float, float]) -> tuple[float, float]:

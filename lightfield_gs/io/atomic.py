@@ -16,15 +16,15 @@ from pathlib import Path
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 
-# Names of what is being written: the stem, a number, the suffix; in versions before, twelve digits for the number
+# Names of temporary files: the stem, a number, the suffix; earlier versions had twelve digits for the number
 _TEMPORARY = re.compile(r"\..*\.(partial-\d+|[0-9a-f]{12})(\.[^.]*)?", re.DOTALL)
-_LOOKED_AT = 4  # so many numbers are looked at for what killed processes left, more where all of them are taken
+_LOOKED_AT = 4  # numbers checked for files of killed processes; more if all of these are taken
 _HASH_CHUNK_BYTES = 1 << 20
 _HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows
 
 
 def check_output_path(path: str | Path) -> Path:
-    """`path`, if a file can be written there; raises InputError before any long work is done for nothing."""
+    """Return `path` if a file can be written there; raise InputError, before any long work is done in vain."""
     path = checked_path(path)
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder; give a file name")
@@ -39,12 +39,12 @@ def check_output_path(path: str | Path) -> Path:
 
 
 def _target(path: Path) -> Path:
-    """The file that is written: where a symbolic link leads, which stays."""
+    """Return the file to write: the target of a symbolic link, which is kept."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
-    """Raises InputError where a command would write over a file that it reads, or twice over the same.
+    """Raise InputError where a command would overwrite its input, or one of its outputs by another.
 
     None stands for a file that was not given.
     """
@@ -59,7 +59,7 @@ def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | P
 
 
 def _is_same_file(one: Path, other: Path) -> bool:
-    """Whether two paths name one file, perhaps through links; of absent files, whether they would be one."""
+    """Tell whether two paths name one file, also through links, and also if it is absent."""
     try:
         return os.path.samefile(one, other)
     except OSError:
@@ -67,7 +67,7 @@ def _is_same_file(one: Path, other: Path) -> bool:
 
 
 def make_folder(path: str | Path) -> Path:
-    """`path`, made with the folders above it where they are absent. Raises InputError where it cannot be a folder."""
+    """Make a folder and its parents where they are absent, and return its path; raise InputError where that fails."""
     path = checked_path(path)
     if os.path.exists(path) and not path.is_dir():
         raise InputError(f"cannot make the folder {path}: it is a file; give a folder")
@@ -79,9 +79,9 @@ def make_folder(path: str | Path) -> Path:
 
 
 def check_folder(path: str | Path) -> Path:
-    """`path`, if it is a folder for files, or can be made one; raises InputError before any long work is done.
+    """Return `path` if it is a writable folder, or can be made one; raise InputError, before any long work is done.
 
-    Only trying tells (/proc takes no folders even of root); nothing is left of the trial.
+    The folder is made and removed again, since only trying tells: /proc takes no folders even from root.
     """
     path = checked_path(path)
     absent = [folder for folder in (path, *path.parents) if not os.path.exists(folder)]
@@ -91,31 +91,32 @@ def check_folder(path: str | Path) -> Path:
     except OSError as error:
         raise InputError(f"cannot write in {path}: {error.strerror or error}") from error
     finally:
-        with contextlib.suppress(OSError):  # not made, or somebody else's by now
+        with contextlib.suppress(OSError):  # not made, or in use by another process
             for folder in absent:
                 folder.rmdir()
     return path
 
 
 def remove_file(path: Path) -> None:
-    """Removes a file where there is one. Raises InputError where it cannot be removed."""
+    """Remove a file if it exists; raise InputError where that fails."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"cannot remove {path}: {error.strerror or error}") from error
 
 
-def lock(file: int) -> bool | None:
-    """Locks an open file or folder for as long as it is open in this process, however that ends.
+def lock(file: int, shared: bool = False) -> bool | None:
+    """Lock an open file or folder for as long as it is open in this process.
 
-    False where another has locked it; None where there are no locks: on Windows, and in some file systems.
+    Returns:
+        False if another process holds the lock; None without locks: on Windows, and in some file systems.
     """
     if not _HAS_LOCKS:
         return None
     import fcntl
 
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
@@ -124,23 +125,23 @@ def lock(file: int) -> bool | None:
 
 
 def remove_left_over(folder: Path) -> None:
-    """Removes what killed processes left half-written in a folder, and in those below; what is being written stays."""
-    for place, folders, names in os.walk(folder):
+    """Remove temporary files of killed processes in a folder and below; files being written stay."""
+    for parent, folders, names in os.walk(folder):
         for name in filter(_TEMPORARY.fullmatch, [*folders, *names]):
-            remove_dead(Path(place) / name)
+            remove_dead(Path(parent) / name)
 
 
 def remove_dead(path: Path) -> None:
-    """Removes a temporary file or folder if the process that wrote it has ended, which frees its lock.
+    """Remove a temporary file or folder if its process has ended, which frees its lock.
 
-    It stays where that cannot be told, or where it cannot be removed.
+    It stays if the lock cannot be checked, or removal fails.
     """
     if not _HAS_LOCKS:
         return
     flags = os.O_NOFOLLOW | os.O_NONBLOCK
     with contextlib.suppress(OSError), contextlib.ExitStack() as opened:
         try:
-            file = os.open(path, os.O_RDWR | flags)  # NFS locks only what may be written
+            file = os.open(path, os.O_RDWR | flags)  # NFS locks only files opened for writing
         except IsADirectoryError:
             file = os.open(path, os.O_RDONLY | flags)
         opened.callback(os.close, file)
@@ -149,7 +150,7 @@ def remove_dead(path: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Removes a file, or a folder with all that is in it, as far as that is allowed."""
+    """Remove a file, or a folder with its contents, as far as permissions allow."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -159,10 +160,13 @@ def _remove(path: Path) -> None:
 
 @contextlib.contextmanager
 def _temporary(target: Path, suffix: str = "", folder_mode: int | None = None) -> Iterator[Path]:
-    """A new empty file beside `target`, or a folder with this mode, locked as long as it is written.
+    """Make an empty file beside `target`, or a folder with this mode, and lock it until the end of the context.
 
-    It is removed at the end if it still has its name. What killed processes left of the same target is removed first.
-    Raises OSError.
+    It is removed at the end if it still has its name. Temporary files of killed processes for the same target are
+    removed first.
+
+    Raises:
+        OSError: it cannot be made.
     """
     stem = target.name.removesuffix(suffix)[:64]
     paths = (target.with_name(f".{stem}.partial-{number}{suffix}") for number in itertools.count())
@@ -181,11 +185,11 @@ def _temporary(target: Path, suffix: str = "", folder_mode: int | None = None) -
             except (FileExistsError, FileNotFoundError):
                 if not path.parent.is_dir():
                     raise
-                continue  # somebody was quicker
+                continue  # another process was quicker
             if made is not None:
                 opened.callback(os.close, made)
                 if lock(made) is False or not _has_name(made, path):
-                    continue  # somebody who removes what is left over was between making and locking
+                    continue  # another process removed it before it was locked
             identity = os.lstat(path)
             try:
                 yield path
@@ -197,7 +201,7 @@ def _temporary(target: Path, suffix: str = "", folder_mode: int | None = None) -
 
 
 def _made(path: Path, folder_mode: int | None) -> int | None:
-    """Makes a file or a folder that must not be there yet, open; None where an open one could not be renamed."""
+    """Make and open a new file or folder; return None where an open one could not be renamed."""
     if folder_mode is None:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         if _HAS_LOCKS:
@@ -217,11 +221,13 @@ def _has_name(file: int, path: Path) -> bool:
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """A temporary path in the folder of `path`, with its extension; renamed to `path` at the end, removed on failure.
+    """Yield a temporary path beside `path`, which is renamed to `path` at the end and removed on failure.
 
-    Where `path` is a symbolic link, all this holds for the file that it leads to. What a process that was killed left
-    of the same file is removed first. Raises InputError where the folder cannot be written to, the disk is full, or
-    `path` is a device or a pipe.
+    It has the extension of `path`. A symbolic link is followed. Temporary files of killed processes for the same target
+    are removed first.
+
+    Raises:
+        InputError: the folder is not writable, the disk is full, or `path` is a device or a pipe.
     """
     path = check_output_path(path)
     target = _target(path)
@@ -234,7 +240,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def check_new_folder(path: str | Path) -> Path:
-    """`path`, if there is nothing yet, or an empty folder; raises InputError before any long work is done."""
+    """Return `path` if it is absent or an empty folder; raise InputError, before any long work is done."""
     path = checked_path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"{path} exists: remove it, or name another folder")
@@ -243,10 +249,12 @@ def check_new_folder(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def atomic_folder(path: str | Path) -> Iterator[Path]:
-    """A temporary folder beside `path`; renamed to it at the end, removed with all that is in it on failure.
+    """Yield a temporary folder beside `path`, which is renamed to `path` at the end and removed on failure.
 
-    What a process that was killed left of it is removed first. Raises InputError where there is a folder that is not
-    empty, or it cannot be written.
+    Temporary folders of killed processes for the same target are removed first.
+
+    Raises:
+        InputError: there is a folder that is not empty, or it cannot be written.
     """
     path = check_new_folder(path)
     make_folder(path.parent)
@@ -254,7 +262,7 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
         with _temporary(path, folder_mode=0o777) as temporary:
             yield temporary
             if path.exists():
-                path.rmdir()  # it is empty; Windows renames no folder to one that is there
+                path.rmdir()  # empty; Windows does not rename to an existing folder
             os.replace(temporary, path)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
@@ -262,9 +270,14 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def scratch_folder(beside: Path | None = None) -> Iterator[Path]:
-    """An empty folder for what is on its way, gone at the end: beside a path, or in the system's temporary folder.
+    """Yield an empty folder for temporary files, removed at the end.
 
-    What a process that was killed left of it is removed first. Raises InputError where it cannot be made.
+    Args:
+        beside: path beside which it is made; None for the system's temporary folder. Folders of killed processes for
+            the same path are removed first.
+
+    Raises:
+        InputError: it cannot be made.
     """
     target = Path(tempfile.gettempdir()) / "lightfield-gs" if beside is None else beside
     with contextlib.ExitStack() as made:

@@ -1,4 +1,4 @@
-"""Which files are depth maps by their names, and of which photo or video: 0001_depth.png of 0001.png."""
+"""Depth maps of photos and videos by their file names: 0001_depth.png of 0001.png."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Iterable
 from pathlib import PurePath
 
 _DEPTH = re.compile(r"(?<![a-z])z?(depth[ _-]?map|depth|dmap|dpt|disparity|disp)(?![a-z])")
-_BESIDE = re.compile(  # what else renderers and cameras write beside a picture
+_SIDECAR = re.compile(  # other files that renderers and cameras write beside an image
     r"(?<![a-z])(depths|masks?|matte|alpha|normals?|segmentation|seg|confidence|conf|flow|albedo|mist|objectids?"
     r"|thumb|thumbnail|preview)(?![a-z])"
 )
 _COLOUR = re.compile(r"(?<![a-z])(rgb|colou?r|image|img|photo)(?![a-z])")
-_NUMBERS = (".exr", ".npy", ".npz")  # which hold depths more exactly than the picture that may be beside them
+_NUMBERS = (".exr", ".npy", ".npz")  # more precise than an image of the same depths
 
 
 def depth_maps_beside(names: Iterable[str]) -> dict[str, list[str]]:
-    """The depth maps of photos, by their names, all in one folder; the best comes first.
+    """Find the depth maps of photos among the names of a folder; the most precise map comes first.
 
-    A map is what becomes the name of another file without its ending once the word depth is taken out, or disparity
-    and the like: 0001_depth.png of 0001.png, depth_0001.png of rgb_0001.png.
+    The name of a map without its ending, and without the word depth, disparity or the like, is the photo's name without
+    its ending: 0001_depth.png of 0001.png, depth_0001.png of rgb_0001.png.
     """
     names = list(names)
     maps: dict[str, list[str]] = {}
@@ -38,10 +38,10 @@ def depth_maps_beside(names: Iterable[str]) -> dict[str, list[str]]:
     return found
 
 
-def is_named_as_beside(name: str) -> bool:
-    """Whether a file is named as what lies beside a picture: a depth map, a mask, a thumbnail and the like."""
+def is_sidecar_name(name: str) -> bool:
+    """Tell whether a name is that of a file beside an image: a depth map, a mask, a thumbnail or the like."""
     stem = _stem(name)
-    return bool(_DEPTH.search(stem) or _BESIDE.search(stem))
+    return bool(_DEPTH.search(stem) or _SIDECAR.search(stem))
 
 
 def _stem(name: str) -> str:
@@ -49,6 +49,6 @@ def _stem(name: str) -> str:
 
 
 def _without(word: re.Pattern[str] | None, stem: str) -> str:
-    """The stem without a word, and without what stood between it and the rest."""
+    """Remove a word and the separators around it from a stem."""
     parts = re.split(r"[^a-z0-9]+", stem if word is None else word.sub("_", stem))
     return "_".join(part for part in parts if part)

@@ -1,7 +1,7 @@
 """Kinds of files by their content and name, and refusals of those that are not read.
 
-Refusals name the kind and the way out: Git LFS pointers and web pages in place of a file, videos, large files that are
-no images, and what people have beside scenes and pictures, such as meshes, checkpoints and archives.
+Each message names the kind and a way out. Kinds are Git LFS pointers and web pages in place of a file, videos, large
+files that are no images, and files that people have beside scenes and images: meshes, checkpoints, archives and more.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ VIDEO_INPUTS = (
     *(".wmv", ".3gp", ".3g2", ".ogv", ".flv"),  # of older phones and the web
 )
 _START_BYTES = 512
-_LARGE_BYTES = 64 << 20  # smaller files are read in no time, whatever they are
-# What images begin with, those of cameras among them; of TGA, which says nothing, what its kinds have (bytes 1 and 2),
-# and a size
+_LARGE_BYTES = 64 << 20  # smaller files are read quickly in any case
+# First bytes of images, raw files of cameras among them. TGA has no magic number: bytes 1 and 2 have the values of its
+# kinds, and the size is not zero
 _IMAGE_STARTS = re.compile(
     rb"\x89PNG|\xff\xd8\xff|v/1\x01|II|MM|GIF8|BM|RIFF|#\?|P[1-7Ff]\s+[#\dA-Z]|SDPX|XPDS|\x80\x2a\x5f\xd7|\xd7\x5f\x2a\x80|8BPS|"
     rb"....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51|DDS |\x01\xda|FOR[48]|SIMPLE|FUJIFILM|FOVb|"
@@ -32,9 +32,9 @@ _IMAGE_STARTS = re.compile(
     rb".(?:\x01[\x01\x09]|[\x00\x01][\x02\x03\x0a\x0b]).{9}(?!\x00\x00)..(?!\x00\x00)..",
     re.DOTALL,
 )
-# The kinds of these that are compressed, in which no row of zeros is as long as what is looked at behind their headers
+# Compressed kinds among them: they have no long row of zeros after their headers
 _COMPRESSED_STARTS = re.compile(rb"\xff\xd8\xff|GIF8|RIFF|....(?:ftyp|jP  |JXL )|\xff\x0a|\xff\x4f\xff\x51", re.DOTALL)
-# The kinds whose headers go on behind the first words: EXR, FITS, RAF, IFF, Softimage and Cineon
+# Kinds with long headers: EXR, FITS, RAF, IFF, Softimage and Cineon
 _LONG_HEADERS = re.compile(rb"v/1\x01|SIMPLE|FUJIFILM|FOR[48]|\x53\x80\xf6\x34|\x80\x2a\x5f\xd7|\xd7\x5f\x2a\x80")
 _FIRST_WORDS = 32  # bytes
 _FITS_BLOCK = 2880  # bytes of text (FITS standard 4.0, section 3.3.1)
@@ -42,10 +42,10 @@ _PNM_SIZE = re.compile(rb"P[1-6Ff]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(\d{1,9})\s")
 _PNM_PIXEL = 32  # bytes of a pixel at most, as text
 _BEHIND_HEADER, _ROW_BYTES = 4096, 1 << 16
 _POINTER = b"version https://git-lfs.github.com/spec/"
-# Comments may come first; <Error> is what storage servers answer, in XML
+# Comments may come first; storage servers answer <Error> in XML
 _WEB_PAGE = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:.*<)?(?:!doctype html|html[\s>]|error>)", re.IGNORECASE | re.DOTALL)
 
-# What videos begin with, and how they are named. HEIC, AVIF, CR3 and JPEG XL are pictures in boxes as MP4 has them
+# First bytes of videos, and their suffixes. HEIC, AVIF, CR3 and JPEG XL are pictures in boxes like those of MP4
 _VIDEOS = (
     (re.compile(rb".{4}(?:ftypqt  |moov|mdat|wide)", re.DOTALL), ".mov"),
     (re.compile(rb".{4}ftyp(?!hei|hev|mif|msf|avif|avis|crx|jx)", re.DOTALL), ".mp4"),
@@ -62,12 +62,12 @@ _VIDEOS = (
 )
 
 SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
-SCENE_STARTS = (b"ply\n", b"ply\r", b"NGSP")  # of a .ply and the newest SPZ; others share theirs with other kinds
+SCENE_STARTS = (b"ply\n", b"ply\r", b"NGSP")  # of .ply and SPZ version 4; other formats share theirs with other kinds
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif", ".exr", ".dng")
-_SCENES = (*SCENE_SUFFIXES, "meta.json")
-_OF_CAPTURES = {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}
-_OF_TRAINERS = {"ckpts", "nerfstudio_models", "cfg_args", "checkpoints"}
-_POINTS = ("input.ply", "points3d.ply", "sparse_pc.ply")  # by COLMAP, the trainer of 3DGS and nerfstudio
+_SCENE_ENDS = (*SCENE_SUFFIXES, "meta.json")
+_CAPTURE_NAMES = {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}
+_TRAINER_NAMES = {"ckpts", "nerfstudio_models", "cfg_args", "checkpoints"}
+_POINT_FILES = ("input.ply", "points3d.ply", "sparse_pc.ply")  # of COLMAP, the 3DGS trainer and nerfstudio
 _MOST_LISTED = 20_000  # entries of a folder
 _EXPORT = "export a .ply, .spz or .sog from the program that wrote it"
 _CONVERT = "convert it to a .ply with splat-transform, or export one from the program that wrote it"
@@ -76,42 +76,50 @@ _UNPACK = "unpack it, and give the scene in it"
 
 
 @dataclass(frozen=True)
-class Kind:
-    """name: what such a file is, in words. way_out: what its owner can do. suffixes: of its files. starts: what their
-    content begins with."""
+class FileKind:
+    """A kind of file that is not read.
+
+    Attributes:
+        name: the kind, in words.
+        advice: what the user can do.
+        suffixes: endings of its files.
+        starts: first bytes of its files.
+    """
 
     name: str
-    way_out: str
+    advice: str
     suffixes: tuple[str, ...] = ()
     starts: tuple[bytes, ...] = ()
 
 
-CHECKPOINT = Kind(
+CHECKPOINT = FileKind(
     "a trainer's checkpoint",
     "have the trainer export a .ply (gsplat: --save_ply, nerfstudio: ns-export gaussian-splat)",
     (".pt", ".pth", ".ckpt", ".pkl"),
     (b"\x80\x02\x8a\x0al\xfc\x9cF",),  # of torch before 1.6; later ones are ZIP files
 )
-ARRAYS = Kind(
+ARRAYS = FileKind(
     "a file of arrays",
     "write them as a .ply: Gaussians(means, quaternions, scales, opacities, sh).save('scene.ply') in Python",
     (".npz", ".npy", ".h5", ".hdf5"),
     (b"\x93NUMPY", b"\x89HDF"),
 )
-GLTF = Kind("glTF, and Gaussians in it (KHR_gaussian_splatting) are not read", _EXPORT, (".glb", ".gltf"), (b"glTF",))
-USD = Kind(
+GLTF = FileKind(
+    "glTF, and Gaussians in it (KHR_gaussian_splatting) are not read", _EXPORT, (".glb", ".gltf"), (b"glTF",)
+)
+USD = FileKind(
     "OpenUSD, and Gaussians in it (ParticleField3DGaussianSplat) are not read",
     _EXPORT,
     (".usd", ".usda", ".usdc", ".usdz"),
     (b"#usda", b"PXR-USDC"),
 )
-ARCHIVE = Kind(
+ARCHIVE = FileKind(
     "an archive",
     _UNPACK,
     (".7z", ".rar", ".tar", ".tgz", ".bz2", ".xz", ".zst", ".gz"),
     (b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07", b"BZh9", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd"),
 )
-PROJECT = Kind(
+PROJECT = FileKind(
     "a project of an editor, not the scene",
     "open it there and export a .ply, .spz or .sog",
     (".ssproj", ".psht", ".blend", ".uproject", ".uasset", ".umap", ".unitypackage", ".c4d", ".max", ".ma", ".mb"),
@@ -124,21 +132,23 @@ _KINDS = (
     USD,
     ARCHIVE,
     PROJECT,
-    Kind("weights of a network, or a trainer's tensors", CHECKPOINT.way_out, (".safetensors",)),
-    Kind("a scene of XGRIDS (LCC)", _CONVERT, (".lcc", ".lcc2")),
-    Kind(
+    FileKind("weights of a network, or a trainer's tensors", CHECKPOINT.advice, (".safetensors",)),
+    FileKind("a scene of XGRIDS (LCC)", _CONVERT, (".lcc", ".lcc2")),
+    FileKind(
         "a viewer's page, with the scene inside it or behind a link",
         "give the .ply, .spz or .sog that it was made of; SuperSplat exports one from its editor",
         (".html", ".htm", ".mhtml"),
     ),
-    Kind(
+    FileKind(
         "Gaussians that move, for the viewer splaTV",
         "give the .ply of Spacetime Gaussians that it was made of",
         (".splatv",),
     ),
-    Kind("a scene for streaming (Spark)", _EXPORT, (".rad",)),
-    Kind("a scene of another viewer, of a format that is not read", _EXPORT, (".spx", ".sogs", ".gsplat", ".splats")),
-    Kind(
+    FileKind("a scene for streaming (Spark)", _EXPORT, (".rad",)),
+    FileKind(
+        "a scene of another viewer, of a format that is not read", _EXPORT, (".spx", ".sogs", ".gsplat", ".splats")
+    ),
+    FileKind(
         "a mesh, and no Gaussians",
         _FIT,
         (
@@ -147,38 +157,38 @@ _KINDS = (
         ),
         (b"Kaydara FBX Binary",),
     ),
-    Kind(
+    FileKind(
         "a point cloud, and no Gaussians",
         "fit Gaussians to the photographs that it was made of: lightfield-gs fit",
         (".las", ".laz", ".e57", ".xyz", ".pts", ".ptx", ".pcd", ".asc", ".rcs", ".rcp"),
         (b"LASF", b"ASTM-E57", b"# .PCD"),
     ),
-    Kind(
+    FileKind(
         "tiles for a map's viewer", _EXPORT, (".b3dm", ".i3dm", ".pnts", ".cmpt", ".3tz", ".slpk"), (b"b3dm", b"pnts")
     ),
-    Kind("a video", "lightfield-gs video takes one of photos or RGB-D pictures, weave one of quilts", VIDEO_INPUTS),
-    Kind(
+    FileKind("a video", "lightfield-gs video takes one of photos or RGB-D pictures, weave one of quilts", VIDEO_INPUTS),
+    FileKind(
         "a project of a photogrammetry program",
         "export its cameras for COLMAP beside the photographs, and fit them: lightfield-gs fit",
         (".psx", ".psz", ".rcproj", ".rsproj"),
     ),
 )
-# Known where a picture was expected, which these are not: some of them are scenes, and others go with an option
-_NO_PICTURES = (
-    Kind(
+# Kinds named only where an image is expected: scenes, and files that belong to an option
+_NON_IMAGES = (
+    FileKind(
         "a scene or points, and no picture",
         "lightfield-gs encode draws a scene for a panel, quilt its views, and view shows it",
         SCENE_SUFFIXES,
         SCENE_STARTS,
     ),
-    Kind(
+    FileKind(
         "a ZIP, and no picture",
         "unpack it, or give one with a scene in it to lightfield-gs encode by a name that ends in .zip",
         (".zip",),
         (b"PK\x03\x04", b"PK\x05\x06"),
     ),
-    Kind("packed by gzip", "rename it to end in .spz if it is such a scene, else unpack it", (), (b"\x1f\x8b",)),
-    Kind(
+    FileKind("packed by gzip", "rename it to end in .spz if it is such a scene, else unpack it", (), (b"\x1f\x8b",)),
+    FileKind(
         "a file of settings or cameras, and neither a picture nor a scene",
         "a panel goes with --panel and cameras with --camera; of scenes in JSON, meta.json and lod-meta.json are read",
         (".json", ".yaml", ".yml", ".toml"),
@@ -186,19 +196,21 @@ _NO_PICTURES = (
 )
 _BY_SUFFIX = {suffix: kind for kind in _KINDS for suffix in kind.suffixes}
 _BY_NAME = {
-    "tileset.json": Kind("a tree of 3D Tiles", _EXPORT),
-    "transforms.json": Kind("the cameras of a capture", "fit its folder: lightfield-gs fit"),
-    "cameras.json": Kind("the cameras of a scene", "give the scene, and these with --camera"),
+    "tileset.json": FileKind("a tree of 3D Tiles", _EXPORT),
+    "transforms.json": FileKind("the cameras of a capture", "fit its folder: lightfield-gs fit"),
+    "cameras.json": FileKind("the cameras of a scene", "give the scene, and these with --camera"),
     **dict.fromkeys(
         ("points3d.bin", "points3d.txt", "images.bin", "images.txt", "cameras.bin", "cameras.txt", "database.db"),
-        Kind("a part of a COLMAP model", "fit the folder of its photographs: lightfield-gs fit"),
+        FileKind("a part of a COLMAP model", "fit the folder of its photographs: lightfield-gs fit"),
     ),
 }
 
 
-def refuse_large_no_image(path: Path) -> None:
-    """Raises InputError where a large file does not begin as images do, or holds zeros behind its header: for a reader
-    that would look all through it."""
+def refuse_large_non_image(path: Path) -> None:
+    """Raise InputError for a large file that does not begin as an image, or holds zeros after its header.
+
+    The reader of images would search the whole file.
+    """
     if path.stat().st_size <= _LARGE_BYTES:
         return
     start = _start(path, _BEHIND_HEADER + _ROW_BYTES)
@@ -214,7 +226,7 @@ def refuse_large_no_image(path: Path) -> None:
 
 
 def _holds_zeros(path: Path, start: bytes) -> bool:
-    """Whether zeros stand where the picture of a large image should be, or the rest of its header, by its kind."""
+    """Tell whether a large image has zeros in place of its pixels, or of the rest of its header."""
     if _COMPRESSED_STARTS.match(start):
         return not any(start[_BEHIND_HEADER:])
     if start.startswith(b"SIMPLE") and 0 in start[:_FITS_BLOCK]:
@@ -228,19 +240,19 @@ def _holds_zeros(path: Path, start: bytes) -> bool:
 
 
 def _has_directory(path: Path, start: bytes) -> bool:
-    """Whether anything stands where a TIFF says that its first directory is; True of what else begins so."""
+    """Tell whether a TIFF has its first directory; True for other files that begin alike."""
     order: Literal["little", "big"] = "little" if start.startswith(b"II") else "big"
     version = int.from_bytes(start[2:4], order)
     if version not in (42, 43):
         return True
-    place = int.from_bytes(start[4:8] if version == 42 else start[8:16], order)
+    offset = int.from_bytes(start[4:8] if version == 42 else start[8:16], order)
     with open(path, "rb") as file:
-        file.seek(min(place, path.stat().st_size))
+        file.seek(min(offset, path.stat().st_size))
         return any(file.read(8))
 
 
 def _ends_in_zeros(path: Path, most_bytes: int) -> bool:
-    """Whether a file is longer than it needs to be, and zeros are at its end."""
+    """Tell whether a file is longer than `most_bytes` and ends in zeros."""
     with open(path, "rb") as file:
         if file.seek(0, os.SEEK_END) <= most_bytes:
             return False
@@ -254,11 +266,11 @@ def _start(path: Path, size: int = _START_BYTES) -> bytes:
 
 
 def refuse_stand_in(path: Path) -> None:
-    """Raises InputError where the file is a Git LFS pointer or a web page: for readers that cannot make sense of it."""
+    """Raise InputError for a Git LFS pointer or a web page; called by readers that cannot read a file."""
     try:
         start = _start(path)
     except OSError:
-        return  # whoever calls has a complaint of their own
+        return  # the caller reports it
     if start.startswith(_POINTER):
         raise InputError(f"{path} is a Git LFS pointer, not the file itself; fetch it with `git lfs pull`")
     if _WEB_PAGE.match(start):
@@ -268,7 +280,7 @@ def refuse_stand_in(path: Path) -> None:
 
 
 def refuse_video(path: Path) -> None:
-    """Raises InputError where the file is a video by its content: for readers of images, which cannot read it."""
+    """Raise InputError for a video by content; called by readers of images that cannot read a file."""
     start = _start(path)
     end = next((end for begins, end in _VIDEOS if begins.match(start)), None)
     if end is not None and path.suffix.lower() in VIDEO_INPUTS:
@@ -282,14 +294,16 @@ def refuse_video(path: Path) -> None:
         )
 
 
-def refuse_kind(path: object, kind: Kind) -> None:
-    """Raises InputError that names the kind and its way out."""
-    raise InputError(f"{path} is {kind.name}; {kind.way_out}")
+def refuse_kind(path: object, kind: FileKind) -> None:
+    """Raise InputError with a kind and its advice."""
+    raise InputError(f"{path} is {kind.name}; {kind.advice}")
 
 
-def refuse_unread(path: Path) -> None:
-    """Raises InputError where a path is known to hold what is not read as a scene or a photo: it names the kind, by
-    the content, then by the name, and the way out. Nothing is said of a path where nothing is."""
+def refuse_unsupported(path: Path) -> None:
+    """Raise InputError for a file or folder of a kind that is not read, by content, then by name.
+
+    Paths of unknown kinds, and absent ones, pass.
+    """
     if path.is_dir():
         with reading(path):
             _refuse_folder(path)
@@ -307,11 +321,10 @@ def refuse_unread(path: Path) -> None:
         refuse_kind(path, known)
 
 
-def refuse_no_picture(path: Path) -> None:
-    """Raises InputError where a file, of which no picture could be read, is known to be something else: it names the
-    kind and the way out."""
+def refuse_non_image(path: Path) -> None:
+    """Raise InputError for a file of another known kind; called by readers of images that cannot read a file."""
     refuse_stand_in(path)
-    refuse_unread(path)
+    refuse_unsupported(path)
     with reading(path), open(path, "rb") as file:
         start = file.read(_START_BYTES)
     suffix = path.suffix.lower()
@@ -320,34 +333,34 @@ def refuse_no_picture(path: Path) -> None:
             f"{path} is no picture, and its name ends in {path.suffix}; if it is a scene, and its download has ended, "
             f"rename it to {path.stem}"
         )
-    for kind in _NO_PICTURES:
+    for kind in _NON_IMAGES:
         if kind.starts and start.startswith(kind.starts) or suffix in kind.suffixes:
             refuse_kind(path, kind)
 
 
 def begins_as_scene(path: Path) -> bool:
-    """Whether the content of a file says that it is a scene, whatever its name says."""
+    """Tell whether a file is a scene by its first bytes, whatever its name."""
     if not os.path.isfile(path):
         return False
     try:
         with open(path, "rb") as file:
             return file.read(4) in SCENE_STARTS
     except OSError:
-        return False  # whoever reads it has a complaint of their own
+        return False  # the reader reports it
 
 
-def scenes_among(names: Sequence[str]) -> list[str]:
-    """The names that end as those of scenes, without the points that a capture or a trainer's folder begins with."""
+def select_scenes(names: Sequence[str]) -> list[str]:
+    """Select the names of scenes, without the initial points of a capture or a trainer's folder."""
     parts = {part.lower() for name in names for part in name.split("/")}
-    starts = _POINTS if parts & (_OF_CAPTURES | _OF_TRAINERS) else ()
+    starts = _POINT_FILES if parts & (_CAPTURE_NAMES | _TRAINER_NAMES) else ()
     return [name for name in names if name.lower().endswith(SCENE_SUFFIXES) and not name.lower().endswith(starts)]
 
 
 def _refuse_folder(path: Path) -> None:
-    """Raises InputError for a folder, by what is in it."""
+    """Raise InputError for a folder, by its contents."""
     with os.scandir(path) as entries:
         names = sorted(entry.name for entry in islice(entries, _MOST_LISTED) if not entry.name.startswith("."))
-    scenes = scenes_among(names)
+    scenes = select_scenes(names)
     lower = {name.lower() for name in names}
     if len(scenes) > 1:
         raise InputError(
@@ -356,10 +369,10 @@ def _refuse_folder(path: Path) -> None:
         )
     if scenes:
         raise InputError(f"{path} is a folder with one scene in it; give {path / scenes[0]}")
-    if lower & _OF_CAPTURES:
+    if lower & _CAPTURE_NAMES:
         raise InputError(f"{path} is a capture, photographs with cameras; fit Gaussians to it: lightfield-gs fit")
-    if lower & _OF_TRAINERS or any(name.endswith(CHECKPOINT.suffixes) for name in lower):
-        raise InputError(f"{path} is a folder of a trainer without an exported scene; {CHECKPOINT.way_out}")
+    if lower & _TRAINER_NAMES or any(name.endswith(CHECKPOINT.suffixes) for name in lower):
+        raise InputError(f"{path} is a folder of a trainer without an exported scene; {CHECKPOINT.advice}")
     pictures = sum(name.endswith(PICTURE_SUFFIXES) for name in lower)
     kinds = [known for name in names if (known := _BY_SUFFIX.get(Path(name).suffix.lower()))]
     if pictures > len(kinds):
@@ -369,7 +382,9 @@ def _refuse_folder(path: Path) -> None:
         )
     if kinds:
         refuse_kind(f"{path} is a folder, and what it holds", kinds[0])
-    deeper = sorted(islice((each for each in path.glob("*/*") if each.name.lower().endswith(_SCENES)), _MOST_LISTED))
+    deeper = sorted(
+        islice((each for each in path.glob("*/*") if each.name.lower().endswith(_SCENE_ENDS)), _MOST_LISTED)
+    )
     if deeper:
         scene = deeper[0].parent if deeper[0].name.lower() == "meta.json" else deeper[0]
         raise InputError(f"{path} is a folder, and its scenes are in the folders in it; give one of them: {scene}")

@@ -1,4 +1,7 @@
-"""Images in and out, through OpenImageIO: PNG (8 and 16 bit), EXR and TIFF out; whatever it knows, AVIF and HEIC in."""
+"""Reading and writing of images through OpenImageIO.
+
+PNG (8 and 16 bit), EXR and TIFF are written; all formats of OpenImageIO, AVIF and HEIC are read.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +19,15 @@ from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.options import Compression
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.file_kinds import refuse_large_no_image, refuse_no_picture, refuse_unread, refuse_video
+from lightfield_gs.io.file_kinds import refuse_large_non_image, refuse_non_image, refuse_unsupported, refuse_video
 from lightfield_gs.io.pillow_images import decode_heif, heif_orientation, is_heif, open_heif
 from lightfield_gs.io.png import CompressedImage, png_colour, png_damage, write_png
 from lightfield_gs.io.text_files import parse_json
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
-_MOST_CHANNELS, _MOST_LAYERS = 16, 1024  # of a picture, and of an EXR of which one is read
-# A file may become so many times as long in memory, or this many bytes: deflate reaches 1030 on a plain picture.
+_MOST_CHANNELS, _MOST_LAYERS = 16, 1024  # of an image, and of an EXR of which one channel is read
+# Limits of a file's size in memory: a multiple of its size, or bytes. Deflate reaches 1030 on a plain image.
 _MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
 _COLOUR_ATTRIBUTES = (
     "ICCProfile",
@@ -36,26 +39,28 @@ _COLOUR_ATTRIBUTES = (
     "jpeg:ColorSpace",
     "oiio:UnassociatedAlpha",
 )
-_MAYBE_ASSOCIATED = ("tiff", "openexr")  # alpha may be premultiplied in these; in all other formats it is straight
+_MAYBE_ASSOCIATED = ("tiff", "openexr")  # alpha may be premultiplied in these formats; in all others it is straight
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
-_PNG_KEYWORDS = {_METADATA_KEY: "Description"}  # what OpenImageIO calls otherwise
+_PNG_KEYWORDS = {_METADATA_KEY: "Description"}  # keywords that OpenImageIO names differently
 _DTYPES = {
     ".png": ("uint8", "uint16"),
     ".exr": ("float32",),
     ".tif": ("uint8", "uint16", "float32"),
     ".tiff": ("uint8", "uint16", "float32"),
 }
-# Why PNG is written so: neighbours in a row belong to different views, so that nothing repeats but plain areas, which
-# are runs, while the pixel above is often of the same view: all that "fast" looks for (io/png_file.py). Ordinary
-# pictures become smaller where every row has the filter that suits it ("small").
-# Measured on 8K frames of a photo's object and of a whole photo, on one core. PNG not compressed: 0.2 s, 89 MB; the
-# filter Up and runs by zlib at level 1: 0.6 and 1.0 s, 12 and 31 MB, as "fast" does in a third of it by ISA-L;
-# without a filter and with the usual search for repetitions: 0.6 and 1.4 s, 16 and 38 MB at level 1, 1.2 and 2.2 s, 15
-# and 37 MB at level 6. EXR not compressed: 0.5 s, zip 1.7 s. TIFF not compressed: 0.1 s, zip 7 s.
+# Neighbours in a row of a panel's image belong to different views. Nothing repeats except plain areas, which are runs,
+# and the pixel above is often of the same view. "fast" exploits both (io/png.py). Ordinary images become smaller with
+# the best filter for each row ("small").
+# Measured on 8K frames of a photo's object and of a whole photo, on one core:
+#   PNG, uncompressed                         0.2 s              89 MB
+#   PNG, filter Up and runs, zlib level 1     0.6 and 1.0 s      12 and 31 MB ("fast" takes a third of the time: ISA-L)
+#   PNG, no filter, zlib level 1              0.6 and 1.4 s      16 and 38 MB
+#   PNG, no filter, zlib level 6              1.2 and 2.2 s      15 and 37 MB
+#   EXR, uncompressed 0.5 s, zip 1.7 s; TIFF, uncompressed 0.1 s, zip 7 s
 _PNG_FILTER_ANY = 0xF8
 _SETTINGS: dict[Compression, dict[str, dict[str, int | str]]] = {
     "fast": {
-        ".png": {},  # by io/png_file.py
+        ".png": {},  # see io/png.py
         ".exr": {"compression": "none"},
         ".tif": {"compression": "none"},
         ".tiff": {"compression": "none"},
@@ -71,8 +76,16 @@ _SETTINGS: dict[Compression, dict[str, dict[str, int | str]]] = {
 
 @dataclass
 class ImageInfo:
-    """Header of an image file: size in pixels as stored, sample type as OpenImageIO names it, metadata of this package,
-    the Exif orientation 1..8, and whether the last of 2 or 4 channels is alpha: in EXR it may be depth."""
+    """Header of an image file.
+
+    Attributes:
+        width_px, height_px: size as stored.
+        channels: number of channels.
+        sample_type: OpenImageIO's name of it.
+        metadata: metadata of this package.
+        orientation: Exif orientation 1..8.
+        has_alpha: the last of 2 or 4 channels is alpha; in an EXR it may be depth.
+    """
 
     width_px: int
     height_px: int
@@ -85,11 +98,13 @@ class ImageInfo:
 
 @dataclass(frozen=True)
 class Picture:
-    """What an image file holds.
+    """The contents of an image file.
 
-    pixels: [H, W, C] upright if so wanted, alpha straight; uint8, uint16 or float32 as in the file. orientation: the
-    Exif orientation 1..8 of the file. colour: what the file says of its colours, by OpenImageIO's names, such as
-    "ICCProfile" (bytes) and "oiio:ColorSpace"; "format" is the file's.
+    Attributes:
+        pixels: [H, W, C], straight alpha; uint8, uint16 or float32 as in the file.
+        orientation: Exif orientation 1..8 of the file.
+        colour: colour space by OpenImageIO's names, such as "ICCProfile" (bytes) and "oiio:ColorSpace", and the file's
+            "format".
     """
 
     pixels: np.ndarray
@@ -98,7 +113,7 @@ class Picture:
 
 
 def check_image_path(path: str | Path) -> Path:
-    """`path`, if an image can be written there; raises InputError before any long work is done for nothing."""
+    """Return `path` if an image can be written there; raise InputError, before any long work is done in vain."""
     path = check_output_path(path)
     if path.suffix.lower() not in _DTYPES:
         raise InputError(
@@ -114,12 +129,16 @@ def write_image(
     metadata: dict[str, str] | None = None,
     compression: Compression = "fast",
 ) -> None:
-    """Writes [H, W, C], C = 1, 3 or 4, complete or not at all.
+    """Write an image, complete or not at all; the extension decides the format.
 
-    uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides; what is compressed already as
-    PNG. `metadata` is kept as one JSON object in the image's description. compression: "fast" or
-    "small". Alpha is straight, not premultiplied.
-    Raises InputError.
+    Args:
+        path: the file: PNG or TIFF for uint8 and uint16, EXR or TIFF for float32, PNG for a CompressedImage.
+        array: [H, W, C], C = 1, 3 or 4, straight alpha.
+        metadata: stored as one JSON object in the image's description.
+        compression: "fast" or "small".
+
+    Raises:
+        InputError: the image does not fit the format, or the file cannot be written.
     """
     path = check_image_path(path)
     suffix = path.suffix.lower()
@@ -142,7 +161,7 @@ def write_image(
 
 
 def _write_by_oiio(path: Path, temporary: Path, array: np.ndarray, attributes: dict[str, int | str]) -> None:
-    """Writes what write_image has checked, for `path`, with these attributes of OpenImageIO. Raises InputError."""
+    """Write a checked image by OpenImageIO with these attributes; errors name `path`."""
     import OpenImageIO as oiio
 
     height, width, channels = array.shape
@@ -160,7 +179,7 @@ def _write_by_oiio(path: Path, temporary: Path, array: np.ndarray, attributes: d
 
 
 def read_info(path: str | Path) -> ImageInfo:
-    """Header of an image file. Raises InputError as read_image does."""
+    """Read the header of an image file; raise InputError as read_image does."""
     path = _checked_file(path)
     if is_heif(path):
         with open_heif(path, partial(_check_size, path)) as image:
@@ -180,26 +199,32 @@ def read_info(path: str | Path) -> ImageInfo:
 
 
 def read_image(path: str | Path, as_stored: bool = False, turn: bool = True) -> np.ndarray:
-    """Pixels [H, W, C] of an image file (its first sub-image), alpha straight.
+    """Read the first sub-image of an image file.
 
-    float32, integers scaled to 0..1; or with `as_stored` uint8, uint16 or float32 as in the file.
-    turn: upright, as the Exif orientation says; else as the file has them, which the cameras of posed views refer to.
-    Raises InputError when it is no image, damaged, cut, empty or absurdly large.
+    Args:
+        path: the file.
+        as_stored: keep uint8, uint16 or float32; else integers are scaled to float32 in 0..1.
+        turn: apply the Exif orientation. Cameras of posed views refer to pixels as stored.
+
+    Returns:
+        Pixels [H, W, C], straight alpha.
+
+    Raises:
+        InputError: the file is no image, damaged, cut, empty or absurdly large.
     """
     pixels = read_picture(path, turn).pixels
     return pixels if as_stored else as_floats(pixels)
 
 
 def as_floats(pixels: np.ndarray) -> np.ndarray:
-    """uint8 and uint16 as float32 in 0..1; float32 as it is."""
+    """Scale uint8 and uint16 to float32 in 0..1; keep float32."""
     if pixels.dtype == np.float32:
         return pixels
     return pixels / np.float32(np.iinfo(pixels.dtype).max)  # OpenImageIO's own scaling is not exact
 
 
 def read_picture(path: str | Path, turn: bool = True) -> Picture:
-    """An image file (its first sub-image) with what it says of its orientation and colours. Raises InputError as
-    read_image does. turn: see read_image."""
+    """Read the first sub-image of an image file with its orientation and colour space; see read_image."""
     path = _checked_file(path)
     if is_heif(path):
         with open_heif(path, partial(_check_size, path)) as image:
@@ -212,28 +237,46 @@ def read_picture(path: str | Path, turn: bool = True) -> Picture:
         if pixels is None or source.has_error:
             raise InputError(f"{path} is damaged or cut: {_first_line(source.geterror)}")
         orientation = spec.get_int_attribute("Orientation", 1)
-        said = {name: spec.getattribute(name) for name in _COLOUR_ATTRIBUTES}
-        colour = {"format": source.format_name(), **{name: value for name, value in said.items() if value is not None}}
+        stored = {name: spec.getattribute(name) for name in _COLOUR_ATTRIBUTES}
+        colour = {
+            "format": source.format_name(),
+            **{name: value for name, value in stored.items() if value is not None},
+        }
         if colour["format"] == "png":
             colour |= png_colour(path)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    straight = colour["format"] not in _MAYBE_ASSOCIATED or "oiio:UnassociatedAlpha" in colour
-    if spec.alpha_channel > 0 and not straight:
-        pixels = _straight(pixels, spec.alpha_channel)
+    is_straight = colour["format"] not in _MAYBE_ASSOCIATED or "oiio:UnassociatedAlpha" in colour
+    if spec.alpha_channel > 0 and not is_straight:
+        pixels = _unpremultiply(pixels, spec.alpha_channel)
     return _picture(pixels, orientation, colour, turn)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One channel of an EXR: its name with those of its layers and its part, and its pixels, float32 [H, W]."""
+    """One channel of an EXR.
+
+    Attributes:
+        name: name with part and layers, separated by dots.
+        pixels: float32 [H, W].
+    """
 
     name: str
     pixels: np.ndarray
 
 
 def read_layer(path: str | Path, choose: Callable[[Sequence[str]], int | None]) -> Layer | None:
-    """The channel of an EXR that is chosen of the names of all, in all its parts; None of other files and where none
-    is chosen. Raises InputError as read_image does."""
+    """Read one channel of an EXR.
+
+    Args:
+        path: the file.
+        choose: takes the names of the channels of all parts, and returns the index of one, or None.
+
+    Returns:
+        The channel; None for other formats and without a choice.
+
+    Raises:
+        InputError: see read_image.
+    """
     import OpenImageIO as oiio
 
     path = _checked_file(path)
@@ -250,7 +293,7 @@ def read_layer(path: str | Path, choose: Callable[[Sequence[str]], int | None]) 
             for index, name in enumerate(spec.channelnames):
                 found.append((part, index, name if "." in name or not layer else f"{layer}.{name}"))
             part += 1
-        oiio.geterror()  # of looking for a part behind the last
+        oiio.geterror()  # clear the error of seeking past the last part
         chosen = choose([name for _, _, name in found])
         if chosen is None:
             return None
@@ -272,32 +315,32 @@ def _picture(pixels: np.ndarray, orientation: int, colour: dict[str, Any], turn:
     )
 
 
-def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:
-    """Pixels [H, W, C] with straight alpha, from premultiplied ones; channel: of alpha, after those of colours."""
+def _unpremultiply(pixels: np.ndarray, channel: int) -> np.ndarray:
+    """Convert premultiplied pixels [H, W, C] to straight alpha; channel: index of alpha, after the colours."""
     most = np.float32(1 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max)
-    share = pixels[..., channel : channel + 1] / most
+    alpha = pixels[..., channel : channel + 1] / most
     with np.errstate(over="ignore"):
-        colours = pixels[..., :channel] / np.where(share > 0, share, 1)
+        colours = pixels[..., :channel] / np.where(alpha > 0, alpha, 1)
     if pixels.dtype != np.float32:
         colours = np.rint(np.minimum(colours, most))
     return np.concatenate([colours.astype(pixels.dtype), pixels[..., channel:]], 2)
 
 
 def _checked_file(path: str | Path) -> Path:
-    """The path of a file that is there, can be read and is not empty; raises InputError."""
+    """Return the path of a readable, non-empty file; raise InputError for others."""
     path = checked_path(path)
     with reading(path):
         if path.is_dir():
-            refuse_unread(path)
+            refuse_unsupported(path)
         if path.stat().st_size == 0 or not path.is_file():
             raise InputError(f"{path} is no image: it is empty or not a file")
-        refuse_large_no_image(path)
+        refuse_large_non_image(path)
     return path
 
 
 @contextlib.contextmanager
 def _opened(path: Path, pixels: bool = False, most_channels: int = _MOST_CHANNELS) -> Iterator:
-    """An open ImageInput whose size has been checked; pixels: they are to be read."""
+    """Open an ImageInput, and check its size; pixels: its pixels will be read."""
     import OpenImageIO as oiio
 
     if damage := png_damage(path, pixels):
@@ -307,9 +350,9 @@ def _opened(path: Path, pixels: bool = False, most_channels: int = _MOST_CHANNEL
     config["oiio:UnassociatedAlpha"] = 1
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        reason = _first_line(oiio.geterror)  # taken away, for OpenImageIO prints what is left of these at the end
+        reason = _first_line(oiio.geterror)  # fetched in any case: OpenImageIO prints errors that are left at exit
         refuse_video(path)
-        refuse_no_picture(path)
+        refuse_non_image(path)
         raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
         spec = source.spec()
@@ -325,7 +368,7 @@ def _opened(path: Path, pixels: bool = False, most_channels: int = _MOST_CHANNEL
 
 
 def _check_size(path: Path, width: int, height: int, channels: int = 4, sample_bytes: int = 1) -> None:
-    """Raises InputError on an image that is too large, or too large for so small a file."""
+    """Raise InputError for an image that is too large, or too large for its file."""
     if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and width * height <= MAX_PIXELS):
         raise InputError(
             f"{path}: {width} x {height} pixels; expected 1..{MAX_SIDE_PX} a side and at most {MAX_PIXELS} in all"
@@ -339,7 +382,7 @@ def _check_size(path: Path, width: int, height: int, channels: int = 4, sample_b
 
 
 def _webp_size(path: Path) -> tuple[int, int]:
-    """Width and height that the header of a WebP states (RFC 9649, sections 2.5 to 2.7); 1, 1 of any other file."""
+    """Read the size in the header of a WebP (RFC 9649, sections 2.5 to 2.7); return 1, 1 for other files."""
     with path.open("rb") as file:
         start = file.read(30)
     if start[:4] != b"RIFF" or start[8:12] != b"WEBP" or len(start) < 30:
@@ -353,7 +396,7 @@ def _webp_size(path: Path) -> tuple[int, int]:
 
 
 def apply_orientation(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Undoes the rotation and mirroring of the Exif orientation 1..8, of pixels [H, W, ...]."""
+    """Turn and mirror pixels [H, W, ...] upright by the Exif orientation 1..8."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
@@ -375,10 +418,10 @@ def _oiio_type(dtype: np.dtype) -> str:
     return {"float32": "float"}.get(dtype.name, dtype.name)
 
 
-def _first_line(complaint: Callable[[], str]) -> str:
-    """The first line of what OpenImageIO complains of, which may quote bytes of a file that are no UTF-8."""
+def _first_line(get_error: Callable[[], str]) -> str:
+    """Return the first line of an error of OpenImageIO, which may quote bytes that are no UTF-8."""
     try:
-        text = complaint()
+        text = get_error()
     except UnicodeDecodeError as error:
         text = error.object.decode(errors="replace")
     return next((line.strip()[:200] for line in text.splitlines() if line.strip()), "no reason given")

@@ -1,4 +1,4 @@
-"""Arrays of numbers from NumPy's .npy and .npz files that may be damaged."""
+"""Arrays of numbers from NumPy's .npy and .npz files, which may be damaged."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from lightfield_gs.io.file_kinds import refuse_stand_in
 
 _PARSE_ERRORS = (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError)
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, struct.error, KeyError)
-_HEADER_BYTES = 1 << 14  # the most of an array's header in an archive; its shape and type take a hundred
-# An array may become so many times as long in memory, or this many bytes: deflate reaches 1030
+_HEADER_BYTES = 1 << 14  # read for an array's header in an archive; shape and type take a hundred
+# Limits of an array's size in memory: a multiple of its stored size, or bytes. Deflate reaches 1030
 _MOST_EXPANSION, _SMALL_BYTES, _MOST_BYTES = 2000, 64 << 20, 1 << 31
 
 
 def open_array(path: str | Path) -> np.ndarray:
-    """The array of a .npy file, mapped, read-only. Raises InputError that names the file."""
+    """Map the array of a .npy file read-only; raise InputError with the file's name."""
     path = checked_path(path)
     try:
         with open(path, "rb") as file:
             start = file.read(12)
-        # From version 2 on the header's length has four bytes, and as many bytes would be asked for at once
+        # From version 2 on the header's length has four bytes, and NumPy allocates it at once
         if start[6:7] >= b"\2" and int.from_bytes(start[8:12], "little") > path.stat().st_size:
             raise ValueError("its header is longer than the file")
         # open_memmap never unpickles, and never allocates what a header claims
@@ -49,7 +49,7 @@ def open_array(path: str | Path) -> np.ndarray:
 
 @dataclass(frozen=True)
 class StoredArray:
-    """An array in a .npz file, not read yet."""
+    """An array in a .npz file that has not been read yet."""
 
     path: Path
     entry: zipfile.ZipInfo
@@ -59,7 +59,7 @@ class StoredArray:
     data_start: int
 
     def read(self) -> np.ndarray:
-        """The numbers. Raises InputError that names the file."""
+        """Read the array; raise InputError with the file's name."""
         size = math.prod(self.shape) * self.dtype.itemsize
         allowed = min(_MOST_BYTES, max(_SMALL_BYTES, _MOST_EXPANSION * self.entry.compress_size))
         if self.dtype.kind not in "biuf" or size > allowed or self.data_start + size != self.entry.file_size:
@@ -69,11 +69,11 @@ class StoredArray:
                 values = np.frombuffer(file.read(self.entry.file_size), self.dtype, offset=self.data_start)
                 return values.reshape(self.shape, order="F" if self.fortran_order else "C")
         except (OSError, *_PARSE_ERRORS, *_ZIP_ERRORS) as error:
-            raise _damaged(self.path, error) from error
+            raise _damage_error(self.path, error) from error
 
 
 def stored_arrays(path: str | Path) -> dict[str, StoredArray]:
-    """The arrays of a .npz file by name. Raises InputError that names the file."""
+    """List the arrays of a .npz file by name; raise InputError with the file's name."""
     path = checked_path(path)
     found = {}
     try:
@@ -92,7 +92,7 @@ def stored_arrays(path: str | Path) -> dict[str, StoredArray]:
     except FileNotFoundError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
     except (OSError, *_PARSE_ERRORS, *_ZIP_ERRORS) as error:
-        raise _damaged(path, error) from error
+        raise _damage_error(path, error) from error
     return found
 
 
@@ -101,5 +101,5 @@ def _stored(path: Path, entry: zipfile.ZipInfo, start: io.BytesIO, read_header: 
     return StoredArray(path, entry, shape, dtype, fortran_order, start.tell())
 
 
-def _damaged(path: Path, error: BaseException) -> InputError:
+def _damage_error(path: Path, error: BaseException) -> InputError:
     return InputError(f"{path} is not a .npz file of numbers: {' '.join(str(error).split())[:200]}")

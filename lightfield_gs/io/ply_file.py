@@ -40,20 +40,24 @@ _TYPES = {
     "double": "f8",
     "float64": "f8",
 }
-_END = re.compile(rb"[\r\n]end_header[ \t]*(\r?\n|\r)")  # a line of its own: comments may hold the word
-
-SMALL_BYTES = 1 << 16  # elements beside the vertices are kept up to this size
-_MOST_STEPS = 1 << 20  # numbers and lists of rows that are gone through one by one: a second's work
+_END = re.compile(rb"[\r\n]end_header[ \t]*(\r?\n|\r)")  # a line of its own: comments may contain the word
+SMALL_BYTES = 1 << 16  # largest kept element beside the vertices
+_MOST_STEPS = 1 << 20  # numbers and lists that are walked one by one: a second's work
 _MOST_BYTES_AFTER = 16  # blank bytes after the data, as editors and shells append them
-_LINES_AT_ONCE = 1 << 14  # lines of text that are parsed at a time
-_WHOLE = ("vertex", "chunk", "sh")  # elements that are kept at any size: of Gaussians, compressed or not
+_LINES_AT_ONCE = 1 << 14  # parsed at a time
+_WHOLE = ("vertex", "chunk", "sh")  # elements of Gaussians, compressed or not, are kept at any size
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 
 
 @dataclass(frozen=True)
 class Property:
-    """One column of an element. kind: NumPy's code of its numbers, as "f4"; length_kind: of a list, the code of the
-    number that says how long it is, else None."""
+    """One column of an element.
+
+    Attributes:
+        name: as in the header.
+        kind: NumPy's code of its numbers, such as "f4".
+        length_kind: for a list, the code of its length; else None.
+    """
 
     name: str
     kind: str
@@ -73,16 +77,19 @@ class Element:
         return any(column.length_kind is not None for column in self.properties)
 
     def record(self, order: str) -> np.dtype:
-        """The packed dtype of a row without lists; order: "<" or ">"."""
+        """Return the packed dtype of a row without lists; order: "<" or ">"."""
         return np.dtype([(column.name, order + column.kind) for column in self.properties])
 
 
 @dataclass
 class Header:
-    """What a header says.
+    """The header of a .ply file.
 
-    order: of the bytes, "<" or ">", or "" where numbers are text. elements: in file order. comments: the text of
-    comment and obj_info lines. size_bytes: length of the header.
+    Attributes:
+        order: of bytes, "<" or ">"; "" for numbers as text.
+        elements: in file order.
+        comments: text of comment and obj_info lines.
+        size_bytes: length of the header.
     """
 
     order: str
@@ -92,7 +99,7 @@ class Header:
 
 
 def read_header(path: Path, start: bytes) -> Header:
-    """Parses the first bytes of a .ply. Raises InputError when it is another kind of file, or a malformed header."""
+    """Parse the first bytes of a .ply; raise InputError for another kind of file, or a malformed header."""
     start = start[:HEADER_LIMIT_BYTES]
     if start[:4] not in (b"ply\n", b"ply\r"):
         refuse_stand_in(path)
@@ -101,14 +108,14 @@ def read_header(path: Path, start: bytes) -> Header:
     if end is None:
         raise InputError(f"{path}: no end_header in the first {HEADER_LIMIT_BYTES} bytes; the file is cut or damaged")
     size_bytes = end.end()
-    if b"\n" not in start[: end.start() + 1]:  # lines end with \r alone, and a \n after the last is data
+    if b"\n" not in start[: end.start() + 1]:  # lines end in \r alone; a \n after the last is data
         size_bytes = end.start(1) + 1
-    # splitlines would also take other characters of Unicode for ends of lines
+    # splitlines would also split at other characters of Unicode
     lines = re.split(r"\r\n|\r|\n", start[: end.start()].decode("utf-8", "replace"))[1:]
-    return _parsed(path, lines, size_bytes)
+    return _parse_lines(path, lines, size_bytes)
 
 
-def _parsed(path: Path, lines: list[str], size_bytes: int) -> Header:
+def _parse_lines(path: Path, lines: list[str], size_bytes: int) -> Header:
     elements: list[Element] = []
     comments: list[str] = []
     file_format = None
@@ -122,7 +129,7 @@ def _parsed(path: Path, lines: list[str], size_bytes: int) -> Header:
                 file_format = kind
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 32:
                 elements.append(Element(name, int(count), []))
-            case ["property", *words] if elements and (column := _column(words)) is not None:
+            case ["property", *words] if elements and (column := _parse_property(words)) is not None:
                 elements[-1].properties.append(column)
             case _:
                 raise InputError(f"{path}: cannot read the header line {line[:80]!r}")
@@ -136,7 +143,7 @@ def _parsed(path: Path, lines: list[str], size_bytes: int) -> Header:
     return Header(_ORDERS[file_format], elements, tuple(comments), size_bytes)
 
 
-def _column(words: list[str]) -> Property | None:
+def _parse_property(words: list[str]) -> Property | None:
     match words:
         case ["list", length, kind, name] if kind in _TYPES and _TYPES.get(length, "f")[0] != "f":
             return Property(name, _TYPES[kind], _TYPES[length])
@@ -154,23 +161,27 @@ def _check_names(path: Path, element: Element) -> None:
 
 
 def read_elements(path: Path, header: Header) -> dict[str, np.ndarray]:
-    """Elements of Gaussians, and every other one without lists of at most SMALL_BYTES, as structured arrays by name.
+    """Read the elements of Gaussians, and others without lists of at most SMALL_BYTES.
 
-    Of several elements of one name the first counts. Raises InputError where the file is cut, or holds more than the
-    header promises; OSError where it cannot be read.
+    Returns:
+        Structured arrays by name; the first of several elements of one name.
+
+    Raises:
+        InputError: the file is cut, or longer than the header promises.
+        OSError: the file cannot be read.
     """
     with open(path, "rb") as file:
-        return (_binary_elements if header.order else _text_elements)(path, file, header)
+        return (_read_binary if header.order else _read_text)(path, file, header)
 
 
-def _binary_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
+def _read_binary(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     at, size = header.size_bytes, path.stat().st_size
     for element in header.elements:
         if element.has_lists:
             end = _end_of_lists(file, element, header.order, at, size)
             if end is None and "vertex" in found:
-                return found  # nobody needs what is behind long lists
+                return found  # nothing after long lists is needed
             if end is None:
                 raise InputError(
                     f"{path}: the long element {element.name[:60]} with lists comes before the vertices; "
@@ -180,9 +191,9 @@ def _binary_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np
             record = element.record(header.order)
             end = at + element.count * record.itemsize
         if end > size:
-            raise _cut(path, element, f"the file has {size} bytes")
+            raise _cut_error(path, element, f"the file has {size} bytes")
         if not element.has_lists and _is_kept(element, end - at) and element.name not in found:
-            found[element.name] = _rows(path, file, element, record, at)
+            found[element.name] = _read_rows(path, file, element, record, at)
         at = end
     file.seek(at)
     if file.read(_MOST_BYTES_AFTER).strip() or size - at > _MOST_BYTES_AFTER:
@@ -190,39 +201,39 @@ def _binary_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np
     return found
 
 
-def _text_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
-    """What _binary_elements does, for files whose numbers are text: a line for each row."""
+def _read_text(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
+    """Read elements whose numbers are text, a line for each row."""
     size = path.stat().st_size - header.size_bytes
     file.seek(header.size_bytes)
     lines = (line for line in io.TextIOWrapper(file, "latin-1") if not line.isspace())
     found: dict[str, np.ndarray] = {}
     for element in header.elements:
         if element.count * 2 * len(element.properties) > size + 1:  # a digit and a space each
-            raise _cut(path, element, f"{size} bytes of text are left after it")
+            raise _cut_error(path, element, f"{size} bytes of text are left after it")
         if not element.properties:
             continue
         record = None if element.has_lists else _text_record(element)
         if record is not None and element.name not in found and _is_kept(element, element.count * record.itemsize):
-            found[element.name] = _table(path, element, record, lines)
+            found[element.name] = _read_table(path, element, record, lines)
         elif (given := sum(1 for _ in itertools.islice(lines, element.count))) < element.count:
-            raise _cut(path, element, f"the file has {given}")
+            raise _cut_error(path, element, f"the file has {given}")
     if next(lines, None) is not None:
         raise InputError(f"{path}: lines are left after what the header promises; its header is wrong")
     return found
 
 
 def _text_record(element: Element) -> np.dtype:
-    """Dtype of the rows. What is no integer is double, whatever the header says: the words may have more digits."""
+    """Return the dtype of the rows; all floats are double, since the text may have more digits than float."""
     return np.dtype([(column.name, "f8" if column.kind[0] == "f" else column.kind) for column in element.properties])
 
 
-def _table(path: Path, element: Element, record: np.dtype, lines: Iterator[str]) -> np.ndarray:
+def _read_table(path: Path, element: Element, record: np.dtype, lines: Iterator[str]) -> np.ndarray:
     table = np.empty(element.count, record)
     for start in range(0, element.count, _LINES_AT_ONCE):
         wanted = min(_LINES_AT_ONCE, element.count - start)
         rows = list(itertools.islice(lines, wanted))
         if len(rows) < wanted:
-            raise _cut(path, element, f"the file has {start + len(rows)}")
+            raise _cut_error(path, element, f"the file has {start + len(rows)}")
         try:
             table[start : start + wanted] = np.loadtxt(rows, record, comments=None, ndmin=1)
         except (ValueError, OverflowError) as error:
@@ -233,7 +244,7 @@ def _table(path: Path, element: Element, record: np.dtype, lines: Iterator[str])
     return table
 
 
-def _cut(path: Path, element: Element, found: str) -> InputError:
+def _cut_error(path: Path, element: Element, found: str) -> InputError:
     return InputError(
         f"{path}: the header promises {element.count} rows of '{element.name[:60]}', but {found}; it is "
         "cut or its header is wrong"
@@ -244,7 +255,7 @@ def _is_kept(element: Element, size_bytes: int) -> bool:
     return element.name in _WHOLE or 0 < size_bytes <= SMALL_BYTES
 
 
-def _rows(path: Path, file: BinaryIO, element: Element, record: np.dtype, at: int) -> np.ndarray:
+def _read_rows(path: Path, file: BinaryIO, element: Element, record: np.dtype, at: int) -> np.ndarray:
     file.seek(at)
     rows = np.fromfile(file, record, element.count)
     if len(rows) < element.count:
@@ -253,7 +264,7 @@ def _rows(path: Path, file: BinaryIO, element: Element, record: np.dtype, at: in
 
 
 def _end_of_lists(file: BinaryIO, element: Element, order: str, at: int, size: int) -> int | None:
-    """Where rows with lists end, beyond `size` if the file is cut; None where finding that would take too long."""
+    """Return the end of rows with lists, beyond `size` if the file is cut; None if finding it takes too long."""
     if element.count == 0:
         return at
     if element.count * len(element.properties) > _MOST_STEPS:

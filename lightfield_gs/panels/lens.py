@@ -12,7 +12,7 @@ import numpy as np
 from lightfield_gs.panels.panel import LENS_WIDTH, Panel, subpixel_offsets, subpixel_phases
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
-from lightfield_gs.rasterizer.lenticular_camera import Lens, LensView
+from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
 
 
 class CellTable(NamedTuple):
@@ -85,7 +85,7 @@ def view_aperture(panel: Panel, rig: Rig, view_filter: float) -> Aperture:
     return Aperture(view_filter * step / math.sqrt(12), float(rig.zero_depth)) if view_filter > 0 else PINHOLE
 
 
-def lens_view(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LensView:
+def lenticular_camera(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LenticularCamera:
     """Return the cameras and the lens by which the sub-pixels of a panel see a scene.
 
     Args:
@@ -100,7 +100,7 @@ def lens_view(panel: Panel, rig: Rig, continuous: bool = False, view_filter: flo
     limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
     lens = panel_lens(panel, continuous, start, (end - start) / panel.views)
     aperture = view_aperture(panel, rig, view_filter).deviation
-    return LensView(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
+    return LenticularCamera(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
 
 
 def slow_reason(panel: Panel, lattices_on_cuda: bool) -> str | None:

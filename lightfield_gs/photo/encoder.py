@@ -21,12 +21,12 @@ from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
 from lightfield_gs.panels import framing
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
-from lightfield_gs.rasterizer.direct import LensJob
+from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import Frames
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.scene import background_tensor
@@ -120,7 +120,7 @@ class PhotoEncoder:
             level = self._level(max(photo.shape[:2]))
             cropped, fine = self.net.crops(photo, level)
         with stats.stage("network"):
-            self.gaussians = self.net.seen_gaussians(cropped, fine, level)
+            self.gaussians = self.net.visible_gaussians(cropped, fine, level)
         with stats.stage("framing"):
             self.rig = self._looked(framing.frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
@@ -155,8 +155,8 @@ class PhotoEncoder:
     def _draw_frame(self, gaussians: Gaussians, rig: Rig) -> Tensor:
         """Launch the frame's kernels one by one: the rig, another for each photo, is part of their arguments."""
         background = background_tensor(self.background, gaussians.means).reshape(-1)
-        view = lens_view(self.panel, rig, self.views == "continuous")
-        job = LensJob(gaussians.fields().values(), background, view)
+        view = lenticular_camera(self.panel, rig, self.views == "continuous")
+        job = DirectRender(gaussians.fields().values(), background, view)
         if self._frames is None:
             self._frames = Frames(job, self.quality)
         return self._frames.draw(job, self.output == "uint8")

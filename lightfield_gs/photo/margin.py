@@ -37,7 +37,7 @@ _CONSTANTS = MarginConstants()
 
 
 @dataclass(frozen=True)
-class PhotoPlacement:
+class PanelFit:
     """A photo on a panel.
 
     Attributes:
@@ -63,7 +63,7 @@ def fit_to_panel(
     widest_tan: float | None = None,
     zoom: float = 1.0,
     on_near: bool = False,
-) -> PhotoPlacement:
+) -> PanelFit:
     """Return the rig of the photo's camera that shows it on the panel, and the margin that all of its views need.
 
     A point at z moves by f tan(cone/2) (1 - Z0/z) pixels of the photo in the outermost views.
@@ -106,7 +106,7 @@ def fit_to_panel(
     most = _CONSTANTS.widest * width, _CONSTANTS.widest * height
     x, y = (math.ceil(min(max(part, 0), limit)) for part, limit in zip((across, down), most))
     seen = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)
-    return PhotoPlacement(
+    return PanelFit(
         Rig(np.eye(4), focal, centre, float(zero)),
         (x, y, x, y),
         1 - seen,

@@ -1,152 +1,184 @@
-"""The sub-pixels of a panel as a torch operator with its backward: torch.ops.lightfield_gs.render_lens."""
+"""The sub-pixels of a panel as a torch operator with its backward: torch.ops.lightfield_gs.render_direct.
+
+The stages are project, order, bin and composite (docs/design.md). Each sub-pixel is seen from the camera offset of its
+own view. Results are deterministic: the same bits for any number of threads.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from lightfield_gs.rasterizer.autograd import differentiable_once
-from lightfield_gs.rasterizer.lenticular_camera import LensView
+from lightfield_gs.rasterizer.lenticular_camera import CameraNumbers, LenticularCamera
+from lightfield_gs.rasterizer.operators import differentiable_once, operator_schema
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import Scene, check
+from lightfield_gs.rasterizer.scene import SceneTensors, check
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import Workspace, workspace_of
+from lightfield_gs.rasterizer.workspace import Workspace, make_workspace
 
 # Orders of the polynomials for colours that vary over a rig. float64 takes the higher one: it is there to be exact
 COLOUR_ORDER, EXACT_COLOUR_ORDER = 8, 16
 
 
-class LensJob:
-    """One light-field image to be drawn.
+class DirectRender:
+    """A render of one light-field image: checked Gaussians, background and camera."""
 
-    fields: means [N,3], quaternions, scales, opacities and sh of one scene. background: [3]. view: what the panel's
-    sub-pixels see. antialiased: see encoding.encode. Raises InputError for tensors of other shapes, types or devices.
-    """
+    def __init__(
+        self, fields: Iterable[Tensor], background: Tensor, camera: LenticularCamera, antialiased: bool = False
+    ):
+        """Check the tensors.
 
-    def __init__(self, fields: Iterable[Tensor], background: Tensor, view: LensView, antialiased: bool = False):
-        self.scene = Scene(*(t.unsqueeze(0) for t in fields))
+        Args:
+            fields: means [N, 3], quaternions, scales, opacities and sh of one scene.
+            background: [3].
+            camera: of the panel's sub-pixels.
+            antialiased: see encoding.encode.
+
+        Raises:
+            InputError: for tensors of other shapes, types or devices.
+        """
+        self.scene = SceneTensors(*(t.unsqueeze(0) for t in fields))
         self.background = check("background", background, (3,), self.scene)
-        self.view, self.antialiased, self.native = view, antialiased, view.native(antialiased)
-        self.compensated = antialiased or view.aperture > 0  # whether opacities are lowered for what widens footprints
-        self.width, self.height = view.lens.width_px, view.lens.height_px
+        self.camera, self.antialiased, self.native = camera, antialiased, camera.native(antialiased)
+        self.compensated = antialiased or camera.aperture > 0  # opacities are lowered where footprints are widened
+        self.width, self.height = camera.lens.width_px, camera.lens.height_px
         exact = background.dtype == torch.float64
         self.colour_order = 0 if self.scene.degree == 0 else EXACT_COLOUR_ORDER if exact else COLOUR_ORDER
 
-    def image(self, as_bytes: bool = False) -> Tensor:
-        """Memory for the image [H, W, 3], of the scene's dtype or, with as_bytes, uint8."""
+    def new_image(self, as_bytes: bool = False) -> Tensor:
+        """Allocate the image [H, W, 3], of the scene's dtype or, with as_bytes, uint8."""
         return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
 
     def workspace(self, stats: Stats, threads: int, quality: Quality = EXACT) -> Workspace:
-        """The workspace after all stages up to the composite."""
+        """Run the stages before the composite, and return their workspace."""
         with self.scene.guard:
             with stats.stage("project"):
-                work = workspace_of(
+                work = make_workspace(
                     self.scene,
                     1,
                     self.width,
                     self.height,
                     stats,
                     threads,
-                    lens=True,
+                    direct=True,
                     colour_order=self.colour_order,
                     compensated=self.compensated,
                 )
-                stats.colour_error = work.project_lens(self.native, quality)
+                stats.colour_error = work.project_direct(self.native, quality)
             work.order_and_bin()
         return work
 
 
-def _job(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased) -> LensJob:
-    """The job of an operator's arguments, which has its view as three lists of numbers."""
-    view = LensView.of_lists(rig, lens, lens_shape)
-    return LensJob((means, quaternions, scales, opacities, sh), background, view, antialiased)
+class _SceneArguments(NamedTuple):
+    """The first arguments of the operators; all float32, or on the CPU all float64.
 
-
-@torch.library.custom_op("lightfield_gs::render_lens", mutates_args=(), device_types=("cpu", "cuda"))
-def render_lens(
-    means: Tensor,
-    quaternions: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    sh: Tensor,
-    background: Tensor,
-    rig: list[float],
-    lens: list[int],
-    lens_shape: list[float],
-    antialiased: bool = False,
-) -> Tensor:
-    """The image [H, W, 3] that a slanted-lenticular panel shows of N Gaussians.
-
-    means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
-    float32 or all float64 (CUDA: float32); differentiable in all of these. Every sub-pixel belongs to
-    the camera at offset s = offset_start + offset_step * x, with x its own view coordinate.
-    rig: 26 or 27 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
-    zero_depth and, unless it is 0, the aperture (see LensView).
-    lens: width, height, views, phase0, phase_x, phase_y (64-bit patterns as signed integers, 2^64 = one lens),
-    bgr, continuous; of a panel with sub-pixel cells then 48 phases that its sub-pixels have beyond those of stripes, by
-    row mod 4, column mod 4 and place, and 48 image channels, likewise. lens_shape: line_number, slant_tan, phase
-    (sub-pixels), offset_start, offset_step (scene units). antialiased: see encoding.encode.
-    lightfield_gs.encode builds them from a Panel and a Rig. Raises InputError.
+    means: [N, 3]. quaternions: [N, 4], wxyz. scales: [N, 3], > 0. opacities: [N], in (0, 1]. sh: [N, K, 3].
+    background: [3].
     """
-    job = _job(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased)
-    work, out = job.workspace(Stats(), torch.get_num_threads()), job.image()
-    with job.scene.guard:
-        work.composite_lens(job.native, EXACT, job.background, out)
+
+    means: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+    background: Tensor
+
+
+class _Options(NamedTuple):
+    antialiased: bool = False
+
+
+class _Drawn(NamedTuple):
+    image: Tensor
+    g_image: Tensor
+
+
+_CAMERA = len(_SceneArguments._fields)  # where CameraNumbers begin among the arguments
+_OPTIONS = _CAMERA + len(CameraNumbers._fields)
+
+
+def _unpack(arguments: tuple[Any, ...]) -> DirectRender:
+    """Return the render of an operator's arguments."""
+    scene, camera = _SceneArguments(*arguments[:_CAMERA]), CameraNumbers(*arguments[_CAMERA:_OPTIONS])
+    options = _Options(*arguments[_OPTIONS : _OPTIONS + 1])
+    return DirectRender(scene[:5], scene.background, LenticularCamera.from_numbers(camera), options.antialiased)
+
+
+def _forward(*arguments: Any) -> Tensor:
+    """Return the image [H, W, 3] that a panel with slanted lenses shows of N Gaussians.
+
+    It is differentiable in the first six arguments. A sub-pixel of view coordinate x is seen by the camera at
+    offset_start + offset_step * x. lightfield_gs.encode makes the arguments from a Panel and a Rig.
+
+    Args:
+        arguments: of _SceneArguments, CameraNumbers and _Options.
+
+    Raises:
+        InputError: for arguments of other shapes, types or values.
+    """
+    render = _unpack(arguments)
+    work, out = render.workspace(Stats(), torch.get_num_threads()), render.new_image()
+    with render.scene.guard:
+        work.composite_direct(render.native, EXACT, render.background, out)
     return out
 
 
-@render_lens.register_fake
-def _(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased=False):
-    return means.new_empty((lens[1], lens[0], 3))
+render_direct = torch.library.custom_op(
+    "lightfield_gs::render_direct",
+    _forward,
+    mutates_args=(),
+    device_types=("cpu", "cuda"),
+    schema=operator_schema(_SceneArguments, CameraNumbers, _Options, outputs=1),
+)
 
 
-@torch.library.custom_op("lightfield_gs::render_lens_backward", mutates_args=(), device_types=("cpu", "cuda"))
-def render_lens_backward(
-    means: Tensor,
-    quaternions: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    sh: Tensor,
-    background: Tensor,
-    rig: list[float],
-    lens: list[int],
-    lens_shape: list[float],
-    image: Tensor,
-    g_image: Tensor,
-    antialiased: bool = False,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Gradients of render_lens's first six arguments from its output and the gradient of that."""
-    job = _job(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased)
-    image, g_image = (
-        check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image), ("g_image", g_image))
-    )
-    work = job.workspace(Stats(), torch.get_num_threads())
-    with job.scene.guard:
-        out, parts = work.lens_backward(job.native, job.background, image, g_image)
-    g_means, g_quaternions, g_scales, g_opacities, g_sh = (g.squeeze(0) for g in out)
-    return g_means, g_quaternions, g_scales, g_opacities, g_sh, parts.sum(0)
+@render_direct.register_fake
+def _(*arguments):
+    camera = CameraNumbers(*arguments[_CAMERA:_OPTIONS])
+    return arguments[0].new_empty((camera.height_px, camera.width_px, 3))
 
 
-@render_lens_backward.register_fake
-def _(means, quaternions, scales, opacities, sh, background, *rest):
-    inputs = (means, quaternions, scales, opacities, sh, background)
-    return tuple(torch.empty_like(t, memory_format=torch.contiguous_format) for t in inputs)
+def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
+    """Return the gradients of render_direct's first six arguments.
+
+    arguments: of render_direct, then its image and the gradient of that.
+    """
+    render, drawn = _unpack(arguments), _Drawn(*arguments[_OPTIONS + 1 :])
+    shape = (render.height, render.width, 3)
+    image, g_image = (check(name, t, shape, render.scene) for name, t in zip(drawn._fields, drawn))
+    work = render.workspace(Stats(), torch.get_num_threads())
+    with render.scene.guard:
+        fields, parts = work.direct_backward(render.native, render.background, image, g_image)
+    return (*(g.squeeze(0) for g in fields), parts.sum(0))
 
 
-def _lens_setup(ctx, inputs, output):
-    *tensors, ctx.rig, ctx.lens, ctx.lens_shape, ctx.antialiased = inputs
-    ctx.save_for_backward(*tensors, output)
+render_direct_backward = torch.library.custom_op(
+    "lightfield_gs::render_direct_backward",
+    _gradients,
+    mutates_args=(),
+    device_types=("cpu", "cuda"),
+    schema=operator_schema(_SceneArguments, CameraNumbers, _Options, _Drawn, outputs=6, defaults=False),
+)
+
+
+@render_direct_backward.register_fake
+def _(*arguments):
+    return tuple(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:_CAMERA])
+
+
+def _setup_context(ctx, inputs, output):
+    ctx.numbers = inputs[_CAMERA:]
+    ctx.save_for_backward(*inputs[:_CAMERA], output)
 
 
 @differentiable_once
-def _lens_backward(ctx, grad):
+def _backward(ctx, grad):
     *tensors, image = ctx.saved_tensors
-    out = torch.ops.lightfield_gs.render_lens_backward(
-        *tensors, ctx.rig, ctx.lens, ctx.lens_shape, image, grad, ctx.antialiased
-    )
-    return (*out, None, None, None, None)
+    out = torch.ops.lightfield_gs.render_direct_backward(*tensors, *ctx.numbers, image, grad)
+    return (*out, *(None for _ in ctx.numbers))
 
 
-render_lens.register_autograd(_lens_backward, setup_context=_lens_setup)
+render_direct.register_autograd(_backward, setup_context=_setup_context)

@@ -19,9 +19,9 @@ from lightfield_gs import _core
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.cuda import free_memory
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.direct import LensJob
+from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import floats_or_bytes
+from lightfield_gs.rasterizer.scene import float_and_byte_addresses
 from lightfield_gs.rasterizer.stats import Stats
 
 # Pairs that are reserved beyond those of the last frame, as a share of them: for one rig, and for rigs that change
@@ -56,11 +56,13 @@ def _colour_tolerances(quality: Quality) -> tuple[float, float, float]:
 class Frame:
     """A light-field image in the making: its work buffer, from torch's allocator, and its stages, on torch's stream."""
 
-    def __init__(self, job: LensJob, quality: Quality, colour_order: int, capacity: int, kernel: str | None = None):
+    def __init__(
+        self, job: DirectRender, quality: Quality, colour_order: int, capacity: int, kernel: str | None = None
+    ):
         """capacity: pairs that there is room for. kernel: one of _core.cuda.FRAME_KERNELS (None: chosen by cost)."""
         self.scene = scene = job.scene
         _, left_out, most = _colour_tolerances(quality)
-        self.native = _core.cuda.LensFrame(
+        self.native = _core.cuda.DirectFrame(
             gaussians=scene.count,
             sh_degree=scene.degree,
             colour_order=colour_order,
@@ -93,7 +95,7 @@ class Frame:
         _core.cuda.frame_order(self.native, self.stream)
 
     def composite(self, background: Tensor, out: Tensor) -> None:
-        _core.cuda.frame_composite(self.native, background.data_ptr(), *floats_or_bytes(out), self.stream)
+        _core.cuda.frame_composite(self.native, background.data_ptr(), *float_and_byte_addresses(out), self.stream)
 
     def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None, keep_lists: bool = False) -> None:
         """Runs all stages in order; with keep_lists (see project) neither bin nor order."""
@@ -146,7 +148,7 @@ class Frames:
     frames are counted, it is drawn again.
     """
 
-    def __init__(self, job: LensJob, quality: Quality, slack: float = _MOVING_SLACK):
+    def __init__(self, job: DirectRender, quality: Quality, slack: float = _MOVING_SLACK):
         """job: any of those to be drawn; slack: pairs to reserve beyond those of the last frame, as a share of them.
 
         Compensated opacities are drawn without lattices and without half precision, whatever the quality.
@@ -161,18 +163,18 @@ class Frames:
         self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
         self.noted: torch.cuda.Event | None = None  # once it is reached, `host` holds the state of a frame
 
-    def takes(self, job: LensJob) -> bool:
+    def takes(self, job: DirectRender) -> bool:
         """Whether these frames can show the scene of a job; its number of Gaussians does not matter."""
         return job.scene.device == self.device and (job.scene.degree == 0) == (self.orders == (0,))
 
     def draw(
-        self, job: LensJob, as_bytes: bool = False, stats: Stats | None = None, out: Tensor | None = None
+        self, job: DirectRender, as_bytes: bool = False, stats: Stats | None = None, out: Tensor | None = None
     ) -> Tensor:
         """The image [H, W, 3], in `out` where it is given. Fills `stats`."""
         stats = stats or Stats()
         with job.scene.guard:
             with stats.stage("plan"):
-                frame, out = self.frame(job), job.image(as_bytes) if out is None else out
+                frame, out = self.frame(job), job.new_image(as_bytes) if out is None else out
             frame.draw(job.background, out, stats)
             while stats.device is not None and self._needs_order(state := frame.state()):
                 frame = self._frame(job, cast(int, self.capacity))
@@ -183,7 +185,7 @@ class Frames:
                 stats.count_frame(state, frame.work)
         return out
 
-    def frame(self, job: LensJob) -> Frame:
+    def frame(self, job: DirectRender) -> Frame:
         """A frame with room for what the frames so far needed. The first waits for the device, later ones do not."""
         if self.capacity is None:
             self._learn(job)
@@ -216,7 +218,7 @@ class Frames:
             )
         return self._needs(state)
 
-    def _learn(self, job: LensJob) -> None:
+    def _learn(self, job: DirectRender) -> None:
         """Finds out how many pairs a first frame has and which order its colours need, without drawing it."""
         if torch.cuda.is_current_stream_capturing():
             raise InputError(
@@ -235,9 +237,9 @@ class Frames:
     def _needs(self, state: dict[str, Any]) -> bool:
         """Raises capacity and order of colours to what a frame of this state lacked; returns whether either changed."""
         before = self.capacity, self.colour_order
-        if self.capacity is None or state["pairs"] > self.capacity:
+        if self.capacity is None or state["intersections"] > self.capacity:
             affordable = free_memory(self.device) // (2 * _PAIR_BYTES)
-            enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
+            enough = min(int(state["intersections"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
         self._needs_order(state)
         return before != (self.capacity, self.colour_order)
@@ -249,7 +251,7 @@ class Frames:
             self.colour_order = next((o for o in self.orders if o > before), before)
         return self.colour_order > before
 
-    def _frame(self, job: LensJob, capacity: int) -> Frame:
+    def _frame(self, job: DirectRender, capacity: int) -> Frame:
         return Frame(job, self.quality, self.colour_order, capacity, self.kernel)
 
 
@@ -258,14 +260,14 @@ _known: OrderedDict[tuple, Frames] = OrderedDict()
 forced_kernel: str | None = None
 
 
-def frames_of(job: LensJob, quality: Quality) -> Frames:
+def frames_of(job: DirectRender, quality: Quality) -> Frames:
     """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
     scene = job.scene
     key = (
         scene.device,
         scene.count,
         scene.degree,
-        job.view,
+        job.camera,
         job.antialiased,
         quality,
         forced_kernel,

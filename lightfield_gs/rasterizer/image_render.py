@@ -1,9 +1,10 @@
-"""Ordinary images without autograd: their stages, their gradients, and many images in parts."""
+"""Ordinary images without autograd: their stages, their gradients, and many images in chunks."""
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -11,14 +12,53 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.scene import DenseGradients, Scene, State, Wanted, check
+from lightfield_gs.rasterizer.scene import GradientRequest, ImageGradients, RenderState, SceneTensors, check
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import workspace_of
-from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, project_dense_backward
+from lightfield_gs.rasterizer.workspace import make_workspace
+from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, project_images_backward
+
+# Of the memory beside the images: cameras go in chunks that take about so much, or one at a time if one takes more
+CHUNK_BYTES = 1 << 29
+# Numbers for a splat in one image: its fields, its colour, its index in the order, and a few intersections
+_SPLAT_NUMBERS = 48
 
 
-class DenseImages(NamedTuple):
-    """Image [B,V,H,W,3], alpha and depth [B,V,H,W]; or gradients of them, where None stands for zeros."""
+class ImageArguments(NamedTuple):
+    """The arguments of the operators of ordinary images: B scenes of N Gaussians, each seen by V cameras.
+
+    All tensors are float32, or on the CPU all float64.
+
+    means: [B, N, 3], scene units.
+    quaternions: [B, N, 4], wxyz, of any length but 0.
+    scales: [B, N, 3], > 0, scene units.
+    opacities: [B, N], in (0, 1].
+    sh: [B, N, K, 3], spherical harmonics, K = 1, 4, 9 or 16.
+    background: [B, V, 3].
+    world_to_camera: [B, V, 4, 4].
+    intrinsics: [B, V, 4], fx, fy, cx and cy in pixels.
+    limits: [B, V, 5], of the projection's Jacobian; see Cameras.limits.
+    width, height: of all images, 1..65536 pixels.
+    antialiased: see images.render.
+    screen: [B, V, N, 2 or 4], whose gradient is asked for; see images.render. No stage reads it.
+    """
+
+    means: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+    background: Tensor
+    world_to_camera: Tensor
+    intrinsics: Tensor
+    limits: Tensor
+    width: int
+    height: int
+    antialiased: bool = False
+    screen: Tensor | None = None
+
+
+class ImageBuffers(NamedTuple):
+    """image [B, V, H, W, 3], alpha and depth [B, V, H, W]; or their gradients, where None stands for zeros."""
 
     image: Tensor
     alpha: Tensor | None
@@ -26,8 +66,10 @@ class DenseImages(NamedTuple):
 
 
 class Aperture(NamedTuple):
-    """What cameras of a rig average their pictures over: offsets of this standard deviation along the camera's x-axis,
-    what lies at zero_depth staying where it is; scene units."""
+    """The camera positions that an image is averaged over, along the camera's x-axis; scene units.
+
+    deviation: standard deviation of the positions. zero_depth: where the average leaves points unmoved.
+    """
 
     deviation: float
     zero_depth: float
@@ -36,170 +78,184 @@ class Aperture(NamedTuple):
 PINHOLE = Aperture(0.0, math.inf)
 
 
-class DenseArguments:
-    """The checked arguments of render_dense, but for the background. Raises InputError."""
+class ImageInputs:
+    """Checked Gaussians and cameras of a render of ordinary images."""
 
     def __init__(
         self,
-        means: Tensor,
-        quaternions: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
-        world_to_camera: Tensor,
-        intrinsics: Tensor,
-        limits: Tensor,
+        fields: Sequence[Tensor],
+        cameras: Sequence[Tensor],
         width: int,
         height: int,
         antialiased: bool = False,
         *,
         aperture: Aperture = PINHOLE,
     ):
-        self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
+        """Check the tensors.
+
+        Args:
+            fields: means, quaternions, scales, opacities and sh; see ImageArguments.
+            cameras: world_to_camera, intrinsics and limits; see ImageArguments.
+            width: of all images, 1..65536 pixels.
+            height: likewise.
+            antialiased: see images.render.
+            aperture: of all cameras.
+
+        Raises:
+            InputError: for other shapes, types, devices or sizes.
+        """
+        self.scene = scene = SceneTensors(*fields)
+        world_to_camera, intrinsics, limits = cameras
         if world_to_camera.dim() != 4:
             raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
         if not (1 <= width <= 65536 and 1 <= height <= 65536):
             raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
         self.lead = lead = (scene.batch, world_to_camera.shape[1])
         self.images, self.width, self.height = lead[0] * lead[1], width, height
-        self.cameras_tensors = [
-            check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
-            check("intrinsics", intrinsics, (*lead, 4), means),
-            check("limits", limits, (*lead, 5), means),
+        self._camera_tensors = [
+            check("world_to_camera", world_to_camera, (*lead, 4, 4), scene),
+            check("intrinsics", intrinsics, (*lead, 4), scene),
+            check("limits", limits, (*lead, 5), scene),
         ]
-        poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
+        poses, optics, edges = (t.data_ptr() for t in self._camera_tensors)
         self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
 
-    def without_values(self) -> DenseArguments:
-        """The same, but it keeps no tensors alive: see Scene.without_values."""
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of image, alpha and depth."""
+        size = (*self.lead, self.height, self.width)
+        return [(*size, 3), size, size]
+
+    def without_values(self) -> ImageInputs:
+        """Return a copy that keeps no tensors alive: see SceneTensors.without_values."""
         other = copy.copy(self)
-        other.scene, other.cameras_tensors = self.scene.without_values(), []
+        other.scene, other._camera_tensors = self.scene.without_values(), []
         return other
 
-    def of_sums(self, sums: Tensor, wanted: Wanted) -> tuple[list[Tensor], Tensor, Tensor]:
-        """On CUDA, what follows from the sums that DenseJob.sums found: gradients of the fields, of the cameras and of
-        the splats' places, as DenseGradients has them."""
+    def backward_from_sums(self, sums: Tensor, request: GradientRequest) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Return the gradients of fields, cameras and screen, as in ImageGradients; CUDA only.
+
+        sums: of ImageRender.backward_sums.
+        """
         with self.scene.guard:
-            return project_dense_backward(self.scene, self.cameras, sums, wanted)
+            return project_images_backward(self.scene, self.cameras, sums, request)
 
 
-class DenseJob:
-    """Arguments of render_dense, and a workspace that is ready for the composite or its reverse.
-
-    Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
-    arguments left. room: on CUDA, how many (tile, splat) pairs there is room for: then nothing waits for the device,
-    and `pairs_on_device` has to be looked at. Raises InputError.
-    """
+class ImageRender:
+    """A render of ordinary images after project, order and bin, ready for the composite or its backward."""
 
     def __init__(
         self,
-        arguments: DenseArguments,
+        inputs: ImageInputs,
         background: Tensor,
         *,
         stats: Stats | None = None,
         threads: int | None = None,
-        state: State | None = None,
-        room: int | None = None,
+        state: RenderState | None = None,
+        capacity: int | None = None,
     ):
-        self.arguments, self.scene, self.stats = arguments, arguments.scene, stats or Stats()
-        self.background = check("background", background, (*arguments.lead, 3), self.scene)
+        """Run project, order and bin, or take their results from `state`.
+
+        Args:
+            inputs: Gaussians and cameras.
+            background: [B, V, 3].
+            stats: filled with times and counts.
+            threads: of the CPU; None: torch's.
+            state: what a render of the same inputs left.
+            capacity: on CUDA, for how many intersections of tiles and splats memory is made. Then nothing waits for
+                the device; if `intersections_on_device` is larger, the images are wrong. None: the host waits for the
+                number.
+
+        Raises:
+            InputError: for a background or state that does not fit the inputs.
+        """
+        self.inputs, self.scene, self.stats = inputs, inputs.scene, stats or Stats()
+        self.background = check("background", background, (*inputs.lead, 3), self.scene)
         with self.scene.guard:
-            self.work = workspace_of(
+            self.work = make_workspace(
                 self.scene,
-                arguments.images,
-                arguments.width,
-                arguments.height,
+                inputs.images,
+                inputs.width,
+                inputs.height,
                 self.stats,
                 threads or torch.get_num_threads(),
                 state=state,
-                room=room,
+                capacity=capacity,
             )
             if state is None:
                 with self.stats.stage("project"):
-                    self.work.project_dense(arguments.cameras)
+                    self.work.project_images(inputs.cameras)
                 self.work.order_and_bin()
 
     @classmethod
-    def of(
-        cls,
-        means: Tensor,
-        quaternions: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
-        background: Tensor,
-        *views: Any,
-        aperture: Aperture = PINHOLE,
-        **options: Any,
-    ) -> DenseJob:
-        """The job of the arguments of render_dense: views are those that follow the background. aperture: of all
-        cameras. options: of DenseJob."""
-        arguments = DenseArguments(means, quaternions, scales, opacities, sh, *views, aperture=aperture)
-        return cls(arguments, background, **options)
+    def from_arguments(cls, arguments: ImageArguments, *, aperture: Aperture = PINHOLE, **options: Any) -> ImageRender:
+        """Return the render of an operator's arguments. options: of ImageRender."""
+        fields, cameras, size = arguments[:5], arguments[6:9], arguments[9:11]
+        inputs = ImageInputs(fields, cameras, *size, arguments.antialiased, aperture=aperture)
+        return cls(inputs, arguments.background, **options)
 
     @property
-    def pairs_on_device(self) -> Tensor:
-        """[1] int64: how many pairs there are, of a job with `room`. If it is larger, the images are not right."""
-        return self.work.pairs_on_device
+    def intersections_on_device(self) -> Tensor:
+        """[1] int64: the number of intersections; if larger than the capacity, the images are wrong."""
+        return self.work.intersections_on_device
 
     @property
     def splats(self) -> Tensor:
-        """What the Gaussians are in each image, [B * V, N, SPLAT_FIELDS]."""
+        """The projected Gaussians of each image, [B * V, N, SPLAT_FIELDS]."""
         return self.work.splats.splats
 
-    def draw(self, out: DenseImages | None = None) -> DenseImages:
-        """The images; out: those of them that there is memory for, contiguous, where None stands for new ones."""
+    def draw(self, out: ImageBuffers | None = None) -> ImageBuffers:
+        """Return the images. out: contiguous memory for some of them; None stands for new memory."""
         scene, given = self.scene, out or (None, None, None)
         with scene.guard, self.stats.stage("composite"):
-            image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self._shapes()))
-            native = scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
-            self.work.composite_dense(self.arguments.cameras, self.background, native)
-        return DenseImages(image, alpha, depth)
+            image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self.inputs.shapes))
+            native = scene.core.Images(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
+            self.work.composite_images(self.inputs.cameras, self.background, native)
+        return ImageBuffers(image, alpha, depth)
 
-    def backward(self, images: DenseImages, gradients: DenseImages, wanted: Wanted) -> DenseGradients:
-        """What follows from the gradients of the images that draw() returned."""
-        of_images, of_gradients = self._natives(images, gradients)
+    def backward(self, images: ImageBuffers, gradients: ImageBuffers, request: GradientRequest) -> ImageGradients:
+        """Return the gradients of the inputs.
+
+        Args:
+            images: what draw() returned.
+            gradients: of these images.
+            request: which gradients.
+        """
+        native, native_gradients = self._natives(images, gradients)
         with self.scene.guard:
-            return self.work.dense_backward(self.arguments.cameras, self.background, of_images, of_gradients, wanted)
+            return self.work.images_backward(self.inputs.cameras, self.background, native, native_gradients, request)
 
-    def sums(self, images: DenseImages, gradients: DenseImages, absolute: bool) -> tuple[Tensor, Tensor]:
-        """On CUDA, the first half of backward(): sums over each splat's pairs [I, N, SPLAT_SUMS], from which a
-        DenseArguments goes on, and the gradient of the background in parts [I * parts, 3]."""
-        of_images, of_gradients = self._natives(images, gradients)
+    def backward_sums(self, images: ImageBuffers, gradients: ImageBuffers, absolute: bool) -> tuple[Tensor, Tensor]:
+        """Run the first half of backward() on CUDA.
+
+        Returns:
+            Sums over the intersections of each splat [I, N, SPLAT_SUMS], for ImageInputs.backward_from_sums; and the
+            gradient of the background in parts [I * parts, 3].
+        """
+        native, native_gradients = self._natives(images, gradients)
         with self.scene.guard:
-            return cast(CudaWorkspace, self.work).composite_dense_backward(
-                self.background, of_images, of_gradients, absolute
-            )
+            work = cast(CudaWorkspace, self.work)
+            return work.composite_images_backward(self.background, native, native_gradients, absolute)
 
-    def _natives(self, images: DenseImages, gradients: DenseImages) -> list[_core._Stages.DenseImages]:
-        """The core's views of both, which hold as long as the job."""
+    def _natives(self, images: ImageBuffers, gradients: ImageBuffers) -> list[_core.float32.Images]:
+        """Return the core's views of both, which are valid as long as this render."""
         self._held = self._checked("", images), self._checked("g_", gradients)
-        return [self.scene.core.DenseImages(*(0 if t is None else t.data_ptr() for t in group)) for group in self._held]
+        return [self.scene.core.Images(*(0 if t is None else t.data_ptr() for t in group)) for group in self._held]
 
-    def _checked(self, prefix: str, images: DenseImages) -> DenseImages:
-        """The same, contiguous."""
+    def _checked(self, prefix: str, images: ImageBuffers) -> ImageBuffers:
+        """Return the images contiguous. Raises InputError."""
         image, alpha, depth = (
             None if tensor is None else check(prefix + name, tensor, shape, self.scene)
-            for name, tensor, shape in zip(images._fields, images, self._shapes())
+            for name, tensor, shape in zip(images._fields, images, self.inputs.shapes)
         )
         assert image is not None
-        return DenseImages(image, alpha, depth)
-
-    def _shapes(self) -> list[tuple[int, ...]]:
-        size = (*self.arguments.lead, self.arguments.height, self.arguments.width)
-        return [(*size, 3), size, size]
+        return ImageBuffers(image, alpha, depth)
 
 
-# Of what is held beside the images: views go in parts that take about so much, or one at a time if one takes more
-PART_BYTES = 1 << 29
-# Numbers for a splat in one view: itself, its colour, its place in the order, and its pairs where it has a few
-_SPLAT_NUMBERS = 48
-
-
-def dense_in_parts(
-    fields: list[Tensor],
+def draw_in_chunks(
+    fields: Sequence[Tensor],
     background: Tensor,
-    views: list[Tensor],
+    cameras: Sequence[Tensor],
     width: int,
     height: int,
     antialiased: bool,
@@ -209,47 +265,53 @@ def dense_in_parts(
     stats: Stats | None = None,
     threads: int | None = None,
     aperture: Aperture = PINHOLE,
-) -> DenseImages:
-    """What render_dense draws of one scene: image [1, V, H, W, 3], and alpha and depth [1, V, H, W] if asked for.
+) -> ImageBuffers:
+    """Draw one scene before V cameras without gradients, some cameras at a time; every bit is that of one draw.
 
-    fields, background and views as render_dense takes them, with B = 1. Of V images of H x W pixels and N Gaussians it
-    takes 12 + 4 (alpha) + 4 (depth) bytes a pixel (of float32) for the images, and beside them those of as many views
-    as fit PART_BYTES, each 192 N bytes, and 4 a pixel for each of alpha and depth that is not asked for. Every bit is
-    that of render_dense. Raises InputError.
+    Beside the images it takes memory for as many cameras as fit CHUNK_BYTES. Each takes 192 bytes a Gaussian, and 4 a
+    pixel for each of alpha and depth that is not asked for.
+
+    Args:
+        fields: means, quaternions, scales, opacities and sh as in ImageArguments, with B = 1.
+        background: [1, V, 3].
+        cameras: world_to_camera, intrinsics and limits as in ImageArguments, with B = 1.
+        width: of all images, pixels.
+        height: likewise.
+        antialiased: see images.render.
+        alpha: whether alpha is asked for.
+        depth: whether depth, the sum of weight * z, is asked for.
+        stats: filled with times and counts.
+        threads: of the CPU; None: torch's.
+        aperture: of all cameras.
+
+    Returns:
+        image [1, V, H, W, 3], alpha and depth [1, V, H, W] or None.
+
+    Raises:
+        InputError: for other shapes, types, devices or sizes.
     """
-    arguments: list[Any] = [*fields, *views, width, height, antialiased]
-    whole = DenseArguments(*arguments, aperture=aperture)
+    whole = ImageInputs(fields, cameras, width, height, antialiased, aperture=aperture)
     scene, count = whole.scene, whole.images
     image = scene.new(1, count, height, width, 3)
-    found = [scene.new(1, count, height, width) if wanted else None for wanted in (alpha, depth)]
+    found = [scene.new(1, count, height, width) if asked else None for asked in (alpha, depth)]
     unasked = sum(t is None for t in found) * width * height
-    of_one = image.element_size() * (_SPLAT_NUMBERS * scene.count + unasked)
-    step = max(1, PART_BYTES // max(of_one, 1))
+    camera_bytes = image.element_size() * (_SPLAT_NUMBERS * scene.count + unasked)
+    step = max(1, CHUNK_BYTES // max(camera_bytes, 1))
     for first in range(0, count, step):
-        part = slice(first, first + step)
-        one = Stats(device=None if stats is None else stats.device)
-        job = DenseJob.of(
-            *fields,
-            background[:, part],
-            *(t[:, part] for t in views),
-            width,
-            height,
-            antialiased,
-            stats=one,
-            threads=threads,
-            aperture=aperture,
-        )
-        drawn = job.draw(DenseImages(image[:, part], *(None if t is None else t[:, part] for t in found)))
+        chunk = slice(first, first + step)
+        chunk_stats = Stats(device=None if stats is None else stats.device)
+        inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
+        render = ImageRender(inputs, background[:, chunk], stats=chunk_stats, threads=threads)
+        drawn = render.draw(ImageBuffers(image[:, chunk], *(None if t is None else t[:, chunk] for t in found)))
         if stats is not None:
-            one.add_buffers(*(t for t, mine in zip(drawn[1:], found) if mine is None and t is not None))
-            stats.add_render(one)
-        del job, drawn  # or the next part would be held beside this one
-    return DenseImages(image, *found)
+            chunk_stats.add_buffers(*(t for t, mine in zip(drawn[1:], found) if mine is None and t is not None))
+            stats.add_render(chunk_stats)
+        del inputs, render, drawn  # or they would be held beside the next chunk
+    return ImageBuffers(image, *found)
 
 
 def divide_by_alpha(depth: Tensor, alpha: Tensor) -> Tensor:
-    """The expected depth [1, V, H, W] from the sum of weight * z, in its place: a view at a time, whose temporary is
-    all that it takes."""
-    for of_view, coverage in zip(depth[0], alpha[0]):
-        torch.div(of_view, coverage.clamp_min(1e-10), out=of_view)
+    """Turn the sum of weight * z [1, V, H, W] into the expected depth in place, an image at a time to save memory."""
+    for image_depth, image_alpha in zip(depth[0], alpha[0]):
+        torch.div(image_depth, image_alpha.clamp_min(1e-10), out=image_depth)
     return depth

@@ -12,16 +12,16 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.autograd import refuse_tangents
-from lightfield_gs.rasterizer.image_operator import (
-    dense_forward,
-    dense_forward_with_splats,
-    dense_with_splats,
+from lightfield_gs.rasterizer.image_operators import (
+    draw_images,
+    draw_images_and_splats,
+    render_images_and_splats,
     render_scene,
 )
-from lightfield_gs.rasterizer.image_render import dense_in_parts, divide_by_alpha
+from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
+from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.scene import background_tensor
-from lightfield_gs.scene.cameras import Cameras, about_cameras
+from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -96,7 +96,7 @@ def render(
             f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
             f"cameras {list(cameras.world_to_camera.shape)}"
         )
-    means, cameras = about_cameras(like, cameras)
+    means, cameras = recentre(like, cameras)
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     if shared:
         views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
@@ -109,7 +109,7 @@ def render(
     with_gradients = torch.is_grad_enabled() and asked
     if not with_gradients and not radii and not batched:
         batch = [field.unsqueeze(0) for field in fields]
-        drawn = dense_in_parts(batch, colour, views, *options, alpha=alpha or depth, depth=depth)
+        drawn = draw_in_chunks(batch, colour, views, *options, alpha=alpha or depth, depth=depth)
         if drawn.depth is not None and drawn.alpha is not None:
             divide_by_alpha(drawn.depth, drawn.alpha)
         return _of_one_scene(RenderedImages(drawn.image, drawn.alpha if alpha else None, drawn.depth))
@@ -119,9 +119,12 @@ def render(
     else:
         draw: Callable[..., tuple[Tensor, ...]]
         if with_gradients:
-            draw, options = dense_with_splats if radii else torch.ops.lightfield_gs.render_dense, [*options, screen]
+            draw, options = (
+                render_images_and_splats if radii else torch.ops.lightfield_gs.render_images,
+                [*options, screen],
+            )
         else:  # at the first call of an operator with a backward torch spends a second on imports
-            draw = dense_forward_with_splats if radii else dense_forward
+            draw = draw_images_and_splats if radii else draw_images
         batch = list(fields) if batched else [field.unsqueeze(0) for field in fields]
         image, coverage, weighted_depth, *splats = draw(*batch, colour, *views, *options)
     images = RenderedImages(

@@ -1,9 +1,8 @@
-"""What every sub-pixel of a panel sees, as one value: the fan of cameras, and the lens that chooses among them."""
+"""The camera of a panel: a fan of cameras, and the lens that chooses one for each sub-pixel."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,12 +10,10 @@ from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 
 _LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
-_LENS_SIZES = (8, 8 + 2 * _core.CELL_SUBPIXELS)  # how long the operators' list `lens` is, of stripes and of cells
-_RIG_SIZE, _SHAPE_SIZE = 27, 5  # how long `rig` and `lens_shape` are; `rig` also without its last number
 
 
-class NativeView(NamedTuple):
-    """A LensView as the native code takes it."""
+class NativeCamera(NamedTuple):
+    """A LenticularCamera as the native code takes it."""
 
     rig: _core.Rig
     lens: _core.Lens
@@ -26,14 +23,16 @@ class NativeView(NamedTuple):
 class Lens:
     """The lens of a panel, in the numbers of csrc/scene/lens.h. Raises InputError for values that no lens has.
 
-    width_px, height_px, views: 1..65536. line_number: width of a lens along a row, sub-pixels, > 0. slant_tan, phase:
-    as of a Panel, phase in sub-pixels.
-    phases: the phase of the first sub-pixel, and what it grows by from one sub-pixel to the next and from one row to
-    the next; whole numbers of 2^-64 lens widths, modulo 2^64.
-    bgr: blue is the left-most sub-pixel. continuous: cameras at x itself in place of floor(x) + 1/2.
+    width_px, height_px, views: 1..65536.
+    phases: the phase of the first sub-pixel, and its growth from one sub-pixel to the next and from one row to the
+        next; whole numbers of 2^-64 lens widths, modulo 2^64.
+    line_number: width of a lens along a row, sub-pixels, > 0.
+    slant_tan, phase: as of a Panel, phase in sub-pixels.
+    bgr: blue is the left-most sub-pixel.
+    continuous: cameras stand at x itself in place of floor(x) + 1/2.
     offset_start, offset_step: the camera of view coordinate x stands at offset_start + offset_step * x, scene units.
-    cell_phases, cell_channels: of a panel with sub-pixel cells, by row mod 4, column mod 4 and place: what its
-    sub-pixels have beyond the phases of stripes, and their image channels. (): stripes.
+    cell_phases, cell_channels: of a panel with sub-pixel cells, by row mod 4, column mod 4 and index within the pixel:
+        the phases of its sub-pixels beyond those of stripes, and their image channels. (): stripes.
     """
 
     width_px: int
@@ -61,7 +60,7 @@ class Lens:
             raise InputError(f"lens: every pixel of the cells must have the channels 0, 1 and 2 once, got {channels}")
 
     def native(self) -> _core.Lens:
-        """The core's Lens; the only place that makes one."""
+        """Return the core's Lens; the only place that makes one."""
         phase0, phase_x, phase_y = self.phases
         return _core.Lens(
             width_px=self.width_px,
@@ -82,86 +81,131 @@ class Lens:
         )
 
 
-@dataclass(frozen=True)
-class LensView:
-    """A rig's cameras behind a lens.
+class CameraNumbers(NamedTuple):
+    """A LenticularCamera as arguments of a torch operator, whose schema knows neither structs nor unsigned integers.
 
-    pose: world_to_camera of the centre camera, 16 numbers by rows. optics: fx, fy, cx, cy in pixels of the panel.
-    limits: of the projection's Jacobian, five numbers, see Cameras.limits. zero_depth: of the plane without parallax,
-    scene units. aperture: standard deviation of the camera offsets that each sub-pixel's picture is averaged over,
-    scene units; 0: pinholes.
+    The fields are those of LenticularCamera and of its Lens. Phases are the signed integers of the same 64 bits.
     """
 
-    pose: tuple[float, ...]
-    optics: tuple[float, ...]
+    world_to_camera: list[float]
+    intrinsics: list[float]
+    limits: list[float]
+    zero_depth: float
+    aperture: float
+    width_px: int
+    height_px: int
+    views: int
+    phases: list[int]
+    line_number: float
+    slant_tan: float
+    phase: float
+    bgr: bool
+    continuous: bool
+    offset_start: float
+    offset_step: float
+    cell_phases: list[int]
+    cell_channels: list[int]
+
+
+@dataclass(frozen=True)
+class LenticularCamera:
+    """A rig's cameras behind a lens.
+
+    world_to_camera: of the centre camera, 16 numbers by rows.
+    intrinsics: fx, fy, cx and cy in pixels of the panel.
+    limits: of the projection's Jacobian, five numbers, see Cameras.limits.
+    zero_depth: of the plane without parallax, scene units.
+    aperture: standard deviation of the camera offsets that each sub-pixel's colour is averaged over, scene units; 0:
+        pinholes.
+    """
+
+    world_to_camera: tuple[float, ...]
+    intrinsics: tuple[float, ...]
     limits: tuple[float, ...]
     zero_depth: float
     lens: Lens
     aperture: float = 0.0
 
-    def native(self, antialiased: bool = False) -> NativeView:
-        """For the native code; antialiased: see encoding.encode."""
+    def native(self, antialiased: bool = False) -> NativeCamera:
+        """Return the camera for the native code. antialiased: see encoding.encode."""
         lens = self.lens.native()
         rig = _core.Rig(
-            world_to_camera=self.pose,
-            intrinsics=self.optics,
+            world_to_camera=self.world_to_camera,
+            intrinsics=self.intrinsics,
             limits=self.limits,
             zero_depth=self.zero_depth,
             lens=lens,
             antialiased=antialiased,
             aperture=self.aperture,
         )
-        return NativeView(rig, lens)
+        return NativeCamera(rig, lens)
 
-    # As lists: the schema of an operator knows no other way to take so many numbers
-
-    def lists(self) -> tuple[list[float], list[int], list[float]]:
-        """rig, lens and lens_shape as torch.ops.lightfield_gs.render_lens takes them; see there."""
+    def numbers(self) -> CameraNumbers:
+        """Return the camera as arguments of an operator."""
         lens = self.lens
-        sizes = [lens.width_px, lens.height_px, lens.views]
-        rest = [int(lens.bgr), int(lens.continuous), *map(_signed, lens.cell_phases), *lens.cell_channels]
-        shape = [lens.line_number, lens.slant_tan, lens.phase, lens.offset_start, lens.offset_step]
-        return (
-            [*self.pose, *self.optics, *self.limits, self.zero_depth, self.aperture],
-            [*sizes, *map(_signed, lens.phases), *rest],
-            shape,
+        return CameraNumbers(
+            world_to_camera=list(self.world_to_camera),
+            intrinsics=list(self.intrinsics),
+            limits=list(self.limits),
+            zero_depth=self.zero_depth,
+            aperture=self.aperture,
+            width_px=lens.width_px,
+            height_px=lens.height_px,
+            views=lens.views,
+            phases=[_signed(phase) for phase in lens.phases],
+            line_number=lens.line_number,
+            slant_tan=lens.slant_tan,
+            phase=lens.phase,
+            bgr=lens.bgr,
+            continuous=lens.continuous,
+            offset_start=lens.offset_start,
+            offset_step=lens.offset_step,
+            cell_phases=[_signed(phase) for phase in lens.cell_phases],
+            cell_channels=list(lens.cell_channels),
         )
 
     @staticmethod
-    def of_lists(rig: Sequence[float], lens: Sequence[int], lens_shape: Sequence[float]) -> LensView:
-        """From what `lists` makes. Raises InputError for what it cannot have made."""
-        if len(lens) not in _LENS_SIZES or len(lens_shape) != _SHAPE_SIZE:
-            raise InputError(
-                f"lens must be {_LENS_SIZES[0]} or {_LENS_SIZES[1]} integers and lens_shape {_SHAPE_SIZE} numbers, got "
-                f"{len(lens)} and {len(lens_shape)}"
-            )
-        if len(rig) not in (_RIG_SIZE - 1, _RIG_SIZE):
-            raise InputError(f"rig must be {_RIG_SIZE} numbers (see render_lens), got {len(rig)}")
-        aperture = rig[26] if len(rig) == _RIG_SIZE else 0.0
-        if not 0 <= aperture < math.inf:
-            raise InputError(f"rig: its aperture must be 0 or more, got {aperture}")
-        width, height, views, *phases, bgr, continuous = lens[:8]
-        cells, channels = lens[8 : 8 + _core.CELL_SUBPIXELS], lens[8 + _core.CELL_SUBPIXELS :]
-        line_number, slant_tan, phase, offset_start, offset_step = lens_shape
-        phase0, phase_x, phase_y = (p % _LENS_WIDTH for p in phases)
-        made = Lens(
-            width,
-            height,
-            views,
-            (phase0, phase_x, phase_y),
-            line_number,
-            slant_tan,
-            phase,
-            bool(bgr),
-            bool(continuous),
-            offset_start,
-            offset_step,
-            tuple(p % _LENS_WIDTH for p in cells),
-            tuple(channels),
+    def from_numbers(numbers: CameraNumbers) -> LenticularCamera:
+        """Return the camera of the arguments of an operator. Raises InputError for values that no camera has."""
+        cells = (0, _core.CELL_SUBPIXELS)
+        for name, sizes in (
+            ("world_to_camera", (16,)),
+            ("intrinsics", (4,)),
+            ("limits", (5,)),
+            ("phases", (3,)),
+            ("cell_phases", cells),
+            ("cell_channels", cells),
+        ):
+            if (size := len(getattr(numbers, name))) not in sizes:
+                raise InputError(f"{name} must be {' or '.join(map(str, sizes))} numbers, got {size}")
+        if not 0 <= numbers.aperture < math.inf:
+            raise InputError(f"aperture must be 0 or more, got {numbers.aperture}")
+        phase0, phase_x, phase_y = (phase % _LENS_WIDTH for phase in numbers.phases)
+        lens = Lens(
+            width_px=numbers.width_px,
+            height_px=numbers.height_px,
+            views=numbers.views,
+            phases=(phase0, phase_x, phase_y),
+            line_number=numbers.line_number,
+            slant_tan=numbers.slant_tan,
+            phase=numbers.phase,
+            bgr=numbers.bgr,
+            continuous=numbers.continuous,
+            offset_start=numbers.offset_start,
+            offset_step=numbers.offset_step,
+            cell_phases=tuple(phase % _LENS_WIDTH for phase in numbers.cell_phases),
+            cell_channels=tuple(numbers.cell_channels),
         )
-        return LensView(tuple(rig[:16]), tuple(rig[16:20]), tuple(rig[20:25]), rig[25], made, aperture)
+        return LenticularCamera(
+            world_to_camera=tuple(numbers.world_to_camera),
+            intrinsics=tuple(numbers.intrinsics),
+            limits=tuple(numbers.limits),
+            zero_depth=numbers.zero_depth,
+            lens=lens,
+            aperture=numbers.aperture,
+        )
 
 
 def _signed(phase: int) -> int:
-    """A 64-bit pattern as the signed integer that operators carry."""
+    """Return the signed integer of a 64-bit pattern."""
     return phase - _LENS_WIDTH if phase >= _LENS_WIDTH // 2 else phase

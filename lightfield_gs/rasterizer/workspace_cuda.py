@@ -9,79 +9,84 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs import _core
-from lightfield_gs.rasterizer.lenticular_camera import NativeView
+from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import DenseGradients, Scene, Splats, State, Wanted
+from lightfield_gs.rasterizer.scene import GradientRequest, ImageGradients, RenderState, SceneTensors, Splats
 from lightfield_gs.rasterizer.stats import Stats
 
 _ALIGNMENT = 256  # bytes, that of memory from CUDA
 
 
 class CudaWorkspace:
-    """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
+    """The stages of one render on CUDA; see Workspace. Buffers are of torch's allocator, work is on its stream."""
 
     def __init__(
         self,
-        scene: Scene,
+        scene: SceneTensors,
         images: int,
         width: int,
         height: int,
         colour_order: int,
         stats: Stats,
-        lens: bool,
-        state: State | None = None,
+        direct: bool,
+        state: RenderState | None = None,
         compensated: bool = False,
-        room: int | None = None,
+        capacity: int | None = None,
     ):
-        self.room = room
+        self.capacity = capacity
         self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
-        self.image = _core.cuda.Image(images, width, height, lens)
+        self.image = _core.cuda.Image(images, width, height, direct)
         self.stream = torch.cuda.current_stream(scene.device).cuda_stream
-        self.ranges_bytes = 16 * self.image.tiles()  # a range of pairs for each tile
-        self.lists_bytes = self.ranges_bytes + 8 * self.items  # these, and a range of slots for each splat
+        self.ranges_bytes = 16 * self.image.tiles()  # a range of intersections for each tile
+        self.lists_bytes = self.ranges_bytes + 8 * self.items  # these, and a range of gradients for each splat
         if state is None:
             self.keys = scene.new(self.items, dtype=torch.int64)
         else:
             state = state.check(images, scene, colour_order, self.lists_bytes)
             self._use_lists(state.lists)
-        self.splats = Splats(scene, images, colour_order, lens, compensated, state)
+        self.splats = Splats(scene, images, colour_order, direct, compensated, state)
 
     def _use_lists(self, lists: Tensor, unsorted: int | None = None) -> None:
-        """Takes over lists, a tensor of bytes: the range of pairs of each tile [tiles, 2] int64, the range of slots of
-        each splat [I, N, 2] int32, then slots and splats of the sorted pairs, int32.
+        """Use lists, a tensor of bytes.
 
-        unsorted: where [4, pairs] int32 are, tiles, sorted tiles, slots and their splats, which only the filling needs.
-        All are kept as addresses: to make tensors of the parts takes the host longer, and here the device waits for it.
+        They are kept as addresses: making tensors of the parts takes the host longer, and here the device waits for it.
+        A splat's intersections are numbered by slots, in the order of the splats; gradients are written there.
+
+        Args:
+            lists: the range of intersections of each tile [tiles, 2] int64, the range of slots of each splat [I, N, 2]
+                int32, then slots and splats of the sorted intersections, int32.
+            unsorted: address of [4, intersections] int32 that only the filling needs: tiles, sorted tiles, slots and
+                their splats.
         """
-        self.lists, self.pair_count = lists, (lists.numel() - self.lists_bytes) // 8
+        self.lists, self.intersection_count = lists, (lists.numel() - self.lists_bytes) // 8
         self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
         self.slot_ranges = self.ranges + self.ranges_bytes
         tiles, sorted_tiles, slots, slot_splats = (
-            0 if unsorted is None else unsorted + 4 * self.pair_count * row for row in range(4)
+            0 if unsorted is None else unsorted + 4 * self.intersection_count * row for row in range(4)
         )
-        self.pair_lists = _core.cuda.Pairs(
-            self.pair_count,
+        self.pair_lists = _core.cuda.Intersections(
+            self.intersection_count,
             tiles,
             sorted_tiles,
             slots,
             sorted_slots,
             slot_splats,
-            sorted_slots + 4 * self.pair_count,
-            0 if self.room is None else self.pairs_on_device.data_ptr(),
+            sorted_slots + 4 * self.intersection_count,
+            0 if self.capacity is None else self.intersections_on_device.data_ptr(),
         )
 
-    def state(self) -> State:
-        return State(self.splats.splats, self.splats.colours, self.lists)
+    def state(self) -> RenderState:
+        return RenderState(self.splats.splats, self.splats.colours, self.lists)
 
-    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
-        _core.cuda.project_dense(self.scene.native(), cameras, self.splats.native, self.keys.data_ptr(), self.stream)
+    def project_images(self, cameras: _core.float32.Cameras) -> None:
+        _core.cuda.project_images(self.scene.native(), cameras, self.splats.native, self.keys.data_ptr(), self.stream)
 
-    def project_lens(self, view: NativeView, quality: Quality) -> float:
+    def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
         error = self.scene.new(1, zero=True)
-        _core.cuda.project_lens(
+        _core.cuda.project_direct(
             self.scene.native(),
-            view.rig,
-            view.lens,
+            camera.rig,
+            camera.lens,
             quality.colour_error,
             self.splats.native,
             self.keys.data_ptr(),
@@ -91,8 +96,10 @@ class CudaWorkspace:
         return float(error) if self.scene.degree > 0 else 0.0
 
     def _work(self, *sizes: int) -> tuple[Tensor, list[int]]:
-        """Memory for buffers of so many bytes that are of use to one stage, and their addresses: one tensor, for making
-        several takes the host longer."""
+        """Allocate buffers of one stage, of these bytes, as one tensor; return it and their addresses.
+
+        Making several tensors takes the host longer.
+        """
         starts = [0]
         for size in sizes:
             starts.append(starts[-1] + (size + _ALIGNMENT - 1) // _ALIGNMENT * _ALIGNMENT)
@@ -100,29 +107,31 @@ class CudaWorkspace:
         return work, [work.data_ptr() + start for start in starts[:-1]]
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
-        """The pairs are counted first: the host learns their number while the device sorts, unless it needs not know it
-        because there is `room` for so many."""
+        """Sort the splats and list the intersections; see Workspace.
+
+        The intersections are counted first. Without a capacity the host learns their number while the device sorts.
+        """
         scene, cuda, items = self.scene, _core.cuda, self.items
-        pairs = self.pairs_on_device = scene.new(1, dtype=torch.int64, zero=True)
+        found = self.intersections_on_device = scene.new(1, dtype=torch.int64, zero=True)
         total_bytes, order_bytes = cuda.count_bytes(items), cuda.order_bytes(items)
         work, (counts, total, sorted_keys, indices, temporary, ends) = self._work(
             4 * items, total_bytes, 8 * items, 4 * items, order_bytes, 8 * items
         )
         with self.stats.stage("bin"):
-            cuda.bin_count(self.splats.native, self.image, counts, pairs.data_ptr(), total, total_bytes, self.stream)
-            if self.room is None:
-                pairs, counted = pairs.to("cpu", non_blocking=True), torch.cuda.Event()
+            cuda.bin_count(self.splats.native, self.image, counts, found.data_ptr(), total, total_bytes, self.stream)
+            if self.capacity is None:
+                found, counted = found.to("cpu", non_blocking=True), torch.cuda.Event()
                 counted.record()
         with self.stats.stage("order"):
             keys = self.keys.data_ptr()
             cuda.order(items, self.images, keys, sorted_keys, indices, temporary, order_bytes, self.stream)
         with self.stats.stage("bin"):
-            if self.room is None:
+            if self.capacity is None:
                 counted.synchronize()
-            self.pair_count = count = int(pairs) if self.room is None else self.room
+            self.intersection_count = count = int(found) if self.capacity is None else self.capacity
             if not admit():
                 return False
-            # fill_bytes raises where there are more pairs than can be numbered, and so it comes before other memory
+            # fill_bytes raises for more intersections than can be numbered, so it comes before other memory
             scratch_bytes = cuda.fill_bytes(items, count)
             more_work, (scratch, unsorted) = self._work(scratch_bytes, 16 * count)
             self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), unsorted)
@@ -147,39 +156,33 @@ class CudaWorkspace:
         self.stats.add_buffers(*self.splats.buffers(), self.keys, work, more_work, self.lists)
         return True
 
-    def composite_dense(
-        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
-    ) -> None:
-        _core.cuda.composite_dense(
+    def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
+        _core.cuda.composite_images(
             self.splats.native, self.image, self.ranges, self.pair_lists, background.data_ptr(), out, self.stream
         )
 
-    def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
-        """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
-        _core.cuda.composite_lens(
+    def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
+        """Composite into `out`, float32; see Workspace. Images of bytes are frames (frame_cuda)."""
+        _core.cuda.composite_direct(
             self.splats.native,
             self.image,
             self.ranges,
             self.pair_lists,
-            view.lens,
+            camera.lens,
             background.data_ptr(),
             out.data_ptr(),
             self.stream,
         )
 
-    def composite_dense_backward(
-        self,
-        background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
-        absolute: bool,
+    def composite_images_backward(
+        self, background: Tensor, images: _core.float32.Images, gradients: _core.float32.Images, absolute: bool
     ) -> tuple[Tensor, Tensor]:
-        """The first half of dense_backward: sums over the pairs of each splat [I, N, SPLAT_SUMS], from which the
+        """The first half of images_backward: sums over the pairs of each splat [I, N, SPLAT_SUMS], from which the
         gradients of the Gaussians follow, and the gradient of the background in parts [I * parts, 3]."""
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.pair_count, cuda.ABSOLUTE_DENSE_SUMS if absolute else cuda.DENSE_SUMS)
+        slots = scene.new(self.intersection_count, cuda.ABSOLUTE_IMAGE_SUMS if absolute else cuda.IMAGE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_dense_backward(
+        cuda.composite_images_backward(
             self.splats.native,
             self.image,
             self.ranges,
@@ -192,34 +195,34 @@ class CudaWorkspace:
             self.stream,
         )
         sums = scene.new(self.images, scene.count, cuda.SPLAT_SUMS)
-        cuda.sum_slots(self.items, self.slot_ranges, absolute, slots.data_ptr(), sums.data_ptr(), self.stream)
+        cuda.sum_intersections(self.items, self.slot_ranges, absolute, slots.data_ptr(), sums.data_ptr(), self.stream)
         return sums, g_background
 
-    def dense_backward(
+    def images_backward(
         self,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
-        wanted: Wanted,
-    ) -> DenseGradients:
-        sums, g_background = self.composite_dense_backward(background, images, gradients, wanted.absolute)
-        fields, g_cameras, screen = project_dense_backward(self.scene, cameras, sums, wanted)
-        return DenseGradients(fields, g_background, g_cameras, screen)
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
+        request: GradientRequest,
+    ) -> ImageGradients:
+        sums, g_background = self.composite_images_backward(background, images, gradients, request.absolute)
+        fields, g_cameras, screen = project_images_backward(self.scene, cameras, sums, request)
+        return ImageGradients(fields, g_background, g_cameras, screen)
 
-    def lens_backward(
-        self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
+    def direct_backward(
+        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
         scene, cuda = self.scene, _core.cuda
-        sharp = 0 if self.splats.compensations is None else _core.COMPENSATION_FIELDS
-        slots = scene.new(self.pair_count, cuda.LENS_SUMS + 3 * self.splats.colours.shape[2] + sharp)
+        extra = 0 if self.splats.compensations is None else _core.COMPENSATION_FIELDS
+        slots = scene.new(self.intersection_count, cuda.DIRECT_SUMS + 3 * self.splats.colours.shape[2] + extra)
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_lens_backward(
+        cuda.composite_direct_backward(
             self.splats.native,
             self.image,
             self.ranges,
             self.pair_lists,
-            view.lens,
+            camera.lens,
             image.data_ptr(),
             g_image.data_ptr(),
             slots.data_ptr(),
@@ -227,28 +230,28 @@ class CudaWorkspace:
             self.stream,
         )
         out, native = scene.gradients(zero=True)
-        cuda.project_lens_backward(
-            scene.native(), view.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
+        cuda.project_direct_backward(
+            scene.native(), camera.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
         )
         return out, g_background
 
 
-def project_dense_backward(
-    scene: Scene, cameras: _core._Stages.Cameras, sums: Tensor, wanted: Wanted
+def project_images_backward(
+    scene: SceneTensors, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
 ) -> tuple[list[Tensor], Tensor, Tensor]:
     """The second half of CudaWorkspace.dense_backward, which needs nothing of the forward: gradients of fields, cameras
-    and places as DenseGradients has them. sums: [I, N, SPLAT_SUMS]."""
+    and places as ImageGradients has them. sums: [I, N, SPLAT_SUMS]."""
     cuda, images = _core.cuda, sums.shape[0]
     out, native = scene.gradients(zero=False)
-    views = scene.new(images, cuda.view_blocks(scene.count), 3, 4) if wanted.cameras else None
-    screen = scene.new(images, scene.count, wanted.screen_numbers)
-    cuda.project_dense_backward(
+    views = scene.new(images, cuda.camera_blocks(scene.count), 3, 4) if request.cameras else None
+    screen = scene.new(images, scene.count, request.screen_numbers)
+    cuda.project_images_backward(
         scene.native(),
         cameras,
         sums.data_ptr(),
         native,
-        screen.data_ptr() if wanted.screen_numbers else 0,
-        wanted.absolute,
+        screen.data_ptr() if request.screen_numbers else 0,
+        request.absolute,
         0 if views is None else views.data_ptr(),
         torch.cuda.current_stream(sums.device).cuda_stream,
     )

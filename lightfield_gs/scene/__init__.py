@@ -1,1 +1,1 @@
-"""Gaussians and cameras, in the axes of the world."""
+"""Gaussians and cameras in world axes."""

@@ -1,4 +1,4 @@
-"""Which axis of a scene points up: what a file says of it, and how a camera stands by it."""
+"""The vertical axis of a scene, and upright cameras."""
 
 from __future__ import annotations
 
@@ -14,31 +14,33 @@ from lightfield_gs.base.errors import InputError
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 DEFAULT_UP = "-y"  # OpenCV axes: y points down
 _PREFIX = "vertical axis"
-# Where an upright camera looks for each axis that points up: along +z as ever where up is along y downwards, along -z
-# where y is up (OpenGL) and along +y where z is up (Blender), so that x stays to the right; sideways scenes along +z.
+# Viewing direction of an upright camera for each vertical axis: +z where y points down, -z where y points up (OpenGL)
+# and +y where z points up (Blender), so that x stays to the right; +z where x is vertical.
 _FORWARD = {"-y": (0, 0, 1), "y": (0, 0, -1), "z": (0, 1, 0), "-z": (0, -1, 0), "x": (0, 0, 1), "-x": (0, 0, 1)}
 
 
 @dataclass(frozen=True)
 class Up:
-    """A direction that points up.
+    """The direction that points up.
 
-    axis: one of UP_AXES, or three numbers. source: who says so.
+    Attributes:
+        axis: one of UP_AXES, or three numbers.
+        source: where it is from, in words.
     """
 
     axis: str
     source: str
 
     def describe(self) -> str:
-        """What was taken and why, for the user."""
+        """Describe the axis and its source for the user."""
         return f"{self.axis} is up ({self.source})"
 
 
 def find_up(comments: Iterable[str]) -> Up | None:
-    """What the header of a .ply says; the last word counts.
+    """Find the vertical axis in the header of a .ply; the last line counts, and None stands for no line.
 
-    Nerfstudio and others write "Vertical Axis: z" (an axis, which may have a sign), Brush "Vertical axis: y", or three
-    numbers. Brush's y without a sign is what it writes of any scene, in the axes of its data, where y points down.
+    Nerfstudio and others write "Vertical Axis: z", an axis with or without a sign, or three numbers. Brush writes
+    "Vertical axis: y" for all scenes; in the axes of its data y points down.
     """
     comments, found = list(comments), None
     from_brush = any("brush" in comment.lower() for comment in comments)
@@ -54,8 +56,8 @@ def find_up(comments: Iterable[str]) -> Up | None:
     return found
 
 
-def _known_direction(up: str) -> np.ndarray:
-    """The unit vector [3]. Raises InputError where the words say none."""
+def _parse_direction(up: str) -> np.ndarray:
+    """Parse a direction to a unit vector [3]; raise InputError for other words."""
     direction = _direction(up) if isinstance(up, str) else None
     if direction is None:
         raise InputError(f"up: expected one of {', '.join(UP_AXES)}, or three numbers, got {shown(up)}")
@@ -63,15 +65,24 @@ def _known_direction(up: str) -> np.ndarray:
 
 
 def upright_rotation(up: str) -> np.ndarray:
-    """World-to-camera rotation [3, 3] of an upright camera before the scene: rows right, down, forward. See UP_AXES."""
-    direction = _known_direction(up)
+    """Return the world-to-camera rotation [3, 3] of an upright camera before the scene.
+
+    Args:
+        up: one of UP_AXES, or three numbers.
+
+    Returns:
+        Rows right, down, forward.
+    """
+    direction = _parse_direction(up)
     nearest = up if up in UP_AXES else _nearest(direction)
-    down, forward = -_known_direction(nearest), np.array(_FORWARD[nearest], np.float64)
-    return np.stack([np.cross(down, forward), down, forward]) @ _shortest_turn(direction, -down) + 0.0  # no minus zeros
+    down, forward = -_parse_direction(nearest), np.array(_FORWARD[nearest], np.float64)
+    return (
+        np.stack([np.cross(down, forward), down, forward]) @ _shortest_rotation(direction, -down) + 0.0
+    )  # no minus zeros
 
 
 def _direction(words: str) -> np.ndarray | None:
-    """The unit vector [3]; None where the words say none."""
+    """Parse a direction to a unit vector [3]; return None for other words."""
     if words in UP_AXES:
         return (-1.0 if words[0] == "-" else 1.0) * np.eye(3)["xyz".index(words[-1])]
     parts = words.replace(",", " ").strip("[] ").split()
@@ -88,8 +99,8 @@ def _nearest(direction: np.ndarray) -> str:
     return ("-" if direction[axis] < 0 else "") + "xyz"[axis]
 
 
-def _shortest_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The rotation [3, 3] that takes one unit vector to another that is not opposite, by the smallest angle."""
+def _shortest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return the smallest rotation [3, 3] of one unit vector to another, which must not be opposite."""
     x, y, z = np.cross(start, end)
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + skew + skew @ skew / (1 + start @ end)

@@ -1,4 +1,4 @@
-"""Ordinary pinhole cameras, many at once."""
+"""Batches of pinhole cameras."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.scene.gaussians import check_finite
 
-# How far rows may be from orthonormal: a rotation that is written with three decimals is, by up to 1.7e-3
+# Largest deviation from orthonormal rows: rotations written with three decimals deviate by up to 1.7e-3
 _ORTHONORMAL = 2e-3
-_BOTTOM = 1e-5  # how far the bottom row may be off: checks of gradients move every number by 1e-6
+_BOTTOM = 1e-5  # largest deviation of the bottom row: checks of gradients move every number by 1e-6
 
 if TYPE_CHECKING:
     from lightfield_gs.io.captures.camera_files import FileCamera
@@ -28,17 +28,21 @@ if TYPE_CHECKING:
 class Cameras:
     """C cameras of one image size, or [B, C] of them: C for each of B sets of Gaussians.
 
-    world_to_camera:    [..., C, 4, 4], [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
-    focal_px:           [..., C, 2] (fx, fy), pixels, > 0.
-    principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
-                        In place of both, K as other rasterizers take it: Cameras(world_to_camera, K, width_px=...,
-                        height_px=...), [..., C, 3, 3], fx 0 cx over 0 fy cy over 0 0 1, without skew.
-    width_px, height_px: image size, 1..65536 pixels.
-    jacobian_limits:    optional [..., C, 5] (low_x, high_x, low_y, high_y, offset): the limits of X/Z and Y/Z in the
-                        projection's Jacobian, taken at the centre of a rig that this camera stands `offset` to the
-                        right of. None: the camera's own frustum and 15 % of the image beyond each edge (Kerbl et al.).
-    Raises InputError for shapes and values that make no camera; values on a device are not looked at, which would wait
-    for it: there, what is not finite draws nothing that means anything.
+    Instead of focal_px and principal_point_px, K may be given as in other rasterizers, [..., C, 3, 3] without skew:
+    Cameras(world_to_camera, K, width_px=..., height_px=...).
+
+    Args:
+        world_to_camera: [..., C, 4, 4], [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
+        focal_px: [..., C, 2] (fx, fy), pixels, > 0.
+        principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
+        width_px, height_px: image size, 1..65536 pixels.
+        jacobian_limits: [..., C, 5] (low_x, high_x, low_y, high_y, offset): limits of X/Z and Y/Z in the projection's
+            Jacobian, at the centre of a rig; the camera is `offset` to the right of it. None: the camera's frustum and
+            15 % of the image beyond each edge (Kerbl et al.).
+
+    Raises:
+        InputError: shapes or values make no camera. Values on a device are not checked, which would wait for it; what
+            is not finite there draws a meaningless image.
     """
 
     world_to_camera: torch.Tensor
@@ -50,7 +54,7 @@ class Cameras:
 
     def __post_init__(self) -> None:
         if self.principal_point_px is None:
-            self.focal_px, self.principal_point_px = _of_matrices(self.focal_px)
+            self.focal_px, self.principal_point_px = _split_intrinsics(self.focal_px)
         for name in ("world_to_camera", "focal_px", "principal_point_px", "jacobian_limits"):
             value = getattr(self, name)
             if name != "jacobian_limits" or value is not None:
@@ -83,70 +87,80 @@ class Cameras:
 
     @classmethod
     def from_inria(cls, path: str | Path, index: int | None = None) -> Cameras:
-        """The cameras [C] of a cameras.json as 3D Gaussian splatting writes it, or only that of this index, float64.
+        """Read the cameras [C] of a cameras.json of 3D Gaussian splatting, float64.
 
-        Raises InputError that names file and key, also where images are of several sizes and no index is given.
+        Args:
+            path: the file.
+            index: read this camera only.
+
+        Raises:
+            InputError: the file is malformed, or has images of several sizes and no index is given.
         """
         from lightfield_gs.io.captures.camera_files import read_inria
 
-        return _of_file(cls, path, read_inria(path), index)
+        return _from_file(cls, path, read_inria(path), index)
 
     @classmethod
     def from_transforms(cls, path: str | Path, index: int | None = None) -> Cameras:
-        """The cameras [C] of a transforms.json (NeRF; OpenGL axes in the file), or only that of this index, float64.
+        """Read the cameras [C] of a transforms.json (NeRF; OpenGL axes in the file), float64.
 
-        Raises InputError that names file and key, also where images are of several sizes and no index is given, where
-        their size is not known, and on lens distortion.
+        Args:
+            path: the file.
+            index: read this camera only.
+
+        Raises:
+            InputError: the file is malformed, has images of several sizes and no index is given, does not state their
+                size, or has lens distortion.
         """
         from lightfield_gs.io.captures.camera_files import read_transforms
 
-        return _of_file(cls, path, read_transforms(path), index)
+        return _from_file(cls, path, read_transforms(path), index)
 
     @property
     def count(self) -> int:
-        """C."""
+        """Return C, the number of cameras in each set."""
         return self.world_to_camera.shape[-3]
 
     def intrinsics(self) -> torch.Tensor:
-        """[..., C, 4]: fx, fy, cx, cy."""
+        """Return fx, fy, cx and cy, [..., C, 4]."""
         return torch.cat([self.focal_px, self._centres()], -1)
 
     def limits(self) -> torch.Tensor:
-        """jacobian_limits, or the default ones, [..., C, 5]."""
+        """Return jacobian_limits, or their default, [..., C, 5]."""
         if self.jacobian_limits is not None:
             return self.jacobian_limits
         centre, focal = self._centres(), self.focal_px
         edges = _edges(*self._size(), centre.dtype, centre.device) - centre.unsqueeze(-1)
         return functional.pad((edges / focal.unsqueeze(-1)).flatten(-2), (0, 1))
 
-    def select(self, views: slice | list[int] | torch.Tensor) -> Cameras:
-        """The cameras at these places along C."""
-        limits = None if self.jacobian_limits is None else self.jacobian_limits[..., views, :]
+    def select(self, indices: slice | list[int] | torch.Tensor) -> Cameras:
+        """Select cameras by their indices along C."""
+        limits = None if self.jacobian_limits is None else self.jacobian_limits[..., indices, :]
         return Cameras(
-            self.world_to_camera[..., views, :, :],
-            self.focal_px[..., views, :],
-            self._centres()[..., views, :],
+            self.world_to_camera[..., indices, :, :],
+            self.focal_px[..., indices, :],
+            self._centres()[..., indices, :],
             self.width_px,
             self.height_px,
             limits,
         )
 
     def _centres(self) -> torch.Tensor:
-        """principal_point_px, which is none only until K was taken apart."""
+        """Return principal_point_px, which is None only before K is split."""
         return cast(torch.Tensor, self.principal_point_px)
 
     def _size(self) -> tuple[int, int]:
-        """width_px and height_px, without which none is made."""
+        """Return width_px and height_px, which are never None after construction."""
         return cast(int, self.width_px), cast(int, self.height_px)
 
     def relative_to(self, origin: Sequence[float]) -> Cameras:
-        """The same cameras for coordinates that are given from `origin`; see Rig.relative_to."""
+        """Move the cameras to coordinates with this origin; see Rig.relative_to."""
         poses = self.world_to_camera.clone()
         poses[..., :3, 3] += poses[..., :3, :3] @ poses.new_tensor(origin)
         return replace(self, world_to_camera=poses)
 
     def to(self, *args, **kwargs) -> Cameras:
-        """Every tensor through torch.Tensor.to."""
+        """Apply torch.Tensor.to to every tensor."""
         limits = None if self.jacobian_limits is None else self.jacobian_limits.to(*args, **kwargs)
         return Cameras(
             self.world_to_camera.to(*args, **kwargs),
@@ -158,17 +172,24 @@ class Cameras:
         )
 
 
-_FAR = 64  # from so many units on, and so many times the cameras' own extent, is their place taken off
+_FAR = 64  # units, and times the cameras' extent: cameras farther from the origin are moved to it
 
 
-def about_cameras(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Cameras]:
-    """The same means [..., N, 3] and cameras, from the middle of the cameras where they stand far from the origin.
+def recentre(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Cameras]:
+    """Move means and cameras to the middle of the cameras if it is far from the origin.
 
-    There float32 has too few digits for poses, whose translation is as large as the distance of the origin: at 1e5 a
-    pixel is off by a third. So the middle is taken off in float64, from poses and from means. Gradients pass
-    through: those of poses are right for all motions of a camera, which keep its rotation a rotation.
-    Not where nothing is lost: for means of float64, and for cameras within 64 units of the origin, or within 64 times
-    their extent; and not for cameras on a CUDA device, whose values would have to be waited for.
+    Far from the origin float32 has too few digits for poses, whose translation is as large as the distance: at 1e5 a
+    pixel is off by a third. The middle is subtracted in float64, from poses and means. Gradients pass through; for
+    poses they hold for motions of a camera that keep its rotation a rotation.
+    Nothing is moved for means of float64, for cameras within 64 units of the origin or 64 times their extent, and for
+    cameras on a CUDA device, since reading their values would wait.
+
+    Args:
+        means: [..., N, 3].
+        cameras: for these means.
+
+    Returns:
+        Means and cameras.
     """
     poses = cameras.world_to_camera
     if means.dtype == torch.float64 or poses.is_cuda:
@@ -183,22 +204,24 @@ def about_cameras(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, 
             return means, cameras
         origin = torch.where(far[..., None, None], middle, 0.0)  # [..., 1, 3]
     moved = poses.double()
-    places = moved[..., :3, 3:] + moved[..., :3, :3] @ origin.unsqueeze(-1)
-    moved = torch.cat([torch.cat([moved[..., :3, :3], places], -1), moved[..., 3:, :]], -2)
+    translations = moved[..., :3, 3:] + moved[..., :3, :3] @ origin.unsqueeze(-1)
+    moved = torch.cat([torch.cat([moved[..., :3, :3], translations], -1), moved[..., 3:, :]], -2)
     return (means.double() - origin.to(means.device)).to(means.dtype), replace(cameras, world_to_camera=moved)
 
 
 @lru_cache(maxsize=64)
 def _edges(width_px: int, height_px: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    """Where the Jacobian's limits lie in the image, pixels: before the first and behind the last column, then row,
-    [2, 2]. Made once, for copying numbers to a device waits for that every time."""
+    """Return the limits of the Jacobian in the image, pixels: low and high for x, then y, [2, 2].
+
+    They are cached, since every copy of numbers to a device waits.
+    """
     with torch.inference_mode(False):  # they may be part of a graph of gradients later
         sides = [[-0.15 * size, 1.15 * size] for size in (width_px, height_px)]
         return torch.tensor(sides, dtype=dtype, device=device)
 
 
 def _check_poses(poses: torch.Tensor) -> None:
-    """Raises InputError for the first of poses [..., 4, 4] that is no rotation and translation over 0 0 0 1."""
+    """Raise InputError for the first of poses [..., 4, 4] that is no rotation and translation over 0 0 0 1."""
     matrices = poses.double().numpy().reshape(-1, 4, 4)
     rotations, unit = matrices[:, :3, :3], np.eye(4)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -230,8 +253,8 @@ def _check_poses(poses: torch.Tensor) -> None:
     raise InputError(f"cameras: world_to_camera[{index}]: expected a rotation and 0 0 0 1 below, got {found}")
 
 
-def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """focal_px and principal_point_px of intrinsics K [..., C, 3, 3]; values on a device are not looked at."""
+def _split_intrinsics(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Split intrinsics K [..., C, 3, 3] into focal_px and principal_point_px; values on a device are not checked."""
     expect("cameras: K", matrices, torch.Tensor)
     if matrices.shape[-2:] != (3, 3):
         raise InputError(
@@ -248,8 +271,8 @@ def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return matrices[..., (0, 1), (0, 1)], matrices[..., :2, 2]
 
 
-def _of_file(cls: type[Cameras], path: str | Path, cameras: list[FileCamera], index: int | None) -> Cameras:
-    """The cameras of a file; they all need one size."""
+def _from_file(cls: type[Cameras], path: str | Path, cameras: list[FileCamera], index: int | None) -> Cameras:
+    """Convert the cameras of a file, which need one image size."""
     if index is not None:
         cameras = [cameras[whole_number(f"{path}: index", index, 0, len(cameras) - 1)]]
     sizes = {(camera.width_px, camera.height_px) for camera in cameras}
@@ -268,5 +291,5 @@ def _of_file(cls: type[Cameras], path: str | Path, cameras: list[FileCamera], in
         for name in ("world_to_camera", "focal_px", "principal_point_px")
     )
     ((width, height),) = sizes
-    # In the file they are numbers of any kind: Cameras looks whether they are whole
+    # numbers of any kind in the file; Cameras checks that they are whole
     return cls(pose, focal, centre, cast(int, width), cast(int, height))

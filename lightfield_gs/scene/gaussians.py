@@ -26,14 +26,15 @@ class Gaussians:
 
     All fields are floating-point tensors of one dtype on one device. `...` is empty, or the batch dimension B.
 
-    means:       [..., N, 3] centres, scene units.
-    quaternions: [..., N, 4] rotations wxyz, any length but zero; normalized where they are used.
-    scales:      [..., N, 3] standard deviations along the rotated axes, scene units, > 0.
-    opacities:   [..., N] in (0, 1].
-    sh:          [..., N, K, 3] spherical harmonics of red, green and blue; K = (degree + 1)^2, degree 0..3;
-                 colour = max(0, 0.5 + sum), in the (sRGB-coded) colour space of the training images.
-    origin:      where the zero of `means` lies in the coordinates of the file they are from, scene units, double
-                 precision. Cameras for these Gaussians are given from there too: Rig.relative_to(origin).
+    Attributes:
+        means: [..., N, 3] centres, scene units.
+        quaternions: [..., N, 4] rotations wxyz, any length but zero; normalized where they are used.
+        scales: [..., N, 3] standard deviations along the rotated axes, scene units, > 0.
+        opacities: [..., N] in (0, 1].
+        sh: [..., N, K, 3] spherical harmonics of red, green and blue; K = (degree + 1)^2, degree 0..3. The colour is
+            max(0, 0.5 + sum), in the (sRGB-coded) colour space of the training images.
+        origin: position of the means' zero in the coordinates of their file, scene units, double precision. Cameras
+            for these Gaussians are given from there too: Rig.relative_to(origin).
     """
 
     means: torch.Tensor
@@ -47,7 +48,7 @@ class Gaussians:
         self._expect_tensors()
 
     def __repr__(self) -> str:
-        """One line, of what needs no look at the values: that would wait for a device."""
+        """Describe the layout in one line; values are not read, which would wait for a device."""
         try:
             self.validate_layout()
         except InputError as error:
@@ -83,7 +84,7 @@ class Gaussians:
         return self.means.ndim == 3
 
     def fields(self) -> dict[str, torch.Tensor]:
-        """The five tensors by name."""
+        """Return the five tensors by name."""
         return {
             "means": self.means,
             "quaternions": self.quaternions,
@@ -93,48 +94,55 @@ class Gaussians:
         }
 
     def to(self, *args, **kwargs) -> Gaussians:
-        """As torch.Tensor.to, on every field."""
+        """Apply torch.Tensor.to to every field."""
         return map_fields(self, lambda tensor: tensor.to(*args, **kwargs))
 
     def detach(self) -> Gaussians:
-        """The same data outside the autograd graph."""
+        """Return the same data outside the autograd graph."""
         return map_fields(self, torch.Tensor.detach)
 
     def rotated(self, rotation: Any) -> Gaussians:
-        """The same Gaussians turned about the zero of their file: places, quaternions and harmonics of degree 0..3.
+        """Rotate the Gaussians about the zero of their file: centres, quaternions and harmonics.
 
-        rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero): tensor, array or
-        numbers. What a camera `world_to_camera` sees of them, one with the rotation world_to_camera[:3, :3] @
-        rotation^T and the same translation sees of what is returned, exactly. Keeps batch, dtype, device and gradients.
-        Raises InputError for what is no proper rotation.
+        A camera with the rotation R sees of these Gaussians exactly what a camera with R @ rotation^T and the same
+        translation sees of the result. Batch, dtype, device and gradients are kept.
+
+        Args:
+            rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero); a tensor, an
+                array or numbers.
+
+        Raises:
+            InputError: it is no proper rotation.
         """
         self.validate_layout()
         means, quaternions, sh, origin = rotated_fields(self.means, self.quaternions, self.sh, self.origin, rotation)
         return replace(self, means=means, quaternions=quaternions, sh=sh, origin=origin)
 
     def validate(self) -> Gaussians:
-        """Returns self.
+        """Check layout and values, and return self.
 
-        Raises InputError that names the field and the first bad index: wrong shape, dtype or device, NaN or infinity,
-        scale not above 0, opacity outside [0, 1] (zero is invisible, but no error), zero quaternion.
+        Raises:
+            InputError: a field has a wrong shape, dtype or device, NaN or infinity; a scale is not above 0, an opacity
+                outside [0, 1] (zero is invisible, but no error), or a quaternion zero. The message names the field and
+                the first bad index.
         """
         self.validate_layout()
         if self.count == 0:
             return self
-        fields, (extremes, turned) = self.fields(), _looked_at(self)
+        fields, (extremes, has_rotations) = self.fields(), _extremes(self)
         for (name, tensor), (low, high) in zip(fields.items(), extremes):
             if not (math.isfinite(low) and math.isfinite(high)):
-                _complain(torch.isfinite(tensor), name, tensor, "a finite number")
+                _raise_for(torch.isfinite(tensor), name, tensor, "a finite number")
             if name == "scales" and low <= 0:
-                _complain(tensor > 0, name, tensor, "a standard deviation > 0")
+                _raise_for(tensor > 0, name, tensor, "a standard deviation > 0")
             if name == "opacities" and (low < 0 or high > 1):
-                _complain((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
-        if not turned:
-            _complain(self.quaternions.any(-1), "quaternions", self.quaternions, "not all four zero")
+                _raise_for((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
+        if not has_rotations:
+            _raise_for(self.quaternions.any(-1), "quaternions", self.quaternions, "not all four zero")
         return self
 
     def validate_layout(self) -> None:
-        """Raises InputError that names the field with a wrong type, shape, dtype or device; reads no values."""
+        """Raise InputError for a field with a wrong type, shape, dtype or device; read no values."""
         self._expect_tensors()  # fields can be set
         means = self.means
         for name, tensor in self.fields().items():
@@ -199,38 +207,40 @@ class Gaussians:
             assume(f"{path}: {words}", Loss)
 
 
-def _looked_at(gaussians: Gaussians) -> tuple[list[tuple[float, float]], bool]:
-    """Of each field the smallest and the largest value, or NaN where there is one; and whether all quaternions are
-    other than zero. On a device one copy brings all of them, since each would be waited for."""
+def _extremes(gaussians: Gaussians) -> tuple[list[tuple[float, float]], bool]:
+    """Return the smallest and largest value of each field, and whether no quaternion is zero.
+
+    NaN stands for fields with NaN. One copy brings all results from a device, since each copy waits.
+    """
     found = [value for tensor in gaussians.fields().values() for value in tensor.detach().aminmax()]
-    turned = gaussians.quaternions.detach().any(-1).all()
-    *numbers, last = torch.stack([*found, turned.to(found[0].dtype)]).tolist()
+    nonzero = gaussians.quaternions.detach().any(-1).all()
+    *numbers, last = torch.stack([*found, nonzero.to(found[0].dtype)]).tolist()
     return list(zip(numbers[::2], numbers[1::2])), bool(last)
 
 
 def check_finite(name: str, tensor: torch.Tensor) -> None:
-    """Raises InputError that names the first index where there is NaN or an infinity."""
-    if math.isfinite(tensor.detach().sum()):  # it never is with a value that is not, and one pass is enough
+    """Raise InputError for the first NaN or infinity, with its index."""
+    if math.isfinite(tensor.detach().sum()):  # one pass; the sum is not finite if any value is not
         return
     good = torch.isfinite(tensor.detach())
     if not bool(good.all()):  # finite values may have an infinite sum
-        _complain(good, name, tensor, "a finite number")
+        _raise_for(good, name, tensor, "a finite number")
 
 
-def _complain(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str) -> NoReturn:
-    """Raises InputError for the first index where `good` is false."""
+def _raise_for(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str) -> NoReturn:
+    """Raise InputError for the first index where `good` is false."""
     index = tuple(int(i) for i in (~good).nonzero()[0])
     raise InputError(f"{name}{list(index)}: expected {expected}, got {tensor[index].tolist()}")
 
 
 def from_tensors(fields: Iterable[torch.Tensor]) -> Gaussians:
-    """Gaussians of the five tensors, in the order of Gaussians.fields."""
+    """Make Gaussians of five tensors in the order of Gaussians.fields."""
     means, quaternions, scales, opacities, sh = fields
     return Gaussians(means, quaternions, scales, opacities, sh)
 
 
 def map_fields(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tensor]) -> Gaussians:
-    """The same Gaussians, each of the five tensors changed."""
+    """Apply a function to each of the five tensors."""
     return replace(
         gaussians,
         means=change(gaussians.means),
@@ -242,5 +252,5 @@ def map_fields(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tens
 
 
 def from_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
-    """Gaussians on the CPU that share the memory of the arrays; fields: as of Gaussians.fields, [N, ...]."""
+    """Make Gaussians on the CPU that share the memory of arrays [N, ...], named as in Gaussians.fields."""
     return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)

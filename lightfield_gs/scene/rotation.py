@@ -1,4 +1,4 @@
-"""Gaussians turned about the origin: places, axes and the colours of every direction (spherical harmonics)."""
+"""Rotation of Gaussians about the origin: centres, axes and spherical harmonics."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS, harmonics, rotations, spiral
 
 Origin = tuple[float, float, float]
-_DIRECTIONS = 64  # more than the 16 harmonics, spread evenly: their values determine the coefficients well
+_DIRECTIONS = 64  # evenly spread, more than the 16 harmonics: values there determine the coefficients well
 _TOLERANCE = 1e-4  # of orthonormality
 
 
 def rotated_fields(
     means: Tensor, quaternions: Tensor, sh: Tensor, origin: Origin, rotation: Any
 ) -> tuple[Tensor, Tensor, Tensor, Origin]:
-    """Means, quaternions, harmonics and origin of Gaussians that are turned; see Gaussians.rotated."""
+    """Rotate means, quaternions, harmonics and origin of Gaussians; see Gaussians.rotated."""
     matrix = rotation_matrix(rotation, means.device)
-    turned = matrix.detach().cpu() @ torch.tensor(origin, dtype=torch.float64)
+    rotated = matrix.detach().cpu() @ torch.tensor(origin, dtype=torch.float64)
     return (
         means @ matrix.T.to(means),
         _product(_quaternion(matrix).to(means), quaternions),
         harmonics_rotation(matrix, sh.shape[-2]).to(means) @ sh,
-        tuple((turned + 0.0).tolist()),
+        tuple((rotated + 0.0).tolist()),
     )
 
 
 def rotation_matrix(rotation: Any, device: torch.device | str = "cpu") -> Tensor:
-    """A rotation, [3, 3] or a quaternion [4] (wxyz, any length but zero), as float64 [3, 3]. Raises InputError."""
+    """Convert a rotation [3, 3] or quaternion [4] (wxyz, any length but zero) to float64 [3, 3]; raise InputError."""
     try:
         given = torch.as_tensor(rotation).to(device, torch.float64)
     except (TypeError, ValueError, RuntimeError, OverflowError):
@@ -46,7 +46,7 @@ def rotation_matrix(rotation: Any, device: torch.device | str = "cpu") -> Tensor
         if not bool(given.any()):
             raise InputError("rotation: expected a quaternion of any length but zero, got 0, 0, 0, 0")
         return rotations((given / given.abs().max())[None])[0]
-    values = given.detach()  # torch warns of numbers that are taken out of a gradient's graph
+    values = given.detach()  # torch warns of float() on tensors with gradients
     error = float((values @ values.T - torch.eye(3).to(values)).abs().max())
     if not error <= _TOLERANCE or float(torch.linalg.det(values)) < 0:
         raise InputError(
@@ -57,11 +57,17 @@ def rotation_matrix(rotation: Any, device: torch.device | str = "cpu") -> Tensor
 
 
 def harmonics_rotation(rotation: Tensor, count: int) -> Tensor:
-    """[K, K] float64: coefficients of a function on the sphere to those of the function turned by `rotation` [3, 3].
+    """Return the matrix that rotates a function on the sphere by its coefficients of harmonics.
 
-    The turned function has, in each direction d, the value of the other in rotation^T d. Both are sums of harmonics of
-    the same degree, so the coefficients follow, exactly, from their values in enough directions (Wigner, 1931).
-    count: K, 1, 4, 9 or 16.
+    The rotated function has in each direction d the value of the original in rotation^T d. Both are sums of harmonics
+    of the same degree, so the coefficients follow exactly from values in enough directions (Wigner, 1931).
+
+    Args:
+        rotation: [3, 3].
+        count: number of coefficients K: 1, 4, 9 or 16.
+
+    Returns:
+        float64 [K, K].
     """
     directions = torch.from_numpy(spiral(_DIRECTIONS)).to(rotation)
     before = harmonics(directions @ rotation, count)
@@ -75,13 +81,13 @@ def harmonics_rotation(rotation: Tensor, count: int) -> Tensor:
 
 @functools.cache
 def _inverses() -> tuple[np.ndarray, ...]:
-    """For degree 0..3 what takes values in the directions to coefficients, [2 degree + 1, M]."""
+    """Return for degree 0..3 the matrix from values in the directions to coefficients, [2 degree + 1, M]."""
     values = harmonics(torch.from_numpy(spiral(_DIRECTIONS)), SH_COEFFICIENTS[-1]).numpy()
     return tuple(np.linalg.pinv(values[:, first:last]) for first, last in zip((0, *SH_COEFFICIENTS), SH_COEFFICIENTS))
 
 
 def _quaternion(matrix: Tensor) -> Tensor:
-    """The unit quaternion [4] (wxyz) of a rotation [3, 3]: the column of its outer product that is longest."""
+    """Convert a rotation [3, 3] to a unit quaternion [4] (wxyz), by the longest column of its outer product."""
     m = matrix
     outer = torch.stack(
         [
@@ -96,7 +102,7 @@ def _quaternion(matrix: Tensor) -> Tensor:
 
 
 def _product(first: Tensor, others: Tensor) -> Tensor:
-    """Hamilton's product of a quaternion [4] with each of others [..., 4]: turned by the latter, then by the former."""
+    """Multiply a quaternion [4] with each of others [..., 4] (Hamilton): rotate by the latter, then by the former."""
     w, x, y, z = first.unbind()
     rows = torch.stack(
         [

@@ -92,7 +92,7 @@ def test_light_field_is_that_of_the_cpu(scene, panel, views):
 def test_every_kernel_draws_the_light_field_of_the_cpu(scene, panel, views, kernel, monkeypatch):
     monkeypatch.setattr(frame_cuda, "forced_kernel", kernel)
     panel = Panel(**{**LENS, **PANELS[panel]})
-    if kernel == "ordinal" and (panel.line_number < 4 or panel.subpixel_cells == MIRRORED):
+    if kernel == "lens-column" and (panel.line_number < 4 or panel.subpixel_cells == MIRRORED):
         pytest.skip("lenses of fewer than 4 sub-pixels, or places of several colours, are not for this kernel")
     options = dict(views=views, background=BACKGROUND, output="float32")
     expected, found = (encode(s, panel, rig(panel), **options) for s in (scene, on_gpu(scene)))
@@ -294,7 +294,7 @@ def gradients(scene: Gaussians, views: int, device: str) -> list[torch.Tensor]:
     leaves = [t.to(device=device, dtype=dtype)[None].requires_grad_() for t in scene.fields().values()]
     background = torch.full((1, views, 3), 0.3, device=device, dtype=dtype, requires_grad=True)
     poses = cameras.world_to_camera[None].clone().requires_grad_()
-    outputs = torch.ops.lightfield_gs.render_dense(
+    outputs = torch.ops.lightfield_gs.render_images(
         *leaves, background, poses, cameras.intrinsics()[None], cameras.limits()[None], panel.width_px, panel.height_px
     )
     random = torch.Generator().manual_seed(5)

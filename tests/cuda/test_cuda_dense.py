@@ -32,12 +32,12 @@ def deep_stack(count: int, opacity: float) -> Gaussians:
 
 
 def render(scenes: list[Gaussians], width: int, height: int, device: str, views: int = 2):
-    """Leaves and outputs of render_dense; float64 on the CPU."""
+    """Leaves and outputs of render_images; float64 on the CPU."""
     like = torch.empty((), device=device, dtype=torch.float64 if device == "cpu" else torch.float32)
     leaves = [t.to(like).requires_grad_() for t in stacked(scenes).fields().values()]
     poses, *fixed = (t.to(like) for t in dense_views(len(scenes), views, width, height))
     leaves += [torch.full((len(scenes), views, 3), 0.3).to(like).requires_grad_(), poses.requires_grad_()]
-    return leaves, torch.ops.lightfield_gs.render_dense(*leaves, *fixed, width, height)
+    return leaves, torch.ops.lightfield_gs.render_images(*leaves, *fixed, width, height)
 
 
 def gradients(scenes: list[Gaussians], width: int, height: int, device: str) -> list[torch.Tensor]:
@@ -91,7 +91,7 @@ def test_more_pairs_than_can_be_counted_are_refused():
     scene[2], scene[3] = torch.full_like(scene[2], 1e5), torch.ones_like(scene[3])
     views = [t.to(like) for t in dense_views(1, 1, 65536, 65536)]
     with pytest.raises(ValueError, match="pairs of tile and Gaussian"):
-        torch.ops.lightfield_gs.render_dense(*scene, like.new_zeros(1, 1, 3), *views, 65536, 65536)
+        torch.ops.lightfield_gs.render_images(*scene, like.new_zeros(1, 1, 3), *views, 65536, 65536)
 
 
 def test_the_training_step_can_be_timed(monkeypatch):

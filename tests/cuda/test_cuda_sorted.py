@@ -14,7 +14,7 @@ from sorted_cases import oracle, random_map, toe_in
 from lightfield_gs import Gaussians, InputError, SortedPlan, _core, encode
 from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.encoding.sorted import CudaStages
-from lightfield_gs.rasterizer.scene import Scene as WorkScene
+from lightfield_gs.rasterizer.scene import SceneTensors
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -157,7 +157,7 @@ def test_a_plan_for_the_cpu_is_refused(scene):
 def test_more_pairs_than_a_chunk_may_have_are_estimated(scene):
     shown = panel(width_px=160, height_px=70, views=8)
     stages = CudaStages(
-        WorkScene(*(t[None] for t in scene.to("cuda").fields().values())), SortedPlan(shown, device="cuda")
+        SceneTensors(*(t[None] for t in scene.to("cuda").fields().values())), SortedPlan(shown, device="cuda")
     )
     few, many = (stages.binning_bytes(8, (pairs, 0)) for pairs in (1 << 31, 1 << 33))
     assert 3.9 * few < many < 4.1 * few

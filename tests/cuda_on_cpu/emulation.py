@@ -27,11 +27,11 @@ def use_cuda_stages() -> None:
     from lightfield_gs.rasterizer import direct, image_operator, image_render
     from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
-    def workspace(scene, images, width, height, stats, threads, lens=False, colour_order=0, **options):
-        return CudaWorkspace(scene, images, width, height, colour_order, stats, lens, **options)
+    def workspace(scene, images, width, height, stats, threads, direct=False, colour_order=0, **options):
+        return CudaWorkspace(scene, images, width, height, colour_order, stats, direct, **options)
 
     tile = sorted_plan._tile
-    image_render.workspace_of = direct.workspace_of = workspace
+    image_render.make_workspace = direct.make_workspace = workspace
     image_operator._is_for_cuda = lambda means: True
     sorted_plan._tile = lambda views, width_px, _: tile(views, width_px, "cuda")
     sorted._CpuStages = lambda scene, plan, threads: sorted.CudaStages(scene, plan)

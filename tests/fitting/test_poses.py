@@ -12,8 +12,8 @@ from lightfield_gs.fitting.fields import Fields
 from lightfield_gs.fitting.poses import Poses, moved, rotations_about, twist_gradients, without_common
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.rasterizer.image_render import DenseImages, DenseJob
-from lightfield_gs.rasterizer.scene import Wanted
+from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageRender
+from lightfield_gs.rasterizer.scene import GradientRequest
 
 DOUBLE = torch.float64
 
@@ -51,12 +51,14 @@ def test_the_gradient_of_a_motion_is_that_of_the_image():
     fields = [field.double()[None] for field in scene.fields().values()]
     optics = [tensor.double()[None] for tensor in (cameras.intrinsics(), cameras.limits())]
 
-    def drawn(twists: Tensor) -> tuple[DenseJob, DenseImages]:
-        job = DenseJob.of(*fields, background, moved(poses, twists)[None], *optics, 24, 16)
+    def drawn(twists: Tensor) -> tuple[ImageRender, ImageBuffers]:
+        job = ImageRender.from_arguments(
+            ImageArguments(*fields, background, moved(poses, twists)[None], *optics, 24, 16)
+        )
         return job, job.draw()
 
     job, images = drawn(torch.zeros(2, 6, dtype=DOUBLE))
-    gradients = job.backward(images, DenseImages(weights, None, None), Wanted(cameras=True))
+    gradients = job.backward(images, ImageBuffers(weights, None, None), GradientRequest(cameras=True))
     found = twist_gradients(poses, gradients.cameras)
     for view in range(2):
         for number in range(6):

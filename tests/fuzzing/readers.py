@@ -19,10 +19,8 @@ from scene_formats import gsplat_png, sog, streamed, written
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.batch.item import Item
-from lightfield_gs.batch.items import read_items
-from lightfield_gs.batch.manifest import MANIFEST, Manifest
-from lightfield_gs.batch.plan import make_plan
+from lightfield_gs.batch.items import Item, read_items
+from lightfield_gs.batch.manifest import Manifest, make_plan
 from lightfield_gs.encoding.view_files import read_cameras, read_view_map
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.camera_files import read_camera_file
@@ -156,7 +154,7 @@ def _read_manifest(path: Path) -> Any:
     """In a folder, whose last items are looked at; what is damaged is passed over."""
     folder = make_folder(path.with_name("folder"))
     with reading(path):
-        (folder / MANIFEST).write_bytes(path.read_bytes())
+        (folder / "batch.jsonl").write_bytes(path.read_bytes())
     items = [Item("a.png", "a.png"), Item("deep/b.png", "b.ply", "encode", ("--zoom=2",))]
     with Manifest(folder) as manifest:
         make_plan(items, manifest, {"all": {}}, check=True)

@@ -176,7 +176,8 @@ def operators(device: torch.device) -> Found:
     tensors = [field.unsqueeze(0) for field in gaussians.fields().values()]
     views = [t.unsqueeze(0) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     colour = torch.full((1, 2, 3), 0.3, device=device)
-    call = torch.ops.lightfield_gs.render_dense
+    known = torch.ops.lightfield_gs
+    call = known.render_images if hasattr(known, "render_images") else known.render_dense  # of installs of old
     yield from zip(("image", "alpha", "depth"), call(*tensors, colour, *views, 50, 40, False))
 
 

@@ -1,32 +1,28 @@
-"""Kinds of scenes beside the usual one: 2D Gaussians, Gaussians that move, scenes inside something else, scenes in many
-files; and files and folders that are no scene that is read, which are named with a way out."""
+"""Scenes beside the usual .ply: .ply files of other trainers, Gaussians that move, packed scenes, and scenes in many
+files."""
 
-import bz2
 import gzip
 import io
 import math
-import re
 import struct
-import tarfile
 
 import numpy as np
 import pytest
 import scene_formats as made
 import torch
-from command_line import PANEL, complaint, run
+from command_line import PANEL, complaint
 from PIL import Image
 from test_gaussians_ply import NAMES, VALUES, random_gaussians, write
 
 from lightfield_gs import InputError
-from lightfield_gs.io.file_kinds import SCENE_SUFFIXES
-from lightfield_gs.io.scenes.files import SUFFIXES, read_scene
+from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.scene.gaussians import Gaussians
 
 MOTION = [f"motion_{i}" for i in range(9)]
 OMEGA = [f"omega_{i}" for i in range(4)]
 
 
-def said(path, **options) -> str:
+def notes(path, **options) -> str:
     return " | ".join(read_scene(path, **options).notes)
 
 
@@ -111,9 +107,9 @@ def test_integers_are_no_logits_logarithms_or_coefficients(tmp_path, name, kind,
 
 def test_opacities_of_255_are_noted(tmp_path):
     rows = [{**VALUES, "x": i, "opacity": 8 * i} for i in range(30)]
-    assert "look like opacities of 0..255" in said(write(tmp_path / "a.ply", rows=rows))
-    assert said(write(tmp_path / "b.ply", rows=[{**row, "opacity": row["opacity"] + 0.5} for row in rows])) == ""
-    assert said(write(tmp_path / "c.ply", rows=[{**row, "opacity": row["opacity"] / 16} for row in rows])) == ""
+    assert "look like opacities of 0..255" in notes(write(tmp_path / "a.ply", rows=rows))
+    assert notes(write(tmp_path / "b.ply", rows=[{**row, "opacity": row["opacity"] + 0.5} for row in rows])) == ""
+    assert notes(write(tmp_path / "c.ply", rows=[{**row, "opacity": row["opacity"] / 16} for row in rows])) == ""
 
 
 # Gaussians that move
@@ -145,10 +141,10 @@ def test_gaussians_that_move_are_read_at_one_time(tmp_path):
 def test_colours_of_gaussians_that_move_are_colours_or_harmonics(tmp_path):
     path = moving(tmp_path / "a.ply")
     colours = 0.5 + made.C0 * read_scene(path).gaussians.sh[0, 0]
-    assert colours.tolist() == pytest.approx([0.1, 0.2, 0.3]) and "taken for colours" in said(path)
+    assert colours.tolist() == pytest.approx([0.1, 0.2, 0.3]) and "taken for colours" in notes(path)
     path = moving(tmp_path / "b.ply", f_dc_0=-1.5, f_dc_1=1.75)
     assert read_scene(path).gaussians.sh[0, 0].tolist() == pytest.approx([-1.5, 1.75, 0.3])
-    assert "taken for harmonics" in said(path)
+    assert "taken for harmonics" in notes(path)
 
 
 def test_motion_may_be_partly_there_and_is_refused_where_it_is_broken(tmp_path):
@@ -166,24 +162,24 @@ def test_motion_may_be_partly_there_and_is_refused_where_it_is_broken(tmp_path):
 
 
 def test_motion_that_is_not_known_is_said(tmp_path):
-    assert "scale_t" in said(write(tmp_path / "a.ply", [*NAMES, "t", "scale_t"], [{**VALUES, "t": 0, "scale_t": 1}]))
+    assert "scale_t" in notes(write(tmp_path / "a.ply", [*NAMES, "t", "scale_t"], [{**VALUES, "t": 0, "scale_t": 1}]))
     (tmp_path / "deformation.pth").write_bytes(b"")
-    assert "deformation.pth beside it moves" in said(write(tmp_path / "b.ply"))
+    assert "deformation.pth beside it moves" in notes(write(tmp_path / "b.ply"))
 
 
 def test_a_network_of_motion_in_a_folder_of_its_own_is_said(tmp_path):
     for name in ("point_cloud/iteration_7", "deform/iteration_7"):
         (tmp_path / name).mkdir(parents=True)
     write(tmp_path / "point_cloud/iteration_7/point_cloud.ply")
-    assert "deform.pth" not in said(tmp_path)
+    assert "deform.pth" not in notes(tmp_path)
     (tmp_path / "deform/iteration_7/deform.pth").touch()
-    assert "deform.pth beside it moves its Gaussians" in said(tmp_path)
+    assert "deform.pth beside it moves its Gaussians" in notes(tmp_path)
 
 
 def test_a_time_at_which_nothing_shows_is_said(tmp_path):
     path = moving(tmp_path / "a.ply")
-    assert "none of its Gaussians shows at the time 9" in said(path, time=9.0)
-    assert "none of its" not in said(path, time=0.4)
+    assert "none of its Gaussians shows at the time 9" in notes(path, time=9.0)
+    assert "none of its" not in notes(path, time=0.4)
 
 
 def test_commands_draw_at_the_time_that_is_given(tmp_path, capsys, monkeypatch):
@@ -208,7 +204,7 @@ def run_noted(capsys, line: str) -> str:
 # Scenes inside something else
 
 
-def plain(seed=0) -> bytes:
+def plain_ply(seed=0) -> bytes:
     file = io.BytesIO()
     scene = random_gaussians(4, 0, seed)
     fields = [scene.means, scene.sh[:, 0], torch.logit(scene.opacities)[:, None], scene.scales.log(), scene.quaternions]
@@ -220,14 +216,14 @@ def plain(seed=0) -> bytes:
 
 JUNK = {"__MACOSX/export/._a.ply": b"Mac", "export/.DS_Store": b"", "export/readme.txt": b"words"}
 PACKED = {
-    "one.zip": lambda: made.zipped({**JUNK, "export/a.ply": plain()}, 8),
-    "scene.ply.gz": lambda: gzip.compress(plain()),
-    "named-wrong.ply": lambda: gzip.compress(plain()),
+    "one.zip": lambda: made.zipped({**JUNK, "export/a.ply": plain_ply()}, 8),
+    "scene.ply.gz": lambda: gzip.compress(plain_ply()),
+    "named-wrong.ply": lambda: gzip.compress(plain_ply()),
     "trainer.zip": lambda: made.zipped(
         {
             "out/input.ply": b"ply\n",
-            "out/point_cloud/iteration_7000/point_cloud.ply": plain(1),
-            "out/point_cloud/iteration_30000/point_cloud.ply": plain(),
+            "out/point_cloud/iteration_7000/point_cloud.ply": plain_ply(1),
+            "out/point_cloud/iteration_30000/point_cloud.ply": plain_ply(),
         }
     ),
 }
@@ -237,7 +233,7 @@ PACKED = {
 def test_the_one_scene_inside_is_read(name, tmp_path):
     (tmp_path / name).write_bytes(PACKED[name]())
     scene = read_scene(tmp_path / name)
-    (tmp_path / "plain.ply").write_bytes(plain())
+    (tmp_path / "plain.ply").write_bytes(plain_ply())
     assert torch.equal(scene.gaussians.means, read_scene(tmp_path / "plain.ply").gaussians.means)
     assert any("in the ZIP" in note for note in scene.notes) == name.endswith(".zip")
 
@@ -246,8 +242,8 @@ def test_what_a_killed_process_had_unpacked_is_removed(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
     left = tmp_path / "temporary/.lightfield-gs.partial-0"
     left.mkdir(parents=True)
-    (left / "scene.ply").write_bytes(plain())
-    (tmp_path / "a.zip").write_bytes(made.zipped({"a.ply": plain()}))
+    (left / "scene.ply").write_bytes(plain_ply())
+    (tmp_path / "a.zip").write_bytes(made.zipped({"a.ply": plain_ply()}))
     assert read_scene(tmp_path / "a.zip").gaussians.count == 4
     assert list((tmp_path / "temporary").iterdir()) == []
 
@@ -269,7 +265,7 @@ def test_what_is_wrong_inside_is_said_of_what_was_given(tmp_path):
     (tmp_path / "a.zip").write_bytes(made.zipped({"in/mesh.ply": b"ply\nformat ascii 1.0\nend_header\n"}))
     with pytest.raises(InputError, match=r"a\.zip \(in/mesh\.ply\): no element 'vertex'"):
         read_scene(tmp_path / "a.zip")
-    (tmp_path / "b.ply.gz").write_bytes(gzip.compress(plain() * 9)[:-30])
+    (tmp_path / "b.ply.gz").write_bytes(gzip.compress(plain_ply() * 9)[:-30])
     with pytest.raises(InputError, match=r"b\.ply\.gz.*(cut|broken)"):
         read_scene(tmp_path / "b.ply.gz")
     (tmp_path / "bomb.ply.gz").write_bytes(gzip.compress(b"ply\n" + bytes(1 << 25)))
@@ -289,8 +285,8 @@ def test_what_is_wrong_inside_is_said_of_what_was_given(tmp_path):
 def test_the_last_scene_of_a_trainer_is_read(folder, names, last, tmp_path):
     for index, name in enumerate(names):
         (tmp_path / folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / folder / name).write_bytes(plain(index))
-    (tmp_path / "plain.ply").write_bytes(plain(last))
+        (tmp_path / folder / name).write_bytes(plain_ply(index))
+    (tmp_path / "plain.ply").write_bytes(plain_ply(last))
     scene = read_scene(tmp_path / folder)
     assert torch.equal(scene.gaussians.means, read_scene(tmp_path / "plain.ply").gaussians.means)
     assert names[last] in scene.notes[0] and ("the last of 2" in scene.notes[0]) == (len(names) > 1)
@@ -341,166 +337,3 @@ def test_a_wrong_palette_of_gsplat_is_refused(tmp_path):
     np.savez_compressed(folder / "shN.npz", centroids=np.zeros((4, 9), np.uint8), labels=np.full(4, 4, np.uint16))
     with pytest.raises(InputError, match="4 labels of a palette of 9"):
         read_scene(folder)
-
-
-# What is not read
-
-
-def tarred() -> bytes:
-    file = io.BytesIO()
-    with tarfile.open(fileobj=file, mode="w") as archive:
-        archive.addfile(tarfile.TarInfo("a.ply"))
-    return file.getvalue()
-
-
-UNREAD = {  # file: what it holds, and the words on its kind
-    "a.glb": (b"glTF\2\0\0\0", "glTF.*KHR_gaussian_splatting"),
-    "a.gltf": (b"{}", "glTF"),
-    "renamed.png": (b"glTF\2\0\0\0", "glTF"),
-    "a.usda": (b"#usda 1.0\n", "OpenUSD"),
-    "a.usdz": (made.zipped({"a.usdc": b"PXR-USDC"}), "OpenUSD"),
-    "ckpt_29999_rank0.pt": (made.zipped({"ckpt/data.pkl": b"", "ckpt/data/0": b""}), "checkpoint.*--save_ply"),
-    "step-29999.ckpt": (b"\x80\x02\x8a\x0al\xfc\x9cF", "checkpoint.*ns-export"),
-    "ckpt.zip": (made.zipped({"ckpt/data.pkl": b"", "ckpt/data/0": b""}), "checkpoint"),
-    "params.npz": (made.zipped({"means.npy": b""}), r"arrays.*\.save\('scene.ply'\)"),
-    "params.zip": (made.zipped({"means.npy": b"", "sh.npy": b""}), "arrays"),
-    "a.npy": (b"\x93NUMPY", "arrays"),
-    "a.lcc": (b"{}", "LCC.*splat-transform"),
-    "viewer.html": (b"<!DOCTYPE html><html></html>", "viewer's page.*export"),
-    "a.splatv": (b"", "splaTV"),
-    "a.rad": (b"RAD0", "Spark"),
-    "mesh.obj": (b"v 0 0 0\n", "mesh.*fit"),
-    "a.fbx": (b"Kaydara FBX Binary  \0", "mesh"),
-    "a.vrm": (b"glTF", "glTF"),
-    "scan.laz": (b"LASF", "point cloud"),
-    "scan.e57": (b"ASTM-E57", "point cloud"),
-    "a.xyz": (b"0 0 0\n", "point cloud"),
-    "a.ssproj": (made.zipped({"document.json": b"{}"}), "project"),
-    "a.7z": (b"7z\xbc\xaf\x27\x1c", "archive.*unpack"),
-    "a.tar": (tarred(), "archive"),
-    "a.tar.gz": (gzip.compress(tarred()), "archive"),
-    "a.ply.bz2": (bz2.compress(b"ply\n"), "archive"),
-    "tileset.json": (b"{}", "3D Tiles"),
-    "points3D.bin": (bytes(64), "COLMAP"),
-    "two.zip": (made.zipped({"a.ply": plain(), "b.spz": b""}), "holds 2 scenes.*unpack"),
-    "photos.zip": (made.zipped({"in/a.jpg": b"", "in/b.jpg": b""}), "2 pictures.*lightfield-gs fit"),
-    "models.zip": (made.zipped({"a.glb": b"glTF"}), "ZIP.*glTF"),
-    "empty.zip": (made.zipped({}), "is an empty ZIP"),
-    "empty.ply": (b"", "is empty; export it"),
-    "notes.zip": (made.zipped({"a.txt": b""}), r"ZIP without a scene \('a.txt'\)"),
-    "film.MP4": (b"\0\0\0\x18ftypmp42", "a video.*lightfield-gs video"),
-    "really.ply": (b"glTF\2\0\0\0", "glTF"),
-}
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    PANEL.to_yaml("p.yaml")
-    return tmp_path
-
-
-UNREAD |= {
-    "capture.zip": (
-        made.zipped({"images/a.jpg": b"", "images/b.jpg": b"", "sparse/0/points3D.ply": b"ply\n"}),
-        "2 pictures.*lightfield-gs fit",
-    ),
-    "streamed.zip": (made.zipped({"lod-meta.json": b"{}", "0_0/meta.json": b"{}"}), "streamed SOG in a ZIP.*unpack"),
-}
-
-
-@pytest.mark.parametrize("name", UNREAD)
-def test_files_that_are_not_read_are_named_with_a_way_out(name, folder, capsys):
-    content, words = UNREAD[name]
-    (folder / name).write_bytes(content)
-    for line in (f"encode {name} -o o.png --panel p.yaml", f"info {name}"):
-        assert re.search(words, complaint(capsys, line)), name
-    with pytest.raises(InputError, match=words):
-        read_scene(name)
-
-
-NO_PICTURES = {  # a file of UNREAD, or what such a file holds, and the words on its kind
-    **{name: UNREAD[name] for name in ("a.glb", "a.gltf", "ckpt_29999_rank0.pt", "params.npz", "a.tar", "film.MP4")},
-    "a.ply": (plain(), "is a scene or points.*encode"),
-    "a.ply.txt": (plain(), "is a scene or points.*encode"),
-    "a.splat": (made.splat(), "is a scene or points.*encode"),
-    "a.spz.download": (gzip.compress(b"NGSP"), "rename it to a.spz"),
-    "download": (gzip.compress(b"NGSP"), "packed by gzip.*rename"),
-    "scene.zip": (made.zipped({"a.ply": plain()}), "a ZIP.*encode"),
-    "some.json": (b"{}", "settings or cameras.*--panel"),
-}
-
-
-@pytest.mark.parametrize("name", NO_PICTURES)
-def test_what_is_no_picture_is_named_where_one_is_expected(name, folder, capsys):
-    content, words = NO_PICTURES[name]
-    (folder / name).write_bytes(content)
-    lines = [f"show {name} --panel p.yaml", f"simulate {name} -o o.png --panel p.yaml --eye 0,0,500"]
-    lines += [] if name == "film.MP4" else [f"weave {name} -o o.png --panel p.yaml"]
-    for line in lines:
-        assert re.search(words, complaint(capsys, line)), line
-
-
-@pytest.mark.parametrize("name", ["a.ply.txt", "a.ply.download", "a", "a.png"])
-def test_a_ply_of_any_name_is_read_by_its_content(name, folder, capsys):
-    (folder / name).write_bytes(plain())
-    assert "gaussians: 4" in run(capsys, f"info {name}")
-    assert "4 Gaussians" in run(capsys, f"encode {name} -o o.png --panel p.yaml --device cpu")
-
-
-def test_what_has_lost_its_name_is_told_its_name(folder, capsys):
-    (folder / "a.spz.txt").write_bytes(made.spz(3))
-    assert "rename it to a.spz" in complaint(capsys, "encode a.spz.txt -o o.png --panel p.yaml")
-
-
-@pytest.mark.parametrize(
-    "name, content, words",
-    [
-        ("a.ply", plain(), "is not a list of inputs; batch takes a folder"),
-        ("a.JPG", b"\xff\xd8\xff", "is not a list of inputs; batch takes a folder"),
-        ("a.gltf", b"{}", "glTF"),
-        ("a.pt", b"\x80\x02", "checkpoint"),
-    ],
-)
-def test_a_batch_of_one_file_names_it(name, content, words, folder, capsys):
-    (folder / name).write_bytes(content)
-    assert re.search(words, complaint(capsys, f"batch {name} -o out --panel p.yaml"))
-
-
-FOLDERS = {
-    "sequence": (["frame_0000.ply", "frame_0001.ply", "frame_0002.ply"], "3 scenes .frame_0000.ply to .*batch"),
-    "one": (["splat.ply", "readme.txt"], "one scene in it; give one/splat.ply"),
-    "capture": (["images/a.jpg", "sparse/0/cameras.bin"], "capture.*lightfield-gs fit"),
-    "nerf": (["transforms.json"], "capture"),
-    "trainer": (["cfg_args", "cameras.json"], "trainer.*--save_ply"),
-    "nerfstudio": (["config.yml", "nerfstudio_models/step-29999.ckpt"], "ns-export"),
-    "photos": (["a.jpg", "b.JPG"], "2 pictures.*fit --sfm"),
-    "unfinished": (["cfg_args", "cameras.json", "input.ply"], "trainer.*--save_ply"),
-    "lcc": (["meta.lcc", "data.bin", "thumb.jpg"], "LCC"),
-    "deeper": (["time_0/a.ply", "time_1/a.ply"], "one of them: deeper/time_0/a.ply"),
-    "sogs": (["time_0/meta.json", "time_1/meta.json"], "one of them: sogs/time_0$"),
-    "empty": ([], "it is empty"),
-}
-
-
-@pytest.mark.parametrize("name", FOLDERS)
-def test_folders_that_are_not_read_are_named_with_a_way_out(name, folder, capsys):
-    names, words = FOLDERS[name]
-    (folder / name).mkdir()
-    for each in names:
-        (folder / name / each).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name / each).write_bytes(b"ply\n")
-    lines = [f"encode {name} -o o.png --panel p.yaml", f"quilt {name} -o q.png", f"prune {name} -o o.ply"]
-    lines += [f"info {name}", *([] if name in ("photos", "lcc") else [f"video {name} -o v --panel p.yaml"])]
-    for line in lines:
-        assert re.search(words, complaint(capsys, line)), line
-
-
-def test_what_is_read_and_what_is_not_there_is_not_refused_by_its_name(folder, capsys):
-    assert {*SUFFIXES} == {*SCENE_SUFFIXES, ".zip"}
-    assert "cannot read" in complaint(capsys, "encode nothing.glb -o o.png --panel p.yaml")
-    (folder / "a.splat").write_bytes(made.splat())
-    (folder / "meta").mkdir()
-    made.written(folder / "meta", made.sog())
-    for name in ("a.splat", "meta"):
-        assert "gaussians: 4" in run(capsys, f"info {name}")

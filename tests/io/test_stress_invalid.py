@@ -65,6 +65,8 @@ CALLS = {
     "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
     "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
     "Gaussians.save": (SCENE.save, dict(path="/nowhere/a.ply")),
+    "read_scene": (lf.read_scene, dict(path="nowhere.ply", skip_invalid=True, time=0.5)),
+    "write_scene": (lf.write_scene, dict(gaussians=SCENE, path="/nowhere/a.ply", comments=["a"])),
     "Panel": (
         Panel,
         {
@@ -260,8 +262,9 @@ def test_every_public_name_is_tried():
     assert tried == set(lf.__all__) - {
         "DepthReport",
         "InputError",
+        "RenderedImages",
         "build_info",
-    }  # a result, an error, and no arguments
+    }  # results, an error, and no arguments
 
 
 @pytest.mark.parametrize("name", CALLS)

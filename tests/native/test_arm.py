@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import lightfield_gs.rasterizer.direct  # noqa: F401  the operator
+from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
 
 FILES = {name: os.environ.get(f"LFGS_STAGES_{name.upper()}", "") for name in ("arm", "x86")}
 if not all(FILES.values()):
@@ -68,10 +69,27 @@ def test_every_stage_computes_what_it_does_on_x86(precision, name):
 def test_light_fields_and_their_gradients_are_those_of_the_module(precision, continuous):
     fields = [torch.from_numpy(ARM[precision, f].copy()).reshape(SHAPES[f]).requires_grad_() for f in FIELDS]
     background = torch.tensor([0.2, 0.4, 0.6], dtype=fields[0].dtype)
-    rig = [*np.eye(4).ravel(), 90, 90, 75, 35, -1.5, 1.5, -1, 1, 0, 2.0]
-    lens = [WIDTH, HEIGHT, VIEWS, STEP, STEP, STEP // 2, False, continuous]
-    shape = [9.85, 1 / 6, 1.0, 0.7, -1.4 / VIEWS]
-    image = torch.ops.lightfield_gs.render_lens(*fields, background, list(map(float, rig)), lens, shape)
+    lens = Lens(
+        width_px=WIDTH,
+        height_px=HEIGHT,
+        views=VIEWS,
+        phases=(STEP, STEP, STEP // 2),
+        line_number=9.85,
+        slant_tan=1 / 6,
+        phase=1.0,
+        bgr=False,
+        continuous=continuous,
+        offset_start=0.7,
+        offset_step=-1.4 / VIEWS,
+    )
+    camera = LenticularCamera(
+        world_to_camera=tuple(np.eye(4).ravel().tolist()),
+        intrinsics=(90.0, 90.0, 75.0, 35.0),
+        limits=(-1.5, 1.5, -1.0, 1.0, 0.0),
+        zero_depth=2.0,
+        lens=lens,
+    )
+    image = torch.ops.lightfield_gs.render_direct(*fields, background, *camera.numbers())
     image.backward(torch.from_numpy(ARM[precision, "gradient"].copy()).reshape(image.shape))
     name = "continuous" if continuous else "steps"
     agree(precision, name, ARM[precision, f"{name} image"], image.detach().numpy())

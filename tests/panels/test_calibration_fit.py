@@ -9,7 +9,7 @@ from panel_cases import template_panel
 
 from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.calibrate_fit import doubts_of
+from lightfield_gs.commands.calibrate_fit import implausible_places
 from lightfield_gs.panels.calibration_fit import fit_lens
 from lightfield_gs.panels.calibration_photos import Viewpoint, bilinear, find_corners, homography
 from lightfield_gs.panels.panel import Panel
@@ -133,8 +133,8 @@ def test_photographs_of_unlike_exposure_are_doubted():
         replace(place, photos=(place.photos[0], (place.photos[1] * 0.8).astype(np.uint8), place.photos[2]))
         for place in good
     ]
-    assert doubts_of(fit_lens(good, START)) == []
-    said = doubts_of(fit_lens(dark, START))
+    assert implausible_places(fit_lens(good, START)) == []
+    said = implausible_places(fit_lens(dark, START))
     assert len(said) == 2 and "check that all have one exposure" in said[0]
 
 
@@ -147,5 +147,5 @@ def test_panels_that_are_cut_off_or_squeezed_are_refused_and_places_that_lie_off
     ):
         with pytest.raises(InputError, match=words):
             fit_lens([replace(place, photos=tuple(taken(one).copy() for one in place.photos)) for place in good], START)
-    said = doubts_of(fit_lens([good[0], replace(good[1], eye_mm=(76.0, 20.0, 560.0))], START))
+    said = implausible_places(fit_lens([good[0], replace(good[1], eye_mm=(76.0, 20.0, 560.0))], START))
     assert len(said) == 2 and "check its eye" in said[0]

@@ -14,7 +14,7 @@ from rgbd_scene import view
 
 import lightfield_gs as lf
 from lightfield_gs import cli
-from lightfield_gs.io.depth_names import depth_maps_beside, is_named_as_beside
+from lightfield_gs.io.depth_names import depth_maps_beside, is_sidecar_name
 from lightfield_gs.io.images import read_picture, write_image
 from lightfield_gs.io.pillow_images import count_pictures
 from lightfield_gs.photo.embedded_depth import embedded_facts, embedded_notes, find_embedded_depth
@@ -404,8 +404,8 @@ def test_names_of_depth_maps_beside_photos():
     others = ["in-depth-look.jpg", "depths_of_the_sea.jpg", "depth_99.png", "0_mask.png"]
     names = [*pairs, *pairs.values(), *others]
     assert depth_maps_beside(names) == {photo: [depth] for photo, depth in pairs.items()}
-    assert all(is_named_as_beside(name) for name in (*pairs.values(), "1_mask.png", "normal01.exr", "depths1.png"))
-    assert not any(map(is_named_as_beside, (*pairs, "unmasked.png", "alphabet_1.png")))
+    assert all(is_sidecar_name(name) for name in (*pairs.values(), "1_mask.png", "normal01.exr", "depths1.png"))
+    assert not any(map(is_sidecar_name, (*pairs, "unmasked.png", "alphabet_1.png")))
     assert depth_maps_beside(["1.png", "1_depth.png", "1_depth.npy"]) == {"1.png": ["1_depth.npy", "1_depth.png"]}
 
 

@@ -12,7 +12,7 @@ from rasterizer_cases import all_subpixels, dense_views, panel, projected, rando
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference, render
 from lightfield_gs.io.images import read_image, read_info
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.scene.gaussians import Gaussians
@@ -123,7 +123,7 @@ def dense_inputs(scene: Gaussians, width: int, height: int) -> tuple[list[torch.
 
 def lens_inputs(scene: Gaussians, **changes) -> tuple[list[torch.Tensor], tuple]:
     shown = panel(**changes)
-    arguments = lens_view(shown, rig(shown, 0.1, -0.15), True).lists()
+    arguments = lenticular_camera(shown, rig(shown, 0.1, -0.15), True).numbers()
     fields = [*scene.fields().values(), torch.tensor(BACKGROUND, dtype=torch.float64)]
     return [t.clone().requires_grad_() for t in fields], (*arguments, True)
 
@@ -137,10 +137,10 @@ def test_gradcheck_of_both_sensors(shape):
     scene = fine_scene(shape, 4, degree=1)
     scene.scales *= 2
     moving, fixed = dense_inputs(scene, 21, 17)
-    draw = projected(lambda *m: torch.ops.lightfield_gs.render_dense(*m, *fixed))
+    draw = projected(lambda *m: torch.ops.lightfield_gs.render_images(*m, *fixed))
     assert torch.autograd.gradcheck(draw, moving, **GRADCHECK)
     moving, fixed = lens_inputs(scene, width_px=21, height_px=17)
-    draw = projected(lambda *m: [torch.ops.lightfield_gs.render_lens(*m, *fixed)])
+    draw = projected(lambda *m: [torch.ops.lightfield_gs.render_direct(*m, *fixed)])
     assert torch.autograd.gradcheck(draw, moving, **GRADCHECK)
 
 
@@ -151,14 +151,14 @@ def test_gradients_are_those_of_the_oracle(sensor, shape):
     if sensor == "dense":
         moving, fixed = dense_inputs(scene, 50, 40)
         got, want = (
-            lambda *m: torch.ops.lightfield_gs.render_dense(*m, *fixed),
+            lambda *m: torch.ops.lightfield_gs.render_images(*m, *fixed),
             lambda *m: reference.dense_torch(*m, *fixed),
         )
     else:
         moving, fixed = lens_inputs(scene, width_px=50, height_px=40, cone_deg=12.0)
         shown = panel(width_px=50, height_px=40, cone_deg=12.0)
         got, want = (
-            lambda *m: [torch.ops.lightfield_gs.render_lens(*m, *fixed)],
+            lambda *m: [torch.ops.lightfield_gs.render_direct(*m, *fixed)],
             lambda *m: [reference.lens_torch(*m, shown, rig(shown, 0.1, -0.15), continuous=True, antialiased=True)],
         )
     results = []
@@ -196,9 +196,9 @@ def test_an_encoder_and_pruning_do_the_same():
 
 def test_operators_are_registered_as_torch_wants_them():
     moving, fixed = lens_inputs(fine_scene(count=5), width_px=9, height_px=5)
-    torch.library.opcheck(torch.ops.lightfield_gs.render_lens, (*moving, *fixed))
+    torch.library.opcheck(torch.ops.lightfield_gs.render_direct, (*moving, *fixed))
     moving, fixed = dense_inputs(fine_scene(count=5), 9, 5)
-    torch.library.opcheck(torch.ops.lightfield_gs.render_dense_with_state, (*moving, *fixed))
+    torch.library.opcheck(torch.ops.lightfield_gs.render_images_with_state, (*moving, *fixed))
 
 
 def test_the_option_is_true_or_false():

@@ -40,7 +40,7 @@ def assert_equal(a: RenderedImages, b: RenderedImages) -> None:
 def test_parts_are_the_whole(alpha, depth, monkeypatch):
     scene, cameras = case()
     whole = render(scene, cameras, alpha=alpha, depth=depth)
-    monkeypatch.setattr(image_render, "PART_BYTES", 5 * 4 * image_render._SPLAT_NUMBERS * GAUSSIANS)
+    monkeypatch.setattr(image_render, "CHUNK_BYTES", 5 * 4 * image_render._SPLAT_NUMBERS * GAUSSIANS)
     parts = render(scene, cameras, alpha=alpha, depth=depth)
     assert_equal(whole, parts)
     with torch.enable_grad():  # by the operator that has a reverse
@@ -52,7 +52,7 @@ def test_parts_are_the_whole(alpha, depth, monkeypatch):
 def test_memory_is_that_of_the_images_and_of_a_view(alpha, depth, monkeypatch):
     """Beside the images no more than 192 bytes a Gaussian and 8 a pixel of one view, whatever the number of views."""
     scene, cameras = case()
-    monkeypatch.setattr(image_render, "PART_BYTES", 1)
+    monkeypatch.setattr(image_render, "CHUNK_BYTES", 1)
     kept = 12 + 4 * (alpha or depth) + 4 * depth
     bound = VIEWS * WIDTH * HEIGHT * kept + 192 * GAUSSIANS + 8 * WIDTH * HEIGHT + 20_000
     used = peak_bytes(lambda: render(scene, cameras, alpha=alpha, depth=depth))

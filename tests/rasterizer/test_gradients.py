@@ -5,7 +5,7 @@ import torch
 from rasterizer_cases import dense_views, panel, projected, random_scene, rig, stacked
 
 from lightfield_gs import InputError, encode, reference
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.scene.gaussians import Gaussians
 
 GAUSSIANS = ("means", "quaternions", "scales", "opacities", "sh")
@@ -30,7 +30,7 @@ def dense_inputs(batch, views, count, degree, width, height, dtype=torch.float64
 
 
 def dense(*arguments):
-    return torch.ops.lightfield_gs.render_dense(*arguments)
+    return torch.ops.lightfield_gs.render_images(*arguments)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -131,13 +131,13 @@ def test_nothing_to_draw_has_zero_gradients():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_dense_op_is_registered_as_torch_wants_it(dtype):
     moving, fixed = dense_inputs(2, 2, 6, 1, 12, 9, dtype=dtype)
-    for name in ("render_dense", "render_dense_with_state"):
+    for name in ("render_images", "render_images_with_state"):
         torch.library.opcheck(getattr(torch.ops.lightfield_gs, name), (*moving, *fixed))
 
 
 def test_a_state_of_another_render_is_refused():
     moving, fixed = dense_inputs(1, 2, 5, 1, 12, 9)
-    *images, splats, colours, lists = torch.ops.lightfield_gs.render_dense_with_state(*moving, *fixed)
+    *images, splats, colours, lists = torch.ops.lightfield_gs.render_images_with_state(*moving, *fixed)
     for state in [
         (splats[:1], colours, lists),
         (splats, colours[:1], lists),
@@ -145,7 +145,7 @@ def test_a_state_of_another_render_is_refused():
         (splats, colours, lists.int()),
     ]:
         with pytest.raises(InputError, match="state"):
-            torch.ops.lightfield_gs.render_dense_backward(*moving, *fixed, *images, *state, *images)
+            torch.ops.lightfield_gs.render_images_backward(*moving, *fixed, False, *images, *state, *images, 0, True)
 
 
 # ---- light-field images
@@ -156,11 +156,11 @@ def lens_inputs(name, count, degree, *, continuous=False, dtype=torch.float64, s
     fan = rig(shown, 0.1, -0.15, (0.53, 0.44))
     gaussians = random_scene(count, degree, seed=20, dtype=dtype, **(scene or {}))
     moving = [*gaussians.fields().values(), background_of(dtype=dtype)]
-    return leaves(moving), lens_view(shown, fan, continuous).lists(), (shown, fan)
+    return leaves(moving), lenticular_camera(shown, fan, continuous).numbers(), (shown, fan)
 
 
 def lens(*arguments):
-    return torch.ops.lightfield_gs.render_lens(*arguments)
+    return torch.ops.lightfield_gs.render_direct(*arguments)
 
 
 SMALL = dict(width_px=9, height_px=5)
@@ -262,4 +262,4 @@ def test_encode_carries_gradients():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_lens_op_is_registered_as_torch_wants_it(dtype):
     moving, fixed, _ = lens_inputs("default lens", 6, 1, dtype=dtype, **SMALL)
-    torch.library.opcheck(torch.ops.lightfield_gs.render_lens, (*moving, *fixed))
+    torch.library.opcheck(torch.ops.lightfield_gs.render_direct, (*moving, *fixed))

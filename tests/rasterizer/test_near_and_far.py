@@ -6,7 +6,7 @@ import torch
 
 from lightfield_gs import Cameras, Gaussians, Panel, Rig, encode, render
 from lightfield_gs.rasterizer.quality import QUALITIES, Quality
-from lightfield_gs.scene.cameras import about_cameras
+from lightfield_gs.scene.cameras import recentre
 
 ZERO_DEPTH = 2.0
 
@@ -156,5 +156,5 @@ def test_gradients_far_from_the_origin_are_those_of_float64():
 def test_at_ordinary_places_nothing_is_taken_off():
     for far in (0.0, 30.0):
         scene, cameras = scene_far(far), single(far)
-        means, same = about_cameras(scene.means, cameras)
+        means, same = recentre(scene.means, cameras)
         assert means is scene.means and same is cameras

@@ -20,7 +20,7 @@ def cameras_of(views, width, height, dtype=torch.float64) -> Cameras:
 
 
 def op(scenes: Gaussians, background, views, width, height):
-    return torch.ops.lightfield_gs.render_dense(*scenes.fields().values(), background, *views, width, height)
+    return torch.ops.lightfield_gs.render_images(*scenes.fields().values(), background, *views, width, height)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -198,7 +198,7 @@ def test_wrong_shapes_are_named(index):
     tensors = arguments()
     tensors[index] = tensors[index][..., :-1]
     with pytest.raises(InputError, match="must be") as error:
-        torch.ops.lightfield_gs.render_dense(*tensors, 8, 6)
+        torch.ops.lightfield_gs.render_images(*tensors, 8, 6)
     assert "\n" not in str(error.value)
 
 
@@ -208,20 +208,20 @@ def test_wrong_dtypes_are_named(index):
         tensors = arguments()
         tensors[index] = tensors[index].to(dtype)
         with pytest.raises(InputError):
-            torch.ops.lightfield_gs.render_dense(*tensors, 8, 6)
+            torch.ops.lightfield_gs.render_images(*tensors, 8, 6)
 
 
 @pytest.mark.parametrize("width, height", [(0, 6), (8, 0), (-8, 6), (1 << 40, 6)])
 def test_impossible_sizes_are_refused(width, height):
     with pytest.raises(InputError):
-        torch.ops.lightfield_gs.render_dense(*arguments(), width, height)
+        torch.ops.lightfield_gs.render_images(*arguments(), width, height)
 
 
 def test_tensors_need_not_be_contiguous():
     tensors = arguments(torch.float64)
-    want = torch.ops.lightfield_gs.render_dense(*tensors, 8, 6)
+    want = torch.ops.lightfield_gs.render_images(*tensors, 8, 6)
     strided = [torch.stack([tensor, tensor], -1)[..., 0] for tensor in tensors]
-    got = torch.ops.lightfield_gs.render_dense(*strided, 8, 6)
+    got = torch.ops.lightfield_gs.render_images(*strided, 8, 6)
     assert all(torch.equal(a, b) for a, b in zip(got, want))
 
 

@@ -50,7 +50,7 @@ class Stages:
         self.camera_arrays = [np.ascontiguousarray(view.numpy(), self.dtype) for view in views]
         batch, per_scene = views[0].shape[:2]
         self.cameras = self.core.Cameras(batch, per_scene, width, height, *map(address, self.camera_arrays))
-        self.core.project_dense(self.gaussians(scene), self.cameras, self.splats, 2)
+        self.core.project_images(self.gaussians(scene), self.cameras, self.splats, 2)
 
     def project_lens(self, scene, shown, fan, continuous=False, tolerance=1e-4):
         self.lens = native_lens(shown, fan, continuous)
@@ -62,7 +62,7 @@ class Stages:
             zero_depth=fan.zero_depth,
             lens=self.lens,
         )
-        return self.core.project_lens(self.gaussians(scene), view, self.lens, EXACT.native, tolerance, self.splats, 2)
+        return self.core.project_direct(self.gaussians(scene), view, self.lens, EXACT.native, tolerance, self.splats, 2)
 
     def colours_at(self, s):
         """The colours [N, 3] of the first image from the place s of the rig: polynomials, or on circles near it."""
@@ -102,7 +102,7 @@ def test_lens_phase_is_that_of_the_panel(name):
     for row, column, channel in zip(
         random.integers(0, shown.height_px, 300), random.integers(0, shown.width_px, 300), random.integers(0, 3, 300)
     ):
-        assert native.view_at(row, native.subpixel_of(row, column, channel)) == views[row, column, channel]
+        assert native.view_at(row, native.subpixel_index(row, column, channel)) == views[row, column, channel]
 
 
 @pytest.mark.parametrize("precision", DTYPES)
@@ -244,7 +244,7 @@ def test_bins_hold_who_touches_a_band_near_ones_first(precision, height):
 
     # Where the gradients of a splat's bands begin: splat after splat, as many places as it has bands.
     first = np.zeros((2, 300), np.int64)
-    stages.core.first_pairs(stages.splats, height, stages.bins, address(first), 2)
+    stages.core.first_intersections(stages.splats, height, stages.bins, address(first), 2)
     times = [
         np.bincount(stages.members[stages.offsets[i * bands] : stages.offsets[(i + 1) * bands]], minlength=300)
         for i in range(2)
@@ -279,8 +279,8 @@ def test_composite_dense_of_two_round_spots(precision):
     identity = [torch.eye(4)[None, None], torch.ones(1, 1, 4), torch.ones(1, 1, 5)]
     arrays = [np.ascontiguousarray(array.numpy(), stages.dtype) for array in identity]
     cameras = stages.core.Cameras(1, 1, width, height, *map(address, arrays))
-    counters = stages.core.composite_dense(
-        stages.splats, stages.bins, cameras, address(background), stages.core.DenseImages(*map(address, pictures)), 2
+    counters = stages.core.composite_images(
+        stages.splats, stages.bins, cameras, address(background), stages.core.Images(*map(address, pictures)), 2
     )
     row, column = np.mgrid[:height, :width] + 0.5
 
@@ -295,7 +295,7 @@ def test_composite_dense_of_two_round_spots(precision):
     np.testing.assert_allclose(pictures[0], image, atol=atol)
     np.testing.assert_allclose(pictures[1], 1 - left, atol=atol)
     np.testing.assert_allclose(pictures[2], near * 1 + (1 - near) * far * 2, atol=atol)
-    assert counters.evaluations >= np.count_nonzero(near) and counters.pairs > 0
+    assert counters.evaluations >= np.count_nonzero(near) and counters.intersections > 0
 
 
 TARGETS = _core.simd_targets()

@@ -14,11 +14,11 @@ from lightfield_gs import Encoder, InputError, cli, encode, prune, reference
 from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.io.images import read_image, read_info
-from lightfield_gs.panels.lens import lens_view, view_aperture
+from lightfield_gs.panels.lens import lenticular_camera, view_aperture
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.image_render import DenseImages, DenseJob
+from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageRender
 from lightfield_gs.rasterizer.quality import QUALITIES
-from lightfield_gs.rasterizer.scene import Wanted
+from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.reference.blend import LOW_PASS_PX2, Projection, Scene, square
 from lightfield_gs.reference.light_field import rig_eye
 from lightfield_gs.scene.gaussians import Gaussians
@@ -117,9 +117,13 @@ def test_the_picture_comes_near_the_mean_of_the_pictures_within_a_view():
     views = (cameras.world_to_camera[None], cameras.intrinsics()[None], cameras.limits()[None])
     one = [t[:, 20:21] for t in views]
     size, black = (shown.width_px, shown.height_px), torch.zeros(1, 41, 3, dtype=torch.float64)
-    mean = DenseJob.of(*tensors, black, *views, *size).draw().image[0].mean(0)
+    mean = ImageRender.from_arguments(ImageArguments(*tensors, black, *views, *size)).draw().image[0].mean(0)
     sharp, filtered = (
-        DenseJob.of(*tensors, black[:, :1], *one, *size, aperture=view_aperture(shown, fan, width)).draw().image[0, 0]
+        ImageRender.from_arguments(
+            ImageArguments(*tensors, black[:, :1], *one, *size), aperture=view_aperture(shown, fan, width)
+        )
+        .draw()
+        .image[0, 0]
         for width in (0.0, 1.0)
     )
     assert psnr(filtered, mean.numpy()) > psnr(sharp, mean.numpy()) + 6
@@ -152,7 +156,7 @@ GRADCHECK = dict(eps=1e-6, atol=1e-5, rtol=1e-4)
 
 def lens_inputs(scene: Gaussians, antialiased: bool, **changes) -> tuple[list[torch.Tensor], tuple]:
     shown = panel(**changes)
-    arguments = lens_view(shown, rig(shown, 0.1, -0.15), True, view_filter=WIDTH).lists()
+    arguments = lenticular_camera(shown, rig(shown, 0.1, -0.15), True, view_filter=WIDTH).numbers()
     fields = [*scene.fields().values(), torch.tensor(BACKGROUND, dtype=torch.float64)]
     return [t.clone().requires_grad_() for t in fields], (*arguments, antialiased)
 
@@ -160,9 +164,9 @@ def lens_inputs(scene: Gaussians, antialiased: bool, **changes) -> tuple[list[to
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_gradcheck_of_the_panel(antialiased):
     moving, fixed = lens_inputs(deep_scene(4, degree=1), antialiased, width_px=21, height_px=17)
-    draw = projected(lambda *m: [torch.ops.lightfield_gs.render_lens(*m, *fixed)])
+    draw = projected(lambda *m: [torch.ops.lightfield_gs.render_direct(*m, *fixed)])
     assert torch.autograd.gradcheck(draw, moving, **GRADCHECK)
-    torch.library.opcheck(torch.ops.lightfield_gs.render_lens, (*moving, *fixed))
+    torch.library.opcheck(torch.ops.lightfield_gs.render_direct, (*moving, *fixed))
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
@@ -173,7 +177,7 @@ def test_gradients_are_those_of_the_oracle(antialiased):
     options = dict(continuous=True, antialiased=antialiased, view_filter=WIDTH)
     results = []
     for image in (
-        torch.ops.lightfield_gs.render_lens(*moving, *fixed),
+        torch.ops.lightfield_gs.render_direct(*moving, *fixed),
         reference.lens_torch(*moving, shown, rig(shown, 0.1, -0.15), **options),
     ):
         weights = torch.randn(image.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(7))
@@ -195,11 +199,13 @@ def test_gradients_of_ordinary_images_with_an_aperture(antialiased):
     random = torch.Generator().manual_seed(3)
 
     def job(fields, pose):
-        return DenseJob.of(*fields, background, pose, *fixed, 40, 30, antialiased, aperture=aperture)
+        return ImageRender.from_arguments(
+            ImageArguments(*fields, background, pose, *fixed, 40, 30, antialiased), aperture=aperture
+        )
 
     drawn = job(fields, pose).draw()
     weights = torch.randn(drawn.image.shape, dtype=torch.float64, generator=random)
-    gradients = job(fields, pose).backward(drawn, DenseImages(weights, None, None), Wanted(0, True))
+    gradients = job(fields, pose).backward(drawn, ImageBuffers(weights, None, None), GradientRequest(0, True))
     ways = [torch.randn(t.shape, dtype=torch.float64, generator=random) for t in (*fields, pose)]
     ways[-1][..., 3, :] = 0
     found = sum(float((g.view(w.shape) * w).sum()) for g, w in zip((*gradients.fields, gradients.cameras), ways))
@@ -288,7 +294,9 @@ def test_what_limits_the_filter_is_that_splats_are_blended_one_by_one():
         ):
             some = [t[None, part] for t in views]
             black = torch.zeros(1, some[0].shape[1], 3, dtype=torch.float64)
-            job = DenseJob.of(*tensors, black, *some, shown.width_px, shown.height_px, aperture=aperture)
+            job = ImageRender.from_arguments(
+                ImageArguments(*tensors, black, *some, shown.width_px, shown.height_px), aperture=aperture
+            )
             found.append(job.draw().alpha[0])
         return found[0][0], found[1]
 

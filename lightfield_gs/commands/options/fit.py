@@ -1,37 +1,147 @@
-"""Options of `lightfield-gs fit`: the capture, what is optimised, and what happens beside."""
+"""Options of `lightfield-gs fit`."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES
+from lightfield_gs.base.options import DEVICES, Device
 from lightfield_gs.commands.options.parser import background, whole, within
-from lightfield_gs.fitting.settings import DENSITIES, MASKS
+from lightfield_gs.fitting.settings import DENSITIES, MASKS, Density, Masks
 from lightfield_gs.io.captures.capture import TestEvery
 
 Add = Callable[..., argparse.Action]
 _BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
 _MOST = 10_000_000
+# Options, and the settings that they are
+_SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
 
 
-def every_or_none(text: str) -> TestEvery:
-    """ "8" -> 8, "none" -> None, "own" -> "own"."""
+@dataclass(frozen=True, slots=True)
+class CaptureOptions:
+    """The photographs of a scene.
+
+    Attributes:
+        input: the capture, or with sfm a folder of photographs.
+        images: folder of the photographs.
+        mask_folder: folder of their masks.
+        scale: factor of their width.
+        longest_px: their longer side at most.
+        test_every: holds out the middle one of every so many.
+        test_list: file with the names of those held out.
+        sfm: whether pycolmap finds the cameras.
+    """
+
+    input: Path
+    images: Path | None = None
+    mask_folder: Path | None = None
+    scale: float | None = None
+    longest_px: int | None = None
+    test_every: TestEvery = "own"
+    test_list: Path | None = None
+    sfm: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class OptimisationOptions:
+    """The settings of a fit, see FitSettings for their meaning."""
+
+    steps: int
+    gaussians: int
+    density: Density
+    absolute_gradients: bool
+    sh_degree: int
+    views_per_step: int
+    exposure: bool
+    dropout: float
+    poses: bool
+    masks: Masks
+    background: tuple[float, ...] | None
+    antialiased: bool
+    seed: int
+
+    def arguments(self) -> dict[str, Any]:
+        """Return them by the names of `lightfield_gs.fit`."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {_SETTINGS.get(name, name): value for name, value in values.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class ConeOptions:
+    """The panel that a scene is fitted for.
+
+    Attributes:
+        cone: the panel, or degrees.
+        centre: name of the photograph in the middle of the cone.
+        score_cone: angle of the cone for scores, degrees.
+        contribution_cut: mean error that may be made by what is left out.
+    """
+
+    cone: str | None = None
+    centre: str | None = None
+    score_cone: float | None = None
+    contribution_cut: float | None = None
+
+    def arguments(self) -> dict[str, Any]:
+        """Return them by the names of `lightfield_gs.fit`."""
+        cut = {} if self.contribution_cut is None else {"contribution_cut": self.contribution_cut}
+        return {"cone": self.cone, "centre": self.centre, "score_cone": self.score_cone, **cut}
+
+    def check(self) -> None:
+        """Raise InputError where cone is neither a panel nor an angle: at once, not after the capture was read."""
+        from lightfield_gs.fitting.display import panel_of
+
+        if self.cone is None:
+            return
+        try:
+            panel_of(self.cone)
+        except InputError as error:
+            raise InputError(f"--cone: expected a panel, or degrees, 1..179: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """The folder of a run, and what goes there; see `lightfield_gs.fit`. run: the folder. None: beside the scene."""
+
+    run: Path | None = None
+    fresh: bool = False
+    checkpoint_every: int | None = None
+    evaluate_every: int | None = None
+    picture_every: int | None = None
+    stop_early: bool = False
+    tensorboard: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """A capture that becomes a scene. output: the scene; device: where it is fitted; the others: see there."""
+
+    output: Path
+    capture: CaptureOptions
+    optimisation: OptimisationOptions
+    cone: ConeOptions
+    report: ReportOptions
+    device: Device = "auto"
+
+
+def _every_or_none(text: str) -> TestEvery:
+    """Parse "8" to 8, "none" to None, "own" to "own"."""
     if text == "own":
         return "own"
     return None if text == "none" else whole(2, 1 << 30)(text)
 
 
-def backdrop(text: str) -> tuple[float, ...] | None:
-    """ "white" -> (1.0, 1.0, 1.0), "random" -> None, "0,0.5,1" -> (0.0, 0.5, 1.0)."""
+def _backdrop(text: str) -> tuple[float, ...] | None:
+    """Parse "white" to (1.0, 1.0, 1.0), "random" to None, "0,0.5,1" to (0.0, 0.5, 1.0)."""
     return _BACKGROUNDS[text] if text in _BACKGROUNDS else background(text)
 
 
 def add_capture(parser: argparse.ArgumentParser) -> None:
-    """What is read of a capture, and how."""
+    """Add the options of the capture."""
     group = parser.add_argument_group("capture")
     add = group.add_argument
     add("--images", type=Path, metavar="FOLDER", help="folder of photographs, absolute or in CAPTURE (default: images)")
@@ -64,7 +174,7 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
     test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group().add_argument
     test(
         "--test-every",
-        type=every_or_none,
+        type=_every_or_none,
         default="own",
         metavar="N",
         help="holds out the middle one of every N photographs, in the order of their names, to score the "
@@ -80,7 +190,7 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
 
 
 def add_optimisation(parser: argparse.ArgumentParser) -> None:
-    """What becomes FitSettings."""
+    """Add the options that become FitSettings."""
     add = parser.add_argument_group("fit").add_argument
     add(
         "--steps",
@@ -130,7 +240,7 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
     add("--poses", action="store_true", help="refines the cameras' poses as well, where they are off by some pixels")
     add(
         "--background",
-        type=backdrop,
+        type=_backdrop,
         default=_BACKGROUNDS["black"],
         metavar="COLOUR",
         help="what is behind the scene in the fit, and then in encode: black, white, R,G,B in 0..1, or random, another "
@@ -151,7 +261,7 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """What becomes Habits."""
+    """Add the options of the run's folder."""
     add = parser.add_argument_group("run").add_argument
     add(
         "--run",
@@ -175,28 +285,8 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add("--tensorboard", action="store_true", help="scalars for TensorBoard in the folder of the run")
 
 
-def settings_given(args: argparse.Namespace) -> dict[str, Any]:
-    """The fields of FitSettings, by the options."""
-    names = ("steps", "density", "sh_degree", "exposure", "poses", "masks", "dropout", "background", "antialiased")
-    renamed = {"cap_max": args.gaussians, "absgrad": args.absolute_gradients, "batch_size": args.views_per_step}
-    return {name: getattr(args, name) for name in (*names, "seed")} | renamed
-
-
-def names_in(path: Path | None) -> list[str] | None:
-    """The photographs that a text file names, one a line; empty lines and those that begin with # are none."""
-    from lightfield_gs.io.text_files import read_text
-
-    if path is None:
-        return None
-    lines = [line.strip() for line in read_text(path, 1 << 24, "a list of photographs").splitlines()]
-    names = [line for line in lines if line and not line.startswith("#")]
-    if not names:
-        raise InputError(f"{path}: expected names of photographs, one a line, got none")
-    return names
-
-
 def add_cone(parser: argparse.ArgumentParser) -> None:
-    """The panel that a scene is fitted for, and the cone that it is judged in."""
+    """Add the options of the panel that a scene is fitted for, and of the cone that it is scored in."""
     add = parser.add_argument_group("panel").add_argument
     add(
         "--cone",
@@ -227,19 +317,12 @@ def add_cone(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_cone(args: argparse.Namespace) -> None:
-    """Raises InputError where --cone is neither a panel nor an angle: at once, not after the capture was read."""
-    from lightfield_gs.fitting.display import panel_of
+def read_names(path: Path) -> list[str]:
+    """Read names of photographs from a text file, one a line, but for empty lines and comments. Raises InputError."""
+    from lightfield_gs.io.text_files import read_text
 
-    if args.cone is None:
-        return
-    try:
-        panel_of(args.cone)
-    except InputError as error:
-        raise InputError(f"--cone: expected a panel, or degrees, 1..179: {error}") from None
-
-
-def cone_given(args: argparse.Namespace) -> dict[str, Any]:
-    """The arguments of lf.fit that the options are."""
-    cut = {} if args.contribution_cut is None else {"contribution_cut": args.contribution_cut}
-    return {"cone": args.cone, "centre": args.centre, "score_cone": args.score_cone, **cut}
+    lines = [line.strip() for line in read_text(path, 1 << 24, "a list of photographs").splitlines()]
+    names = [line for line in lines if line and not line.startswith("#")]
+    if not names:
+        raise InputError(f"{path}: expected names of photographs, one a line, got none")
+    return names

@@ -1,13 +1,14 @@
-"""How the words of a command line are parsed, wherever they come from, and values of options."""
+"""The parser of a command line: one-line errors, the types of values, and options as data."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, get_type_hints
 
 from lightfield_gs.base.errors import InputError
 
@@ -18,15 +19,38 @@ _VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre",
 _UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 
 
+class _Dataclass(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+_Options = TypeVar("_Options", bound=_Dataclass)
+
+
 class Parser(argparse.ArgumentParser):
-    """Complains in one line."""
+    """A parser whose errors are InputErrors of one line."""
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
 
 
-def joined(arguments: Iterable[str]) -> list[str]:
-    """`--eye -5,0,600` as `--eye=-5,0,600`: argparse takes the value for an option otherwise."""
+def read_options(kind: type[_Options], args: argparse.Namespace) -> _Options:
+    """Return parsed arguments as an options dataclass.
+
+    A field takes the argument of its name, or else keeps its default. A field whose type is a dataclass is read from
+    the same arguments.
+    """
+    types = get_type_hints(kind)
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):
+        if dataclasses.is_dataclass(types[field.name]):
+            values[field.name] = read_options(types[field.name], args)
+        elif hasattr(args, field.name):
+            values[field.name] = getattr(args, field.name)
+    return kind(**values)
+
+
+def join_values(arguments: Iterable[str]) -> list[str]:
+    """Write `--eye -5,0,600` as `--eye=-5,0,600`: argparse takes the value for an option otherwise."""
     out: list[str] = []
     for argument in arguments:
         if out and out[-1] in _VECTOR_OPTIONS:
@@ -37,7 +61,7 @@ def joined(arguments: Iterable[str]) -> list[str]:
 
 
 def numbers(count: int):
-    """Parser of `count` comma-separated finite numbers."""
+    """Return the parser of `count` comma-separated finite numbers."""
 
     def parse(text: str) -> tuple[float, ...]:
         try:
@@ -56,7 +80,7 @@ def _counted(count: int) -> str:
 
 
 def background(text: str) -> tuple[float, ...]:
-    """ "1,0.5,0" -> (1.0, 0.5, 0.0)."""
+    """Parse "1,0.5,0" to (1.0, 0.5, 0.0)."""
     values = numbers(3)(text)
     if not all(0 <= value <= 1 for value in values):
         raise argparse.ArgumentTypeError(f"expected red, green and blue in 0..1, got '{text}'")
@@ -64,7 +88,7 @@ def background(text: str) -> tuple[float, ...]:
 
 
 def within(low: float, high: float, unit: str = ""):
-    """Parser of a number in low..high, both included; unit: of both, in the complaint."""
+    """Return the parser of a number in low..high, both included. unit: of both, for the error."""
 
     def parse(text: str) -> float:
         value = numbers(1)(text)[0]
@@ -76,7 +100,7 @@ def within(low: float, high: float, unit: str = ""):
 
 
 def whole(low: int, high: int):
-    """Parser of a whole number in low..high; "300,000" and "300_000" are 300000."""
+    """Return the parser of a whole number in low..high; "300,000" and "300_000" are 300000."""
 
     def parse(text: str) -> int:
         digits = text.replace("_", "").replace(",", "")
@@ -88,7 +112,7 @@ def whole(low: int, high: int):
 
 
 def whole_numbers(low: int, high: int, separator: str = ",", count: int | None = None):
-    """Parser of whole numbers in low..high, `count` of them (None: one or more)."""
+    """Return the parser of `count` whole numbers in low..high (None: one or more)."""
 
     def parse(text: str) -> tuple[int, ...]:
         words = text.split(separator)
@@ -100,7 +124,7 @@ def whole_numbers(low: int, high: int, separator: str = ",", count: int | None =
 
 
 def camera_choice(text: str) -> tuple[Path, int | None]:
-    """ "FILE" or "FILE:INDEX" -> the file, and which of its cameras."""
+    """Parse "FILE" or "FILE:INDEX" to the file and the index of its camera."""
     name, colon, index = text.rpartition(":")
     if colon and name and index.isdecimal() and not Path(text).exists():
         return Path(name), int(index[:9])
@@ -108,14 +132,14 @@ def camera_choice(text: str) -> tuple[Path, int | None]:
 
 
 def threads(text: str) -> int:
-    """ "8" -> 8."""
+    """Parse "8" to 8."""
     if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:
         raise argparse.ArgumentTypeError(f"expected 1..1024, got '{text}'")
     return int(text)
 
 
 def byte_size(text: str) -> int:
-    """ "256MB" -> 256000000."""
+    """Parse "256MB" to 256000000."""
     match = re.fullmatch(r"(\d{1,15}(?:\.\d{1,15})?)(B|[KMG]i?B)", text)
     value = 0 if match is None else int(float(match[1]) * _UNITS[match[2]])
     if value < 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.cli_messages import note
@@ -16,7 +17,17 @@ if TYPE_CHECKING:
 _HOST = "127.0.0.1"
 
 
+@dataclass(frozen=True, slots=True)
+class ServingOptions:
+    """Where a page is served. port: 0 for any that is free; no_open: whether to leave the browser closed."""
+
+    port: int = 0
+    host: str = _HOST
+    no_open: bool = False
+
+
 def add_serving(add: Callable[..., argparse.Action]) -> None:
+    """Add the options of where the page is served."""
     add(
         "--port",
         type=whole(0, 65535),
@@ -34,16 +45,16 @@ def add_serving(add: Callable[..., argparse.Action]) -> None:
     add("--no-open", action="store_true", help="do not open the browser; the address is printed")
 
 
-def serve(args: argparse.Namespace, routes: Mapping[str, Route], start: str) -> None:
-    """Serves the routes until Ctrl-C, and opens the one named `start` in the browser. Raises InputError."""
+def serve(options: ServingOptions, routes: Mapping[str, Route], start: str) -> None:
+    """Serve the routes until Ctrl-C, and open the one named `start` in the browser. Raises InputError."""
     from lightfield_gs.show.page.server import Server
 
-    server = Server(routes, args.port, args.host)
+    server = Server(routes, options.port, options.host)
     if not server.is_local:
-        note(f"--host {args.host}: everybody who reaches this machine there can see and steer the page")
+        note(f"--host {options.host}: everybody who reaches this machine there can see and steer the page")
     if server.is_name_of_itself:
         note(
-            f"--host {args.host}: this system leads its own name to {server.url}, which this machine alone "
+            f"--host {options.host}: this system leads its own name to {server.url}, which this machine alone "
             "reaches: give another address of it, or 0.0.0.0, for others to open the page"
         )
     print(f"open {server.url}{start} in a browser; Ctrl-C ends it")
@@ -51,4 +62,4 @@ def serve(args: argparse.Namespace, routes: Mapping[str, Route], start: str) -> 
         urls = [url + start for url in server.other_urls]
         print(f"from other machines: {', '.join(urls) or 'by an address of this one, which is not known'}")
     sys.stdout.flush()
-    server.run(None if args.no_open else start)
+    server.run(None if options.no_open else start)

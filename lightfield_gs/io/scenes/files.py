@@ -12,7 +12,7 @@ import numpy as np
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unread
+from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
 from lightfield_gs.io.scenes import ksplat, ply, sog, splat, spz
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
 from lightfield_gs.io.scenes.packed import ZIP_MAGIC, is_packed_scene, unpack
@@ -98,6 +98,9 @@ def write_scene(gaussians: Gaussians, path: str | Path, comments: Sequence[str] 
     Raises:
         InputError: Gaussians are a batch, empty or invalid, comments have several lines, or the file cannot be written.
     """
+    from lightfield_gs.scene.gaussians import Gaussians
+
+    expect("gaussians", gaussians, Gaussians)
     if gaussians.is_batched:
         raise InputError(f"a file holds one set of Gaussians, got a batch of {gaussians.means.shape[0]}; save one")
     if gaussians.count == 0:
@@ -166,7 +169,7 @@ def _find_format(path: Path) -> Format:
         return _STREAMED
     if path.name.lower() == sog.META or path.is_dir() and (path / sog.META).is_file():
         return FORMATS[-1]
-    refuse_unread(path)
+    refuse_unsupported(path)
     with open(path, "rb") as file:
         start = file.read(4)
     for format in FORMATS:
@@ -183,7 +186,7 @@ def read_arrays(path: str | Path, *, skip_invalid: bool = False, time: float | N
     path = checked_path(path)
     with reading(path):
         if not is_scene_path(path):
-            refuse_unread(path)
+            refuse_unsupported(path)
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path} is empty; export it or download it again")
         with unpack(path) as (inner, notes):

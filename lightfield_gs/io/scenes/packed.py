@@ -22,7 +22,7 @@ from lightfield_gs.io.file_kinds import (
     SCENE_SUFFIXES,
     USD,
     refuse_kind,
-    scenes_among,
+    select_scenes,
 )
 from lightfield_gs.io.scenes.plausibility import MAX_RATIO, MIN_LIMIT_BYTES, check_unpacked_size, gunzip
 from lightfield_gs.io.scenes.sog import LOD_META
@@ -119,7 +119,7 @@ def _scene_in_zip(path: Path) -> str | None:
         raise InputError(f"{path} is a streamed SOG in a ZIP; unpack it, and give its {LOD_META}")
     if any(PurePosixPath(name).name == META for name in names):
         return None
-    scenes = scenes_among(names)
+    scenes = select_scenes(names)
     if trained := [(number, name) for name in scenes if (number := _step(name)) >= 0]:
         return max(trained)[1]
     if len(scenes) > 1:

@@ -1,0 +1,227 @@
+"""The options of the commands as data: what is asked of a scene, of its cameras, of its picture and of its files.
+
+Names are those of the command line with underscores; None is an option that was not given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lightfield_gs.base.options import (
+    DEPTH_MODEL,
+    Compression,
+    DepthInvalid,
+    DepthKind,
+    Device,
+    Fit,
+    MapOrientation,
+    Method,
+    QualityName,
+    Views,
+)
+
+AUTO = Path("auto")  # in place of the file of --depth: a network estimates the depths
+WHITE = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PanelOptions:
+    """The panel, and the distance it is seen from.
+
+    Attributes:
+        panel: name of a profile, or a path to one. None: the default panel, or the one that an image names.
+        device_serial: the display, where a Looking Glass .json has calibrations of several.
+        viewing_distance: mm. None: the panel's own.
+    """
+
+    panel: str | None = None
+    device_serial: str | None = None
+    viewing_distance: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CameraOptions:
+    """The cameras of the views.
+
+    Attributes:
+        rig: file of a rig.
+        camera: file of the centre camera, and its index there (None: the first).
+        up: axis that points up in the scene's file, for automatic framing.
+    """
+
+    rig: Path | None = None
+    camera: tuple[Path, int | None] | None = None
+    up: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LookOptions:
+    """Depth, size and place of the picture on the panel.
+
+    Attributes:
+        focus: depth of the panel's plane in scene units, or the point x, y of the picture (0..1) that lies in it.
+        depth_amount: factor of all disparities, 0..2.
+        cone: full angle of the fan of cameras, degrees.
+        zoom: size of the picture, about its middle.
+        pan: shift to the right and down, in widths and heights of the panel.
+        depth_report: whether to report how deep the scene is.
+    """
+
+    focus: float | tuple[float, ...] | None = None
+    depth_amount: float | None = None
+    cone: float | None = None
+    zoom: float | None = None
+    pan: tuple[float, ...] | None = None
+    depth_report: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """Anti-aliasing and background of a picture. Defaults are those of commands without the option.
+
+    Attributes:
+        antialiased: None: as the scene's file says that it was trained.
+        view_filter: width of the box over which views are averaged, in views of the panel.
+        background: red, green and blue, 0..1. None: the one that the scene was fitted before, else white.
+    """
+
+    antialiased: bool | None = False
+    view_filter: float = 0.0
+    background: tuple[float, float, float] | None = WHITE
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoOptions:
+    """The scene that is made of a photo.
+
+    Attributes:
+        mask: file of a cut-out.
+        remove_background: whether rembg cuts the object out.
+        map_orientation: whether mask and depth map have the pixels as stored or upright.
+        checkpoint: weights of the network.
+        detail: factor of the photo's resolution on the object, "auto", or "none" for the network's own colours.
+        detail_budget: most Gaussians of the detail "auto".
+        depth: file of the depth map, or AUTO.
+        depth_model: name or folder of the network of AUTO.
+        depth_kind: meaning of the map's numbers.
+        depth_range: distances at the ends of the map's full scale, near and far.
+        depth_scale: distance of one step of the map's numbers.
+        depth_invalid: what infinite distances are.
+        rgbd: the half of the photo that is its depth map.
+        pixel_aspect: width by height of a pixel.
+        fov: angle of the longer side, degrees.
+        intrinsics: fx, fy, cx, cy in pixels.
+        fit: how the photo fills a panel of another shape.
+    """
+
+    mask: Path | None = None
+    remove_background: bool = False
+    map_orientation: MapOrientation | None = None
+    checkpoint: Path | None = None
+    detail: str | int | None = None
+    detail_budget: int | None = None
+    depth: Path | None = None
+    depth_model: str | None = None
+    depth_kind: DepthKind | None = None
+    depth_range: tuple[float, float] | None = None
+    depth_scale: float | None = None
+    depth_invalid: DepthInvalid | None = None
+    rgbd: str | None = None
+    pixel_aspect: float | None = None
+    fov: float | None = None
+    intrinsics: tuple[float, ...] | None = None
+    fit: Fit | None = None
+
+    @property
+    def is_estimated(self) -> bool:
+        """Whether a network estimates the depths."""
+        return self.depth == AUTO
+
+    @property
+    def depth_file(self) -> Path | None:
+        """The file of the depth map; None where there is none or a network estimates it."""
+        return None if self.is_estimated else self.depth
+
+    @property
+    def depth_network(self) -> str:
+        """Name or folder of the network that estimates depths."""
+        return self.depth_model or DEPTH_MODEL
+
+
+@dataclass(frozen=True, slots=True)
+class SceneOptions:
+    """The scene: a file of Gaussians or a photo.
+
+    Attributes:
+        input: the file.
+        skip_invalid: whether to leave out Gaussians without meaning.
+        time: the time at which moving Gaussians are drawn.
+        photo: what is made of a photo.
+    """
+
+    input: Path
+    skip_invalid: bool = False
+    time: float | None = None
+    photo: PhotoOptions = field(default_factory=PhotoOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class EncodeOptions:
+    """One input that becomes the image of a panel.
+
+    Attributes:
+        output: the image.
+        scene, panel, camera, look, render: see there.
+        cameras: file with one camera for each view, in place of a rig.
+        view_map: file with the view of each sub-pixel, in place of the lens.
+        method, memory_budget, views, quality, device, threads: see `lightfield_gs.encode`.
+        bit_depth: bits of a sample in the file. None: 8, or 32 for .exr.
+        compression: of the file.
+        save_rig, save_gaussians: files for the rig and the scene.
+        preview: folder for preview pictures.
+        stats: whether to print statistics.
+    """
+
+    output: Path
+    scene: SceneOptions
+    panel: PanelOptions
+    camera: CameraOptions
+    look: LookOptions
+    render: RenderOptions
+    cameras: Path | None = None
+    view_map: Path | None = None
+    method: Method = "direct"
+    memory_budget: int | None = None
+    views: Views = "integer"
+    quality: QualityName = "exact"
+    device: Device = "auto"
+    threads: int | None = None
+    bit_depth: int | None = None
+    compression: Compression = "fast"
+    save_rig: Path | None = None
+    save_gaussians: Path | None = None
+    preview: Path | None = None
+    stats: bool = False
+
+    def outputs(self) -> list[Path | None]:
+        """All files that are written; None for those not asked for."""
+        outputs = [self.output, self.save_rig, self.save_gaussians]
+        if self.preview is None:
+            return outputs
+        from lightfield_gs.show.preview import FILES
+
+        return [*outputs, *(self.preview / name for name in FILES)]
+
+    def inputs(self) -> tuple[Path | str | None, ...]:
+        """All files that are read, the scene first; None for those not given."""
+        return files_read(self.scene, self.camera, self.panel, self.cameras, self.view_map)
+
+
+def files_read(
+    scene: SceneOptions, camera: CameraOptions, panel: PanelOptions, *more: Path | None
+) -> tuple[Path | str | None, ...]:
+    """Return the files that the options name to be read, the scene first; None for those not given."""
+    photo = scene.photo
+    files = (scene.input, camera.rig, panel.panel, photo.mask, photo.depth, photo.checkpoint, *more)
+    return (*files, camera.camera and camera.camera[0])

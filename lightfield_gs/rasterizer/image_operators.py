@@ -1,0 +1,309 @@
+"""Ordinary images as torch operators with their backward: torch.ops.lightfield_gs.render_images.
+
+The stages are project, order, bin and composite (docs/design.md). Results are deterministic: the same bits for any
+number of threads. All arguments are checked, and all buffers are torch tensors.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, cast
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
+from lightfield_gs.rasterizer.operators import differentiable_once, is_eager, operator_schema
+from lightfield_gs.rasterizer.scene import GradientRequest, RenderState
+
+_Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
+_DIFFERENTIABLE = 12  # the arguments of a render without screen, which its backward takes too
+
+
+def draw_images(*arguments: Any) -> _Images:
+    """Draw without autograd: the arguments and images of render_images."""
+    return cast(_Images, tuple(ImageRender.from_arguments(ImageArguments(*arguments)).draw()))
+
+
+def draw_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
+    """Draw without autograd; return the images of render_images, and the splats [B * V, N, SPLAT_FIELDS]."""
+    render = ImageRender.from_arguments(ImageArguments(*arguments))
+    return (*cast(_Images, render.draw()), render.splats)
+
+
+def render_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
+    """Return the images of render_images, and the splats [B * V, N, SPLAT_FIELDS], which have no gradients."""
+    arguments = tuple(a.contiguous() if isinstance(a, Tensor) else a for a in arguments)
+    return torch.ops.lightfield_gs.render_images_with_state(*arguments)[:4]
+
+
+def render_images(*arguments: Any) -> _Images:
+    """Render B scenes before V cameras each (Kerbl et al. 2023): the operator of this name.
+
+    It is differentiable in all tensors but intrinsics and limits. The gradient of screen is that of the projected
+    means, in 1 / pixels; of 4 numbers the last two are sums over pixels of absolute values (Ye et al., "AbsGS", 2024).
+
+    Args:
+        arguments: of ImageArguments.
+
+    Returns:
+        image [B, V, H, W, 3] over the background, alpha [B, V, H, W], and depth [B, V, H, W], the sum of weight * z.
+
+    Raises:
+        InputError: for arguments of other shapes, types or devices.
+    """
+    given = ImageArguments(*arguments)
+    if (screen := given.screen) is not None:
+        size = [given.means.shape[0], *given.world_to_camera.shape[1:2], given.means.shape[1]]
+        if screen.dim() != 4 or list(screen.shape[:3]) != size or screen.shape[3] not in (2, 4):
+            raise InputError(f"screen must be {size} of 2 or 4 numbers, got {list(screen.shape)}")
+    # Parts of other tensors are copied here, once: the backward would copy them again while the device waits
+    tensors = tuple(t.contiguous() for t in given[:9])
+    if _is_for_cuda(given.means) and is_eager(tensors):
+        return _render_in_two_nodes(tensors[:5], tensors[5], tensors[6:], *given[9:])
+    return _RenderImages.apply(*tensors, *given[9:])[:3]
+
+
+def render_scene(
+    fields: tuple[Tensor, ...], background: Tensor, cameras: tuple[Tensor, ...], options: tuple[Any, ...]
+) -> _Images:
+    """Render one scene, whose five fields [N, ...] have no leading B.
+
+    On CUDA this spares the nodes of autograd and the call of an operator that a leading B would take.
+
+    Args:
+        fields: means, quaternions, scales, opacities and sh.
+        background: [1, V, 3].
+        cameras: world_to_camera, intrinsics and limits, with B = 1.
+        options: the other arguments of ImageArguments, from width to screen.
+
+    Returns:
+        The images of render_images.
+    """
+    if _is_for_cuda(fields[0]) and is_eager((*fields, background, *cameras)):
+        fields, cameras = (tuple(t.contiguous() for t in tensors) for tensors in (fields, cameras))
+        return _render_in_two_nodes(fields, background.contiguous(), cameras, *options)
+    batch = (field.unsqueeze(0) for field in fields)
+    return torch.ops.lightfield_gs.render_images(*batch, background, *cameras, *options)
+
+
+_library = torch.library.Library("lightfield_gs", "FRAGMENT")
+_library.define("render_images" + operator_schema(ImageArguments, outputs=3))
+_library.impl("render_images", render_images, "CompositeImplicitAutograd")
+
+
+def _with_state(*arguments: Any) -> tuple[Tensor, ...]:
+    """Return the images of render_images, and the RenderState that spares the backward to project, order and bin."""
+    render = ImageRender.from_arguments(ImageArguments(*arguments))
+    return (*cast(_Images, render.draw()), *render.work.state())
+
+
+render_images_with_state = torch.library.custom_op(
+    "lightfield_gs::render_images_with_state",
+    _with_state,
+    mutates_args=(),
+    device_types=("cpu", "cuda"),
+    schema=operator_schema(ImageArguments, outputs=6),
+)
+
+
+@render_images_with_state.register_fake
+def _(*arguments):
+    given = ImageArguments(*arguments)
+    means, lead = given.means, given.world_to_camera.shape[:2]
+    size = (*lead, given.height, given.width)
+    state = [means.new_empty(shape) for shape in RenderState.shapes(lead[0] * lead[1], means.shape[1], 0)]
+    lists = means.new_empty(torch.library.get_ctx().new_dynamic_size(), dtype=torch.uint8)
+    return means.new_empty((*size, 3)), means.new_empty(size), means.new_empty(size), *state, lists
+
+
+class _DrawnArguments(NamedTuple):
+    """The arguments of the backward behind those of the render: its outputs, their gradients, and the request.
+
+    screen_numbers: 0, 2 or 4, of the screen. cameras: whether the gradient of world_to_camera is asked for.
+    """
+
+    image: Tensor
+    alpha: Tensor
+    depth: Tensor
+    splats: Tensor
+    colours: Tensor
+    lists: Tensor
+    g_image: Tensor
+    g_alpha: Tensor | None
+    g_depth: Tensor | None
+    screen_numbers: int
+    cameras: bool
+
+
+def _backward_of_state(*arguments: Any) -> tuple[Tensor, ...]:
+    """Return the gradients of render_images's first seven arguments and of screen.
+
+    The gradient of world_to_camera is 0 where it is not asked for.
+
+    Args:
+        arguments: of render_images without screen, then of _DrawnArguments.
+    """
+    given, drawn = ImageArguments(*arguments[:_DIFFERENTIABLE]), _DrawnArguments(*arguments[_DIFFERENTIABLE:])
+    render = ImageRender.from_arguments(given, state=RenderState(drawn.splats, drawn.colours, drawn.lists))
+    found = render.backward(
+        ImageBuffers(drawn.image, drawn.alpha, drawn.depth),
+        ImageBuffers(drawn.g_image, drawn.g_alpha, drawn.g_depth),
+        GradientRequest(drawn.screen_numbers, drawn.cameras),
+    )
+    lead = render.inputs.lead
+    g_background = found.background_parts.view(*lead, -1, 3).sum(2)
+    g_cameras = found.cameras.view(*lead, 4, 4) if drawn.cameras else torch.zeros_like(given.world_to_camera)
+    g_screen = found.screen.view(*lead, given.means.shape[1], drawn.screen_numbers)
+    return (*found.fields, g_background, g_cameras, g_screen)
+
+
+render_images_backward = torch.library.custom_op(
+    "lightfield_gs::render_images_backward",
+    _backward_of_state,
+    mutates_args=(),
+    device_types=("cpu", "cuda"),
+    schema=operator_schema(ImageArguments, _DrawnArguments, outputs=8, defaults=False, omit=("screen",)),
+)
+
+
+@render_images_backward.register_fake
+def _(*arguments):
+    given, drawn = ImageArguments(*arguments[:_DIFFERENTIABLE]), _DrawnArguments(*arguments[_DIFFERENTIABLE:])
+    screen = given.means.new_empty(*given.world_to_camera.shape[:2], given.means.shape[1], drawn.screen_numbers)
+    return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in given[:7]), screen)
+
+
+def _setup_context(ctx, inputs, output):
+    *tensors, ctx.width, ctx.height, ctx.antialiased, screen = inputs
+    ctx.screen_numbers = 0 if screen is None else screen.shape[-1]
+    ctx.save_for_backward(*tensors, *output)
+    ctx.mark_non_differentiable(*output[3:])
+    ctx.set_materialize_grads(False)  # the state has no gradients, and neither have images that the loss does not read
+
+
+@differentiable_once
+def _backward(ctx, *grads):
+    saved = ctx.saved_tensors
+    g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
+    backward = _backward_of_state if is_eager(saved) else torch.ops.lightfield_gs.render_images_backward
+    drawn = (*saved[9:], g_image, *grads[1:3], ctx.screen_numbers, ctx.needs_input_grad[6])
+    *out, g_screen = backward(*saved[:9], ctx.width, ctx.height, ctx.antialiased, *drawn)
+    return (*out, None, None, None, None, None, g_screen if ctx.screen_numbers else None)
+
+
+render_images_with_state.register_autograd(_backward, setup_context=_setup_context)
+
+
+class _RenderImages(torch.autograd.Function):
+    """render_images_with_state with the backward of register_autograd, but recorded faster.
+
+    register_autograd compares every argument with its default. That takes the host 0.1 ms between forward and backward,
+    while the device waits.
+    """
+
+    @staticmethod
+    def forward(ctx, *inputs):
+        forward = _with_state if is_eager(inputs) else torch.ops.lightfield_gs.render_images_with_state
+        outputs = forward(*inputs)
+        _setup_context(ctx, inputs, outputs)
+        return outputs
+
+    backward = staticmethod(_backward)
+
+
+def _is_for_cuda(means: Tensor) -> bool:
+    """Whether the stages are those of CUDA, whose backward has two halves."""
+    return means.is_cuda
+
+
+# On CUDA a render is two nodes of autograd. Autograd frees the tensors of a node once its backward is done: images,
+# splats and lists are gone when the gradients of the Gaussians are made. With few Gaussians the device waits for the
+# host, so arguments are checked once for both nodes, and scenes without a batch stay so: a view of each is a node too.
+
+
+def _render_in_two_nodes(
+    fields: tuple[Tensor, ...],
+    background: Tensor,
+    cameras: tuple[Tensor, ...],
+    width: int,
+    height: int,
+    antialiased: bool,
+    screen: Tensor | None,
+) -> _Images:
+    """Return the images of render_images by two nodes of autograd.
+
+    Args:
+        fields: its first five arguments, contiguous, or the fields of one scene without B.
+        background: as in ImageArguments.
+        cameras: world_to_camera, intrinsics and limits.
+        width: as in ImageArguments, and so are the others.
+    """
+    made: list[ImageRender] = []
+    options = (width, height, antialiased)
+    state = _Project.apply(*fields, *cameras, background.detach(), options, screen, made)
+    absolute = screen is not None and screen.shape[-1] == 4
+    return _Composite.apply(*state, background, made.pop(), absolute)
+
+
+class _Project(torch.autograd.Function):
+    """Project Gaussians to the RenderState. The gradient of its splats is the sums of ImageRender.backward_sums."""
+
+    @staticmethod
+    def forward(ctx, *inputs):
+        """made: a list to which the render is added, ready for the composite."""
+        *tensors, background, options, screen, made = inputs
+        ctx.batched = tensors[0].dim() == 3
+        render = ImageRender(_inputs(tensors, options), background)
+        made.append(render)
+        ctx.save_for_backward(*tensors)
+        ctx.options, ctx.screen_numbers = options, 0 if screen is None else screen.shape[-1]
+        state = render.work.state()
+        ctx.mark_non_differentiable(state.colours, state.lists)
+        ctx.set_materialize_grads(False)
+        return tuple(state)
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx, sums, *_):
+        if sums is None:
+            return (None,) * 12
+        inputs = _inputs(ctx.saved_tensors, ctx.options)
+        request = GradientRequest(ctx.screen_numbers, ctx.needs_input_grad[5])
+        fields, g_cameras, screen = inputs.backward_from_sums(sums.contiguous(), request)
+        return (
+            *(fields if ctx.batched else (g.squeeze(0) for g in fields)),
+            g_cameras.view(*inputs.lead, 4, 4) if request.cameras else None,
+            *(None,) * 4,  # intrinsics, limits, background and options
+            screen.view(*inputs.lead, inputs.scene.count, ctx.screen_numbers) if ctx.screen_numbers else None,
+            None,
+        )
+
+
+class _Composite(torch.autograd.Function):
+    """Composite the RenderState to images. The gradient of splats is as _Project takes it."""
+
+    @staticmethod
+    def forward(ctx, splats, colours, lists, background, render, absolute):
+        ctx.inputs, ctx.absolute = render.inputs.without_values(), absolute
+        images = tuple(render.draw())
+        ctx.save_for_backward(splats, colours, lists, background, *images)
+        ctx.set_materialize_grads(False)
+        return images
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx, g_image, g_alpha, g_depth):
+        splats, colours, lists, background, image, alpha, depth = ctx.saved_tensors
+        render = ImageRender(ctx.inputs, background, state=RenderState(splats, colours, lists))
+        g_image = torch.zeros_like(image) if g_image is None else g_image
+        images, gradients = ImageBuffers(image, alpha, depth), ImageBuffers(g_image, g_alpha, g_depth)
+        sums, parts = render.backward_sums(images, gradients, ctx.absolute)
+        g_background = parts.view(*ctx.inputs.lead, -1, 3).sum(2) if ctx.needs_input_grad[3] else None
+        return sums, None, None, g_background, None, None
+
+
+def _inputs(tensors, options) -> ImageInputs:
+    """Return the inputs of five fields, with B or without, and of world_to_camera, intrinsics and limits."""
+    fields = tensors[:5] if tensors[0].dim() == 3 else [t.unsqueeze(0) for t in tensors[:5]]
+    return ImageInputs(fields, tensors[5:], *options)
