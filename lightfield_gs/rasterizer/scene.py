@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import lru_cache
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ def _devices() -> str:
     return "CPU or CUDA" if hasattr(_core, "cuda") else "CPU"
 
 
-def _stages(tensor: Tensor) -> type[_core._Stages]:
+def _stages(tensor: Tensor) -> ModuleType:
     """Return the core's functions for the tensor's precision."""
     if tensor.dtype == torch.float32:
         return _core.float32
@@ -87,7 +88,7 @@ class SceneTensors:
         """A context that selects the device of the Gaussians; a new one each time, for torch's cannot be reentered."""
         return device_guard(self.device)
 
-    def native(self) -> _core._Stages.Gaussians:
+    def native(self) -> _core.float32.Gaussians:
         """Return the addresses for the core, which are valid as long as this object."""
         return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))
 
@@ -96,7 +97,7 @@ class SceneTensors:
         make = torch.zeros if zero else torch.empty
         return make(shape, dtype=dtype or self.dtype, device=self.device)
 
-    def gradients(self, zero: bool) -> tuple[list[Tensor], _core._Stages.Gaussians]:
+    def gradients(self, zero: bool) -> tuple[list[Tensor], _core.float32.Gaussians]:
         """Allocate the gradients of the five fields, all 0 or without values; return them and the core's view."""
         grads = [torch.zeros_like(t) if zero else torch.empty_like(t) for t in self.tensors]
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))

@@ -19,10 +19,8 @@ from scene_formats import gsplat_png, sog, streamed, written
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.batch.item import Item
-from lightfield_gs.batch.items import read_items
-from lightfield_gs.batch.manifest import MANIFEST, Manifest
-from lightfield_gs.batch.plan import make_plan
+from lightfield_gs.batch.items import Item, read_items
+from lightfield_gs.batch.manifest import Manifest, make_plan
 from lightfield_gs.encoding.view_files import read_cameras, read_view_map
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.camera_files import read_camera_file
@@ -36,7 +34,7 @@ from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.panels.framing import photo_camera, stored_framing
 from lightfield_gs.panels.simulate import Psf
 from lightfield_gs.photo.depth import read_depth
-from lightfield_gs.photo.embedded_depth import facts_inside
+from lightfield_gs.photo.embedded_depth import embedded_facts
 from lightfield_gs.scene.axes import find_up
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -162,7 +160,7 @@ def _read_manifest(path: Path) -> Any:
     """Read a manifest in its folder, and plan two items; damaged lines are skipped."""
     folder = make_folder(path.with_name("folder"))
     with reading(path):
-        (folder / MANIFEST).write_bytes(path.read_bytes())
+        (folder / "batch.jsonl").write_bytes(path.read_bytes())
     items = [Item("a.png", "a.png"), Item("deep/b.png", "b.ply", "encode", ("--zoom=2",))]
     with Manifest(folder) as manifest:
         make_plan(items, manifest, {"all": {}}, check=True)
@@ -190,7 +188,7 @@ READERS = {
     "image": Reader(".png", _read_image, "image"),
     "cut-out": Reader(".png", load_photo, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
-    "photo-inside": Reader(".jpg", lambda path: (read_info(path), facts_inside(path)), "photo-inside"),
+    "photo-inside": Reader(".jpg", lambda path: (read_info(path), embedded_facts(path)), "photo-inside"),
     "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),
     "depth-npz": Reader(".npz", lambda path: read_depth(path, scale=0.001), "depth-npz"),
     "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),
