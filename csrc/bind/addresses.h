@@ -24,7 +24,7 @@ Gaussians<const T> read_only(const Gaussians<T>& g) {
   return {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh};
 }
 template <class T>
-DenseImages<const T> read_only(const DenseImages<T>& i) {
+Images<const T> read_only(const Images<T>& i) {
   return {i.image, i.alpha, i.depth};
 }
 

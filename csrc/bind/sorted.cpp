@@ -1,4 +1,4 @@
-// Binds the stages of the method `sorted`, whose sub-pixels are sorted by view, on CPU and CUDA.
+// Bind the stages of the method `sorted`, whose sub-pixels are sorted by view, on CPU and CUDA.
 #include "bind/addresses.h"
 #include "bind/parts.h"
 #include "stages/stages.h"

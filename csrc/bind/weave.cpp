@@ -1,4 +1,4 @@
-// Binds the stage that weaves pictures of views into the image of a panel.
+// Bind the stage that weaves pictures of views into the image of a panel.
 #include "stages/weave.h"
 
 #include "bind/addresses.h"

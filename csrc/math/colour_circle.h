@@ -15,7 +15,7 @@
 #include "base/config.h"
 #include "math/constants.h"
 #include "math/harmonics.h"
-#include "scene/view.h"
+#include "scene/camera.h"
 
 namespace lfgs {
 
@@ -43,7 +43,7 @@ struct ColourCircle {
   template <class S>
   LFGS_HD explicit ColourCircle(const ColourCircle<S>& other)
       : along(other.along), foot(other.foot), place(R(other.place)), distance(R(other.distance)), unit(R(other.unit)) {}
-  LFGS_HD ColourCircle(const View<R>& rig, const glm::vec<3, R>& mean) {
+  LFGS_HD ColourCircle(const Camera<R>& rig, const glm::vec<3, R>& mean) {
     const glm::vec<3, R> right = rig.right(), to_mean = mean - rig.centre();
     const R length = glm::length(right);
     along = right / length, unit = rig.sweep * length;
@@ -55,7 +55,7 @@ struct ColourCircle {
   }
 
   // The gradient of the mean, from those of foot, place and distance.
-  LFGS_HD glm::vec<3, R> adjoint(const glm::vec<3, R>& g_foot, R g_place, R g_distance) const {
+  LFGS_HD glm::vec<3, R> backward(const glm::vec<3, R>& g_foot, R g_place, R g_distance) const {
     const glm::vec<3, R> turned = g_foot - glm::dot(g_foot, foot) * foot - glm::dot(g_foot, along) * along;
     return (turned / distance + g_place * along + g_distance * foot) / unit;
   }
@@ -97,10 +97,10 @@ LFGS_HD void circle_colour(int degree, const T* sh, const ColourCircle<R>& circl
   }
 }
 
-// Its adjoint, from the sums of samples as kAlongSum says: adds to g_sh, and returns the gradient of the mean.
+// Its backward pass, from the sums of samples as kAlongSum says: adds to g_sh, and returns the gradient of the mean.
 template <class R, class T, class G, class S>
-LFGS_HD glm::vec<3, R> circle_colour_adjoint(int degree, const T* sh, const ColourCircle<R>& circle, const S* sums,
-                                             G* g_sh) {
+LFGS_HD glm::vec<3, R> circle_colour_backward(int degree, const T* sh, const ColourCircle<R>& circle, const S* sums,
+                                              G* g_sh) {
   glm::vec<3, R> g_foot(0);
   LFGS_NO_UNROLL
   for (int j = 0; j < kCircleTerms; ++j) {
@@ -108,9 +108,9 @@ LFGS_HD glm::vec<3, R> circle_colour_adjoint(int degree, const T* sh, const Colo
     glm::vec<3, R> g_value(0);
     for (int m = 0; m < kCircleTerms; ++m)
       for (int c = 0; c < 3; ++c) g_value[c] += node.weights[m] * R(sums[3 * m + c]);
-    g_foot += node.cosine * sh_colour_towards_adjoint(degree, sh, node.direction(circle), g_value, g_sh);
+    g_foot += node.cosine * sh_colour_towards_backward(degree, sh, node.direction(circle), g_value, g_sh);
   }
-  return circle.adjoint(g_foot, -R(sums[kAlongSum]) / circle.distance, -R(sums[kAcrossSum]) / circle.distance);
+  return circle.backward(g_foot, -R(sums[kAlongSum]) / circle.distance, -R(sums[kAcrossSum]) / circle.distance);
 }
 
 // t and h of the camera at s.

@@ -9,7 +9,7 @@
 
 namespace lfgs {
 
-// Where each sum is in an array. One camera, which is at s = 0, needs only the first kDenseFootprintSums.
+// Where each sum is in an array. One camera, which is at s = 0, needs only the first kImageFootprintSums.
 enum FootprintSum : int {
   kPowerSum,
   kPowerDySum,
@@ -17,17 +17,17 @@ enum FootprintSum : int {
   kXSum,
   kXDySum,
   kSSum,
-  kDenseFootprintSums,
-  kXsSum = kDenseFootprintSums,
+  kImageFootprintSums,
+  kXsSum = kImageFootprintSums,
   kXsDySum,
   kSsSum,
   kSs2Sum,
-  kLensFootprintSums
+  kDirectFootprintSums
 };
 
 // The splat's gradient without that of its depth, which is blended like a colour.
 template <class R, class T>
-LFGS_HD Splat<R> dense_gradient_of(const Splat<T>& s, const R* sums) {
+LFGS_HD Splat<R> image_gradient(const Splat<T>& s, const R* sums) {
   Splat<R> g{};
   g.u0 = -sums[kXSum];
   g.v0 = 2 * s.tau * sums[kPowerDySum] + s.c0 * sums[kXSum];
@@ -35,8 +35,8 @@ LFGS_HD Splat<R> dense_gradient_of(const Splat<T>& s, const R* sums) {
   return g;
 }
 template <class R, class T>
-LFGS_HD Splat<R> lens_gradient_of(const Splat<T>& s, const R* sums) {
-  Splat<R> g = dense_gradient_of(s, sums);
+LFGS_HD Splat<R> direct_gradient(const Splat<T>& s, const R* sums) {
+  Splat<R> g = image_gradient(s, sums);
   g.v0 += s.c1 * sums[kXsSum];
   g.du = -sums[kXsSum], g.c1 = -sums[kXsDySum], g.S1 = sums[kSsSum], g.S2 = sums[kSs2Sum];
   return g;

@@ -51,14 +51,14 @@ struct Lens {
     return int(bgr ? 2 - subpixel % 3 : subpixel % 3);
   }
   // The sub-pixel of a pixel that has this channel.
-  LFGS_HD int64_t subpixel_of(int64_t row, int64_t column, int channel) const {
+  LFGS_HD int64_t subpixel_index(int64_t row, int64_t column, int channel) const {
     int64_t m = 3 * column;
     while (channel_at(row, m) != channel) ++m;
     return m;
   }
   // The largest distance of a sub-pixel from its stripe, in sub-pixels.
   double most_beyond() const;
-  // Sets phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
+  // Set phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
   // stripes.
   void set_cells(const std::vector<uint64_t>& phases, const std::vector<int>& channels);
   // Whether the sub-pixels of a row follow each other as their stripes do, each less than one sub-pixel from its own:

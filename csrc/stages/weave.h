@@ -33,7 +33,7 @@ struct WeaveViews {
   int64_t first = 0, own = 0, held = 0, height_px = 0, width_px = 0;
 };
 
-// Draws into out [H, W, 3] of the panel what the views reach. T: uint8_t, uint16_t or float.
+// Draw into out [H, W, 3] of the panel what the views reach. T: uint8_t, uint16_t or float.
 template <class T>
 void weave(const WeaveViews<T>& views, const WeaveWindow& window, const WeaveFan& fan, T* out, int threads);
 

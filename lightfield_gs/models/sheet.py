@@ -117,7 +117,7 @@ def lay_texels(
         _run("sheet", job, fine)
 
 
-def _native(fields: list[Tensor]) -> _core._Stages.Gaussians:
+def _native(fields: list[Tensor]) -> _core.float32.Gaussians:
     """Return Gaussians [N,...] in the native module's form."""
     degree = SH_COEFFICIENTS.index(fields[4].shape[1])
     return _core.float32.Gaussians(len(fields[0]), degree, *(field.data_ptr() for field in fields))

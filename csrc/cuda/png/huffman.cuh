@@ -23,7 +23,7 @@ struct CodeTable {
   int lengths[kDeflateSymbols];      // 0: the symbol does not stand there
 };
 
-// Joins the two lightest nodes until one is left (Huffman 1952): of leaves and of joined nodes the next one is the
+// Join the two lightest nodes until one is left (Huffman 1952): of leaves and of joined nodes the next one is the
 // lightest.
 __device__ inline void join_nodes(CodeTable& table) {
   const int leaves = table.used, nodes = 2 * leaves - 1;
@@ -41,7 +41,7 @@ __device__ inline void join_nodes(CodeTable& table) {
   for (int node = nodes - 2; node >= 0; --node) table.depths[node] = table.depths[table.parents[node]] + 1;
 }
 
-// Counts the codes of each length, and makes those that are too long shorter: each takes the place of half of a code
+// Count the codes of each length, and make those that are too long shorter: each takes the place of half of a code
 // that has fewer bits, which gets a bit more. The sum of 2^-length is 1 before and after.
 __device__ inline void limit_lengths(CodeTable& table) {
   for (int& count : table.of_length) count = 0;
@@ -57,7 +57,7 @@ __device__ inline void limit_lengths(CodeTable& table) {
   }
 }
 
-// Makes the codes from table.counts, by all threads of a block. At least two symbols must have a count.
+// Make the codes from table.counts, by all threads of a block. At least two symbols must have a count.
 __device__ inline void make_codes(CodeTable& table, uint32_t* codes) {
   const int symbol = threadIdx.x;
   const bool is_symbol = symbol < kDeflateSymbols, stands = is_symbol && table.counts[symbol] > 0;

@@ -30,7 +30,7 @@ struct AdamStep {
         inverse_root_correction(1 / std::sqrt(second_correction)),
         inverse_correction(1 / first_correction) {}
 
-  // Moves a number against its gradient, and renews its moments. rate_over_c1: the rate of its field times
+  // Move a number against its gradient, and renew its moments. rate_over_c1: the rate of its field times
   // inverse_correction.
   LFGS_HD R moved(R value, R gradient, R rate_over_c1, R& first, R& second) const {
     first = keep_first * first + take_first * gradient;

@@ -46,10 +46,10 @@ struct Surface {
 };
 
 // The integral over the photo of a Gaussian of height 1, in pixels.
-LFGS_HD float area_of(const Gaussians<float>& cloud, int64_t i, float focal) {
+LFGS_HD float projected_area(const Gaussians<float>& cloud, int64_t i, float focal) {
   const float *p = cloud.means + 3 * i, *q = cloud.quaternions + 4 * i, *s = cloud.scales + 3 * i;
   const glm::vec4 turn(q[0], q[1], q[2], q[3]);
-  const glm::mat3 axes = rotation_of(turn / std::sqrt(glm::dot(turn, turn)));
+  const glm::mat3 axes = rotation_matrix(turn / std::sqrt(glm::dot(turn, turn)));
   // What a standard deviation along each axis changes of the slopes x / z and y / z
   glm::vec3 across, down;
   for (int k = 0; k < 3; ++k) {
@@ -62,10 +62,10 @@ LFGS_HD float area_of(const Gaussians<float>& cloud, int64_t i, float focal) {
   return 2 * float(kPi) * std::sqrt(glm::max(determinant, 1e-20f)) * per_pixel * per_pixel;
 }
 
-// Writes the fog of a Gaussian of a layer to set 0.
+// Write the fog of a Gaussian of a layer to set 0.
 LFGS_HD void weigh(const Surface& job, int layer, int64_t pixel) {
   const int64_t i = layer * job.pixels() + pixel;
-  const float area = area_of(job.cloud, i, job.intrinsics[0]), off = job.off(i);
+  const float area = projected_area(job.cloud, i, job.intrinsics[0]), off = job.off(i);
   const float size = job.cloud.opacities[i] * area * job.mask[pixel] + 1e-9f;
   job.plane(0, 3 * layer)[pixel] = size;
   job.plane(0, 3 * layer + 1)[pixel] = size * off;
