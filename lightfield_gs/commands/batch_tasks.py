@@ -153,7 +153,7 @@ class FitTask(EncodeTask):
     def draw(self) -> None:
         """Fit the scene, from where an earlier run stopped, and draw it."""
         from lightfield_gs.commands import fit
-        from lightfield_gs.fitting.display import rig_path
+        from lightfield_gs.fitting.cone import rig_path
 
         fit.fit_scene(self.fit_options)
         options = self.encode_options(self.scene)
@@ -166,7 +166,7 @@ class FitTask(EncodeTask):
 
     def write(self) -> None:
         """Write the image, and note the hashes of image and scene."""
-        from lightfield_gs.fitting.display import rig_path
+        from lightfield_gs.fitting.cone import rig_path
 
         super().write()
         self.note_outputs(self.scene, rig_path(self.scene))

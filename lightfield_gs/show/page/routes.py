@@ -22,8 +22,8 @@ from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.quilt import QuiltLayout, layout_of_panel
-from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
+from lightfield_gs.panels.simulate import missing_geometry
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, Superseded, as_json, page_file, text
 from lightfield_gs.show.page.stage import Controls, Picture, Stage, defaults, number
 
@@ -198,7 +198,7 @@ def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
         "device": stage.gaussians.device.type,
         "live": stage.is_live,
         "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
-        "zone_mm": None if unknown_of(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
+        "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
         "rig": {"zero_depth": stage.base.zero_depth, "cone_deg": stage.base.cone_deg or panel.cone_deg},
         "defaults": defaults(),
         "qualities": QUALITY_NAMES,
@@ -236,7 +236,7 @@ class _Lines:
 
 def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
     """By the name of the file, what writes it to a path."""
-    layout = layout_of_panel(stage.panel)
+    layout = panel_quilt(stage.panel)
     return {
         "native.png": partial(_native, stage),
         f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
