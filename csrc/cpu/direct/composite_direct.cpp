@@ -1,6 +1,6 @@
 // Stage composite for the panel, and its backward pass. It reads splats, their lists by band and the lens, and writes
-// the image; the backward pass writes the gradients of intersections and of the background. A work item is one band of
-// rows: its tiles are drawn splat by splat (direct_blend-inl.h), or in runs from lattices where the quality allows it
+// the image. The backward pass writes the gradients of intersections and of the background. A work item is one band of
+// rows. Its tiles are drawn splat by splat (direct_blend-inl.h), or in runs from lattices where the quality allows it
 // (direct_lattice-inl.h).
 #include <algorithm>
 #include <array>
@@ -65,8 +65,8 @@ struct DirectScene {
   alignas(16) T background[kColourStride];
   Backdrop<T> backdrop;
   Backdrop<uint8_t> backdrop8;
-  // Where lattices are tried, projection leaves the opacity cut at 1/255, for a jump at a higher cut looks like an edge
-  // to a lattice. The cut is raised here, for tiles that are drawn splat by splat.
+  // Where lattices are tried, projection leaves the opacity cut at 1/255: a lattice would take a jump at a higher cut
+  // for an edge. The cut is raised here, for tiles that are drawn splat by splat.
   TileSplats<T> splats;
 
   explicit DirectScene(const DirectJob<T>& job_)

@@ -21,18 +21,19 @@ struct LensLayout {
   int lens_columns = 1;  // most sub-pixels in a cell
   int cells_per_tile = 16;
   double s_start = 0, s_step = 0;  // normalized offset s = s_start + s_step * x, in [-1, 1]
-  // At lens column t the offsets of samples are within half_s of s_of_column_0 + t * s_per_column.
+  // The offsets of samples at lens column t are within half_s of s_of_column_0 + t * s_per_column.
   double s_of_column_0 = 0, s_per_column = 0, half_s = 0;
   double x_per_column = 1;  // pixels from one lens column to the next; 1 where there is one lens column only
   float half_patch_px = 0;  // half spread in x of a patch's samples at one lens column, within a row
-  // For panels whose sub-pixels do not stand in stripes: how far from its stripe one stands at most, in sub-pixels; and
-  // how many sub-pixels before the first stripe of a lens, and after its last, may belong to the lens too.
+  // For panels whose sub-pixels do not stand in stripes: the largest distance of a sub-pixel from its stripe, in
+  // sub-pixels. `lead`: the number of sub-pixels before the first stripe of a lens, and after its last, that may belong
+  // to the lens.
   double beyond = 0;
   int lead = 0;
 
   LensLayout(const Lens& lens, int cells_per_patch) {
-    // A lens must hold a few sub-pixels, so that phases tell it from its neighbours (first_stripe). It may have 64
-    // lens columns at most: that is the room which DirectTile has behind its list.
+    // A lens must hold a few sub-pixels, so that phases tell it from its neighbours (first_stripe). It may have 64 lens
+    // columns at most: DirectTile has as many spare entries behind its list.
     const double least = lens.has_cells ? 6 : 3, most = lens.has_cells ? 61 : 63;
     by_lens = lens.line_number >= least && lens.line_number <= most && lens.stands_in_order();
     beyond = lens.most_beyond();
@@ -48,13 +49,13 @@ struct LensLayout {
     } else {
       cells_per_tile = 96;
     }
-    // The 0.5 px are for sub-pixels, which stand up to 1/3 px from their pixel's centre, and for the edges of lenses,
+    // Of the 0.5 px, 1/3 is the distance of a sub-pixel from its pixel's centre. The rest is for the edges of lenses,
     // which are rounded up to whole sub-pixels
     half_patch_px = float((cells_per_patch - 1) * pitch / 6 + 0.5 + 0.02);
   }
 
-  // The offset that a phase shows, before views make steps of it; and how far the offsets of samples may lie from the
-  // middle one if their phases, of 2^64 a lens, are so far apart.
+  // The offset of a phase, before it is rounded to views. Phases have 2^64 a lens. half_s_of_phases: the largest
+  // distance of offsets from their middle, for phases that are `apart`.
   double s_of_phase(const Lens& lens, double phase) const {
     return s_start + s_step * double(lens.views) * std::ldexp(phase, -64);
   }

@@ -8,8 +8,8 @@ namespace lfgs::cuda {
 constexpr int kMostLatticePlanes = 16;
 constexpr int kMostNodes = 640;  // of a tile: a tenth of its sub-pixels
 
-// A plane of nodes. What is seen at one of its nodes is seen on the next plane `aside` nodes on. `first` is where its
-// nodes are stored: so that a node and the one `aside` nodes on in the next plane are always stride() places apart.
+// A plane of nodes. What is seen at one of its nodes is seen on the next plane `aside` nodes on. `first` is the index
+// of its first node, such that a node and the one `aside` nodes on in the next plane are stride() apart.
 struct LatticePlane {
   float aside;
   int first;

@@ -1,4 +1,4 @@
-// The stages that lay a photo over what the network predicts, on a CUDA device: the same as the CPU's (stages/photo.h),
+// The stages that lay a photo over the network's prediction, on a CUDA device. They are the stages of stages/photo.h
 // with device pointers and a stream. Nothing allocates or waits: a CUDA graph can hold them.
 #pragma once
 

@@ -8,10 +8,10 @@
 
 namespace lfgs {
 
-// V images of H x W pixels, row-major. The loss is summed over the images: with w the weights, x the image, y the photo
-// and x' = w x + (1 - w) y,
+// V images of H x W pixels, row-major. The loss is summed over the images. w are the weights, x is the image, y the
+// photo, and x' = w x + (1 - w) y.
 //   sum over samples of ((1 - ssim_lambda) |x' - y| + ssim_lambda w (1 - SSIM(x', y))) / (3 H W).
-// What has no weight thus looks as in the photo, also to the windows of its neighbours, and adds nothing.
+// Samples without weight thus look as in the photo, also to the windows of their neighbours, and add nothing.
 template <class T>
 struct PhotoLoss {
   int64_t images = 0, height_px = 0, width_px = 0;

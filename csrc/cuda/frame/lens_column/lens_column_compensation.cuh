@@ -1,5 +1,5 @@
-// The share of its opacity that a compensated splat keeps within a lens column, sqrt(D(s) / S(s)) in
-// math/compensation.h: as it is for exact intersections, and as a parabola for all others.
+// The compensation of a splat within a lens column, sqrt(D(s) / S(s)) in math/compensation.h. Exact intersections
+// evaluate it by the formula, all others as a parabola.
 #pragma once
 
 #include "cuda/common/halves.cuh"
@@ -10,7 +10,7 @@ namespace lfgs::cuda {
 // The largest error of log2 of the share for which a parabola is good enough: alpha is off by less than 0.1/255.
 constexpr float kMostCompensationError = 5e-4f;
 
-// The share as a function of v: share^2 = (e0 + e1 v + e2 v^2) / (1 + s1 v + s2 v^2), where s1 and s2 are those of an
+// The compensation c as a function of v: c^2 = (e0 + e1 v + e2 v^2) / (1 + s1 v + s2 v^2), with s1 and s2 of
 // LensColumnShape.
 struct LensColumnCompensation {
   float e0 = 1, e1 = 0, e2 = 0;
@@ -35,7 +35,8 @@ struct LensColumnCompensation {
   }
 };
 
-// Log2 of the share as level + slope v + bend v^2; level is NaN where that is too rough. The coefficients come from
+// Log2 of the compensation as level + slope v + bend v^2; level is NaN where that is too rough. The coefficients come
+// from
 //   log(1 + a v + b v^2) = a v + (b - a^2 / 2) v^2 + (a^3 / 3 - a b) v^3 - (a^4 / 4 - a^2 b + b^2 / 2) v^4 ...
 // for the numerator less the same for the denominator. The next two terms tell the error.
 struct CompensationFit {
