@@ -7,8 +7,7 @@
 #include <bit>
 
 #include "base/error.h"
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 
 namespace py = pybind11;
 

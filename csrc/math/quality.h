@@ -8,7 +8,7 @@
 
 namespace lfgs {
 
-constexpr double kApproximateError = 0.02;  // rough evaluation may change a colour by so much at most
+constexpr double kApproximateError = 0.02;  // the largest change of a colour by approximate evaluation
 
 struct Quality {
   double log2_cut = kLog2MinAlpha;  // log2 of the opacity cut: a splat of lower alpha leaves a sample as it is

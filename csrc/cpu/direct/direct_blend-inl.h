@@ -235,7 +235,7 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
   V g_colour[3 * (kMaxColourOrder + 1)], g_along = hn::Zero(d), g_across = hn::Zero(d);
   for (int k = 0; k < 3 * terms; ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
-  auto reverse = [&](uint16_t sample, const RowVectors<Tag<T>>& rows, V dy) {
+  auto backward = [&](uint16_t sample, const RowVectors<Tag<T>>& rows, V dy) {
     // Alpha again, and the transmittance before the splat
     const int64_t i = sample;
     const V s = hn::Load(d, &tile.s[i]);
@@ -297,7 +297,7 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
   };
   tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
     const RowVectors<Tag<T>> rows(of_group);
-    for (; list < end; ++list) reverse(*list, rows, hn::Load(d, of_group.dy));
+    for (; list < end; ++list) backward(*list, rows, hn::Load(d, of_group.dy));
   });
 
   // Sums over the lanes

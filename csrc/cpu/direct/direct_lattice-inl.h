@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "cpu/direct/lattice-inl.h"
-#include "cpu/direct/lens_run.h"
+#include "cpu/direct/lens_layout.h"
 #include "cpu/direct/direct_splat-inl.h"
 #include "hwy/highway.h"
 

@@ -152,7 +152,7 @@ class Weaver {
   WeaveWindow window_;
   WeaveFan fan_;
   T* out_;
-  std::vector<double> places_, shifts_;  // of the panel's columns, in shares of a view; of the views
+  std::vector<double> places_, shifts_;  // of the panel's columns, in fractions of a view; of the views
   std::vector<Tap> columns_;             // of views without a shift
 };
 

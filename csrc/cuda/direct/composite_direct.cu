@@ -273,7 +273,7 @@ __global__ void __launch_bounds__(kThreads)
           sums[kXDySum] += gx * dy, sums[kXsDySum] += gx * sample.s * dy;
           sums[kSSum] += gS, sums[kSsSum] += gS * sample.s, sums[kSs2Sum] += gS * sample.s * sample.s;
           if constexpr (kCompensated) {
-            // The exponent also has log2 of the share, which is (log2 D - log2 S) / 2
+            // The exponent also has log2 of the compensation, (log2 D - log2 S) / 2
             const float half = gp * float(0.5 / kLn2), gD = half / unfiltered(compensation, sample.s);
             const float of_S = -half * inverse_S;
             sums[kSSum] += of_S, sums[kSsSum] += of_S * sample.s, sums[kSs2Sum] += of_S * sample.s * sample.s;

@@ -7,7 +7,6 @@
 
 #include "base/error.h"
 #include "cuda/common/parts.h"
-#include "cuda/frame/lattice.cuh"
 #include "cuda/direct/rounded_rig.cuh"
 #include "cuda/frame/root_series.cuh"
 

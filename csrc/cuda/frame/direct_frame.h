@@ -11,6 +11,7 @@
 #include "base/config.h"
 #include "cuda/common/short_list.h"
 #include "cuda/stages/stages.h"
+#include "math/lattice_plan.h"
 
 namespace lfgs::cuda {
 
@@ -170,5 +171,25 @@ void composite_lens_column(const DirectFrame& frame, const float* background, fl
 // says how it draws a lens on the current device; shared_memory: see DirectFrame.
 constexpr int kTileLenses = 16, kTileRows = 32, kGroupColumns = 6;
 LensColumnLayout lens_column_layout(const Lens& lens, int64_t shared_memory);
+
+constexpr int kMostLatticePlanes = 16;
+constexpr int kMostNodes = 640;  // of a tile: a tenth of its sub-pixels
+
+// A plane of nodes. What is seen at one of its nodes is seen on the next plane `aside` nodes on. `first` is the index
+// of its first node, such that a node and the one `aside` nodes on in the next plane are stride() apart.
+struct LatticePlane {
+  float aside;
+  int first;
+};
+
+struct Lattice : LatticeGrid {
+  LatticePlane plane[kMostLatticePlanes];
+
+  LFGS_HD int stride() const { return per_plane() + margin; }
+  // How many places all nodes take in memory, at most.
+  LFGS_HD int places() const { return nodes() + 2 * margin * (planes - 1); }
+  // How many points are drawn: the nodes, and the middles of the cells in which samples may lie.
+  LFGS_HD int points() const { return nodes() + cells() * (down - 1) * (planes - 1); }
+};
 
 }  // namespace lfgs::cuda

@@ -280,8 +280,8 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
   in_fours ? rows.load(sh, lit) : rows.load_one_by_one(sh, lit);
   if (!kOneCamera) g_rows.clear();
 
-  const int64_t views = kOneCamera ? 1 : cameras.per_scene;
-  for (int64_t v = 0; v < views; ++v) {
+  const int64_t own_cameras = kOneCamera ? 1 : cameras.per_scene;
+  for (int64_t v = 0; v < own_cameras; ++v) {
     const int64_t image = scene * cameras.per_scene + v;
     const Camera<float> camera = cameras.camera<float>(image);
     const int64_t index = image * n + i;

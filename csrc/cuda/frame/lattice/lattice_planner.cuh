@@ -5,7 +5,7 @@
 #include <new>
 
 #include "cuda/frame/composite_frame.cuh"
-#include "cuda/frame/lattice.cuh"
+#include "cuda/frame/direct_frame.h"
 #include "cuda/frame/kernel_cost.cuh"
 #include "math/colour_circle.h"
 

@@ -9,7 +9,7 @@
 
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/frame/lattice.cuh"
+#include "cuda/frame/direct_frame.h"
 #include "cuda/frame/lattice/lattice_planner.cuh"
 #include "cuda/frame/lens_optics.cuh"
 

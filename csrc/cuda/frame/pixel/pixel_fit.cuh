@@ -77,7 +77,7 @@ __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
 }
 
 // Log2 of the compensation of a splat, as x + y s + z s^2, by interpolation: see kLinePlace. x is NaN where that is too
-// rough at the ends of the rig, where it errs most.
+// coarse at the ends of the rig, where it errs most.
 __device__ inline float3 compensation_fit(const Compensation<float>& c, const Splat<float>& s) {
   constexpr float kMostError = 2e-4f;  // alpha is off by less than 0.04/255, on average by a tenth of that
   auto log2_at = [&](float v) { return log2_compensation(c, v, fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
