@@ -70,7 +70,7 @@ test-cuda-emulated: setup
 # without the marker not_sanitized). --capture=sys, or pytest keeps to itself what a sanitizer says at the end.
 SANITIZED := tests/rasterizer tests/encoding tests/io/test_stress_images.py tests/io/test_stress_invalid.py \
   tests/models/test_detail.py tests/models/test_sheet.py \
-  $(foreach name,dropout morton photo_loss random update,tests/fitting/test_$(name).py)
+  $(foreach name,dropout morton photo_loss random optimizer,tests/fitting/test_$(name).py)
 CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
   -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir) \
   -DSKBUILD_PROJECT_VERSION_FULL=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)

@@ -8,10 +8,10 @@ import torch
 from rasterizer_cases import random_scene, turned_pose
 
 import lightfield_gs as lf
-from lightfield_gs.fitting.fields import Fields
-from lightfield_gs.fitting.initial import initial_gaussians
+from lightfield_gs.fitting.initialization import initialize_gaussians
+from lightfield_gs.fitting.optimizer import GaussianState
+from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.settings import FitSettings
-from lightfield_gs.fitting.views import Views
 
 WIDTH, HEIGHT, VIEWS = 48, 32, 6
 
@@ -31,25 +31,25 @@ def known_cameras(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) 
     return lf.Cameras(poses, focal, middle.contiguous(), width, height)
 
 
-def views_of(scene: lf.Gaussians, cameras: lf.Cameras | None = None, device: str = "cpu") -> Views:
+def photograph_scene(scene: lf.Gaussians, cameras: lf.Cameras | None = None, device: str = "cpu") -> PosedImages:
     """Photographs of a scene over black, in 8 bits, with their cameras."""
     cameras = cameras or known_cameras()
     photos = lf.render(scene, cameras, background=(0.0, 0.0, 0.0)).image.clamp(0, 1).mul(255).round().to(torch.uint8)
     names, size = [f"{i:02d}.png" for i in range(cameras.count)], (cameras.width_px, cameras.height_px)
     tensors = (t.contiguous().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits()))
-    return Views(names, photos.to(device), None, *tensors, [size] * cameras.count)
+    return PosedImages(names, photos.to(device), None, *tensors, [size] * cameras.count)
 
 
-def first_fields(scene: lf.Gaussians, settings: FitSettings, points: int = 150, device: str = "cpu") -> Fields:
+def first_state(scene: lf.Gaussians, settings: FitSettings, points: int = 150, device: str = "cpu") -> GaussianState:
     """What a fit begins with: small Gaussians near some of those of the scene, all of them grey."""
     shift = 0.02 * torch.randn(points, 3, generator=torch.Generator().manual_seed(1))
     places = (scene.means[:points] + shift).double().numpy()
     grey = (127 * torch.ones(points, 3, dtype=torch.uint8)).numpy()
     centres = torch.linalg.inv(known_cameras().world_to_camera.double())[:, :3, 3].numpy()
-    return Fields.of(initial_gaussians(places, grey, centres, settings).to(device))
+    return GaussianState.start(initialize_gaussians(places, grey, centres, settings).to(device))
 
 
-def psnr_db(fields: Fields, views: Views) -> float:
-    """Of all views together, as the fields are now."""
-    image = lf.render(fields.gaussians(), views.cameras(), background=(0.0, 0.0, 0.0)).image.clamp(0, 1)
-    return -10 * math.log10(float((image - views.photos / 255).square().mean()))
+def psnr_db(state: GaussianState, images: PosedImages) -> float:
+    """Of all images together, as the state is now."""
+    image = lf.render(state.gaussians(), images.cameras(), background=(0.0, 0.0, 0.0)).image.clamp(0, 1)
+    return -10 * math.log10(float((image - images.photos / 255).square().mean()))

@@ -98,10 +98,15 @@ class _CapturableStream:
         return getattr(self._stream, name)
 
 
-def make_streams_capturable() -> None:
-    """Let `capture` see the stdout and stderr of this process, from now on."""
-    if not isinstance(sys.stdout, _CapturableStream):
-        sys.stdout, sys.stderr = _CapturableStream(sys.stdout), _CapturableStream(sys.stderr)
+@contextmanager
+def capturable_streams() -> Iterator[None]:
+    """Let `capture` see stdout and stderr of this process inside the block."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = _CapturableStream(sys.stdout), _CapturableStream(sys.stderr)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
 
 
 @contextmanager

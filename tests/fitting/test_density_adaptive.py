@@ -6,12 +6,11 @@ import math
 
 import pytest
 import torch
-from fit_scene import first_fields, known_scene, psnr_db, views_of
+from fit_scene import first_state, known_scene, photograph_scene, psnr_db
 
-from lightfield_gs.fitting import adaptive
-from lightfield_gs.fitting.fields import Fields
+from lightfield_gs.fitting.density import DensityStatistics, refine_adaptive, reset_opacities
+from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.settings import FitSettings
-from lightfield_gs.fitting.tally import Tally
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -19,39 +18,39 @@ EARLY, LATE = 1000, 3100  # before the first reset, and after
 SMALL, LARGE, HUGE = 0.005, 0.05, 0.3
 
 
-def fields_of(scales: list[float], opacities: list[float] | None = None) -> Fields:
+def make_state(scales: list[float], opacities: list[float] | None = None) -> GaussianState:
     """Gaussians along x, three times as long along their own z, which is turned to x; with moments of 1."""
     count = len(scales)
     means = torch.stack([torch.arange(count).float(), torch.zeros(count), torch.full((count,), 2.0)], 1)
     sizes = torch.tensor(scales)[:, None] * torch.tensor([[1 / 3, 1 / 3, 1.0]])
     turned = torch.tensor([[1.0, 0.0, 1.0, 0.0]]).repeat(count, 1)  # by 90 degrees about y, not normalized
     opacity = torch.full((count,), 0.5) if opacities is None else torch.tensor(opacities)
-    fields = Fields.of(Gaussians(means, turned, sizes, opacity, torch.rand(count, 4, 3)))
-    for moments in (fields.first, fields.second):
+    state = GaussianState.start(Gaussians(means, turned, sizes, opacity, torch.rand(count, 4, 3)))
+    for moments in (state.first, state.second):
         for tensor in moments:
             tensor.fill_(1)
-    return fields
+    return state
 
 
-def settings_of(**options) -> FitSettings:
+def make_settings(**options) -> FitSettings:
     return FitSettings(density="adaptive", **options)
 
 
-def tally_of(gradients: list[float], settings: FitSettings) -> Tally:
-    """Of views of which each Gaussian was in four, but those without gradients in none."""
-    tally = Tally(len(gradients), settings, "cpu")
-    tally.gradients.copy_(4 * torch.tensor(gradients))
-    tally.drawn.copy_(4.0 * (tally.gradients > 0))
-    return tally
+def make_statistics(gradients: list[float], settings: FitSettings) -> DensityStatistics:
+    """Of images of which each Gaussian was in four, but those without gradients in none."""
+    statistics = DensityStatistics(len(gradients), settings, "cpu")
+    statistics.gradients.copy_(4 * torch.tensor(gradients))
+    statistics.drawn.copy_(4.0 * (statistics.gradients > 0))
+    return statistics
 
 
-def changed(fields: Fields, gradients: list[float], step: int = EARLY, **options) -> Fields:
-    settings = settings_of(**options)
-    return adaptive.change(fields, tally_of(gradients, settings), settings, step)
+def changed(state: GaussianState, gradients: list[float], step: int = EARLY, **options) -> GaussianState:
+    settings = make_settings(**options)
+    return refine_adaptive(state, make_statistics(gradients, settings), settings, step)
 
 
 def test_small_ones_are_cloned_and_large_ones_split():
-    before = fields_of([SMALL, LARGE, LARGE, SMALL])
+    before = make_state([SMALL, LARGE, LARGE, SMALL])
     after = changed(before, [3e-4, 1e-4, 3e-4, 0.0])
     assert after.count == 6  # 0, 1, 3; the clone of 0; both parts of 2
     for name, tensor in before.tensors().items():
@@ -67,48 +66,48 @@ def test_small_ones_are_cloned_and_large_ones_split():
 
 
 def test_parts_are_drawn_from_the_gaussian_that_they_replace():
-    after = changed(fields_of([LARGE] * 3000), [1.0] * 3000)
-    offsets = after.values.means - torch.cat([fields_of([LARGE] * 3000).values.means] * 2)
+    after = changed(make_state([LARGE] * 3000), [1.0] * 3000)
+    offsets = after.values.means - torch.cat([make_state([LARGE] * 3000).values.means] * 2)
     deviations = LARGE * torch.tensor([1.0, 1 / 3, 1 / 3])  # z of its own axes lies along x
     assert torch.allclose(offsets.std(0), deviations, rtol=0.04)
     assert (offsets.mean(0).abs() < 4 * deviations / math.sqrt(6000)).all()
-    again = changed(fields_of([LARGE] * 3000), [1.0] * 3000)
+    again = changed(make_state([LARGE] * 3000), [1.0] * 3000)
     assert torch.equal(again.values.means, after.values.means)
 
 
 def test_the_threshold_is_of_means_over_views_and_higher_for_absolute_gradients():
-    before = fields_of([SMALL, SMALL])
+    before = make_state([SMALL, SMALL])
     assert changed(before, [2.1e-4, 1.9e-4]).count == 3
     assert changed(before, [2.1e-4, 1.9e-4], absgrad=True) is before
     assert changed(before, [2.1e-4, 1.9e-4], grow_grad2d=1e-4).count == 4
 
 
 def test_faint_ones_are_pruned_and_huge_ones_once_opacities_were_reset():
-    before = fields_of([LARGE, LARGE, HUGE], [0.5, 0.004, 0.5])
+    before = make_state([LARGE, LARGE, HUGE], [0.5, 0.004, 0.5])
     assert torch.equal(changed(before, [0.0] * 3).values.means, before.values.means[[0, 2]])
     assert torch.equal(changed(before, [0.0] * 3, LATE).values.means, before.values.means[:1])
     grown = changed(before, [0.0, 1.0, 1.0], LATE)  # neither of the others is worth keeping in parts
     assert torch.equal(grown.values.means, before.values.means[:1])
-    faint = fields_of([LARGE], [0.004])
+    faint = make_state([LARGE], [0.004])
     assert changed(faint, [0.0]) is faint  # the last one
 
 
 def test_never_more_than_the_budget_and_the_strongest_first():
-    before = fields_of([SMALL, SMALL, LARGE, SMALL, LARGE], [0.5, 0.5, 0.5, 0.5, 0.004])
+    before = make_state([SMALL, SMALL, LARGE, SMALL, LARGE], [0.5, 0.5, 0.5, 0.5, 0.004])
     after = changed(before, [3e-4, 5e-4, 4e-4, 4e-4, 9e-4], cap_max=6)
     # Room for two beside the four that live: 1, and of 2 and 3, which are equal, the first
     assert after.count == 6
     assert torch.equal(after.values.means[:4], before.values.means[[0, 1, 3, 1]])
-    full = fields_of([SMALL] * 3)
+    full = make_state([SMALL] * 3)
     assert changed(full, [1.0] * 3, cap_max=3) is full
 
 
 def test_reset_makes_opacities_small_and_forgets_their_moments():
-    fields = fields_of([SMALL] * 3, [0.9, 0.02, 0.007])
-    adaptive.reset(fields, settings_of())
-    assert torch.allclose(fields.opacities, torch.tensor([0.01, 0.01, 0.007]))
-    assert not fields.first.logits.any() and not fields.second.logits.any()
-    assert fields.first.means.all()
+    state = make_state([SMALL] * 3, [0.9, 0.02, 0.007])
+    reset_opacities(state, make_settings())
+    assert torch.allclose(state.opacities, torch.tensor([0.01, 0.01, 0.007]))
+    assert not state.first.logits.any() and not state.second.logits.any()
+    assert state.first.means.all()
 
 
 @pytest.mark.parametrize(
@@ -120,27 +119,27 @@ def test_reset_makes_opacities_small_and_forgets_their_moments():
     ],
 )
 def test_when_opacities_are_reset_and_gaussians_sorted(options, resets, sorts):
-    settings = settings_of(**options)
+    settings = make_settings(**options)
     steps = range(1, settings.steps + 1)
     assert [step for step in steps if settings.resets_after(step)] == resets
     assert [step for step in steps if settings.sorts_after(step)] == sorts
     assert not any(map(FitSettings().resets_after, steps))
 
 
-def test_the_tally_adds_the_gradients_of_each_view_in_halves_of_the_image():
+def test_the_statistics_add_the_gradients_of_each_view_in_halves_of_the_image():
     scene = known_scene()
-    views = views_of(scene)
+    images = photograph_scene(scene)
     totals = []
     for count in (1, 2):  # the same six photographs, one or two at once
         names = ("means", "scales", "quats", "opacities", "sh0")
         still = dict.fromkeys([f"{name}_lr" for name in names], 0.0)
         still["dropout"] = 0.0  # each step would leave out others, and steps are as many as the photographs or half
-        settings = settings_of(
+        settings = make_settings(
             steps=6, batch_size=count, sh_degree=0, refine_start_iter=29_999, reset_every=30_000, **still
         )
-        trainer = Trainer(first_fields(scene, settings), views, settings)
+        trainer = Trainer(first_state(scene, settings), images, settings)
         trainer.advance(6 // count)
-        totals.append((trainer.tally.gradients, trainer.tally.drawn))
+        totals.append((trainer.statistics.gradients, trainer.statistics.drawn))
     for one, other in zip(*totals):
         assert torch.allclose(one, other, rtol=1e-3, atol=1e-9)
         assert one.any()
@@ -148,18 +147,18 @@ def test_the_tally_adds_the_gradients_of_each_view_in_halves_of_the_image():
 
 def test_a_fit_comes_nearer_and_repeats_bit_by_bit():
     scene = known_scene()
-    views = views_of(scene)
+    images = photograph_scene(scene)
     # Few rounds, as in a long fit, and one reset
-    settings = settings_of(steps=200, cap_max=250, sh_degree=0, refine_every=2000, reset_every=7500, grow_grad2d=1e-5)
+    settings = make_settings(steps=200, cap_max=250, sh_degree=0, refine_every=2000, reset_every=7500, grow_grad2d=1e-5)
 
     def fitted(stops):
-        trainer = Trainer(first_fields(scene, settings), views, settings)
+        trainer = Trainer(first_state(scene, settings), images, settings)
         for stop in stops:
             trainer.advance(stop)
-        return trainer.fields
+        return trainer.state
 
-    fields = fitted([200])
-    assert 150 < fields.count <= 250
-    assert psnr_db(fields, views) > psnr_db(first_fields(scene, settings), views) + 3
+    state = fitted([200])
+    assert 150 < state.count <= 250
+    assert psnr_db(state, images) > psnr_db(first_state(scene, settings), images) + 3
     again = fitted([33, 34, 101, 200])
-    assert all(torch.equal(one, other) for one, other in zip(fields.tensors().values(), again.tensors().values()))
+    assert all(torch.equal(one, other) for one, other in zip(state.tensors().values(), again.tensors().values()))

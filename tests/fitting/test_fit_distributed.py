@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 import torch
 from fit_capture import write_capture
-from fit_scene import first_fields, known_scene, psnr_db, views_of
+from fit_scene import first_state, known_scene, photograph_scene, psnr_db
 
 from lightfield_gs import cli
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.torchrun import is_first
+from lightfield_gs.fitting.distributed import ALONE, Group, join_group
 from lightfield_gs.fitting.settings import FitSettings
-from lightfield_gs.fitting.several import ALONE, Group, is_first, joined
 from lightfield_gs.fitting.trainer import Trainer
 
 # Most of the time goes to processes that import torch once more
@@ -27,11 +28,11 @@ DENSITIES = ("mcmc", "adaptive")
 FITTING = f"""
 import sys, torch
 sys.path[:0] = {[str(TESTS), str(TESTS / "fitting")]!r}
-from test_several import DENSITIES, fitted
-from lightfield_gs.fitting.several import joined
+from test_fit_distributed import DENSITIES, fitted
+from lightfield_gs.fitting.distributed import join_group
 from lightfield_gs import cli
 torch.set_num_threads(1)
-with joined(sys.argv[2]) as (group, device):
+with join_group(sys.argv[2]) as (group, device):
     results = [fitted(density, group, device) for density in DENSITIES]
     if group.is_first:
         torch.save(results, sys.argv[1])
@@ -40,8 +41,8 @@ sys.exit(cli.main(sys.argv[3:]))
 BREAKING_OFF = """
 import torch
 from lightfield_gs import InputError
-from lightfield_gs.fitting import several
-with several.joined("cpu") as (group, device):
+from lightfield_gs.fitting import distributed
+with distributed.join_group("cpu") as (group, device):
     try:
         group.check_same("settings", bytes([group.rank]))
     except InputError as error:
@@ -58,14 +59,14 @@ def fitted(density: str, group: Group, device: str) -> dict[str, object]:
         steps=120, cap_max=200, batch_size=2, sh_degree=1, density=density, exposure=True, poses=True, dropout=0.05
     )
     scene = known_scene()
-    views = views_of(scene, device=device)
-    trainer = Trainer(first_fields(scene, settings, device=device), views, settings, group)
+    views = photograph_scene(scene, device=device)
+    trainer = Trainer(first_state(scene, settings, device=device), views, settings, group)
     trainer.advance(1)
-    first = [tensor.clone() for tensor in trainer.fields.values]
+    first = [tensor.clone() for tensor in trainer.state.values]
     trainer.advance(120)
-    group.check_same("results", b"".join(t.cpu().numpy().tobytes() for t in trainer.fields.values), device)
-    group.check_same("tallies", trainer.tally.seen.cpu().numpy().tobytes(), device)
-    score, losses = psnr_db(trainer.fields, views), trainer.counters.losses
+    group.check_same("results", b"".join(t.cpu().numpy().tobytes() for t in trainer.state.values), device)
+    group.check_same("tallies", trainer.statistics.seen.cpu().numpy().tobytes(), device)
+    score, losses = psnr_db(trainer.state, views), trainer.counters.losses
     return {"first": first, "psnr_db": score, "losses": losses, "extra": trainer.extra}
 
 
@@ -132,7 +133,7 @@ def test_all_end_when_one_does(tmp_path):
 def test_alone_nothing_is_reduced(monkeypatch):
     for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK"):
         monkeypatch.delenv(name, raising=False)
-    with joined("cpu") as (group, device):
+    with join_group("cpu") as (group, device):
         assert group is ALONE and device == "cpu" and is_first() and not torch.distributed.is_initialized()
         numbers = torch.tensor([1.0, 2.0])
         group.sum_([numbers]), group.max_(numbers)
@@ -141,7 +142,7 @@ def test_alone_nothing_is_reduced(monkeypatch):
 
 def test_a_step_is_shared_out_completely():
     order = torch.arange(12).view(2, 6)
-    shares = [Group(rank, 3).share(order) for rank in range(3)]
-    assert torch.cat(shares, 1).sort(1).values.equal(order) and {s.shape for s in shares} == {(2, 2)}
+    parts = [Group(rank, 3).split(order) for rank in range(3)]
+    assert torch.cat(parts, 1).sort(1).values.equal(order) and {s.shape for s in parts} == {(2, 2)}
     with pytest.raises(InputError, match="4 processes cannot share the 6 photographs .* multiple of 4"):
-        Group(1, 4).share(order)
+        Group(1, 4).split(order)

@@ -7,26 +7,26 @@ from math import comb
 
 import pytest
 import torch
-from fit_scene import first_fields, known_scene, psnr_db, views_of
+from fit_scene import first_state, known_scene, photograph_scene, psnr_db
 
-from lightfield_gs.fitting import mcmc
+from lightfield_gs.fitting import density
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 
 OPACITIES = [0.005, 0.3, 0.9, 0.9999, 1 - 3e-7]
 
 
-def shared(opacity: float, count: int) -> tuple[float, float]:
+def relocated(opacity: float, count: int) -> tuple[float, float]:
     """Opacity, and by how much scales change."""
     tensors = torch.tensor([opacity], dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64), torch.tensor([count])
-    opacities, scales = mcmc.shared(*tensors)
+    opacities, scales = density.compute_relocation(*tensors)
     return float(opacities), float(scales[0, 0])
 
 
 @pytest.mark.parametrize("opacity", OPACITIES)
 @pytest.mark.parametrize("count", [1, 2, 5, 20, 51])
-def test_shared_is_equation_9(opacity, count):
-    found_opacity, found_scale = shared(opacity, count)
+def test_relocation_is_equation_9(opacity, count):
+    found_opacity, found_scale = relocated(opacity, count)
     assert found_opacity == pytest.approx(1 - (1 - opacity) ** (1 / count), rel=1e-9)
     o, roots = Fraction(found_opacity), [Fraction((k + 1) ** -0.5) for k in range(count)]
     # The double sum as it stands, in exact arithmetic
@@ -36,8 +36,8 @@ def test_shared_is_equation_9(opacity, count):
 
 @pytest.mark.parametrize("opacity", OPACITIES)
 @pytest.mark.parametrize("count", [2, 7, 51])
-def test_what_is_shared_covers_as_much_as_before(opacity, count):
-    opacity_n, scale = shared(opacity, count)
+def test_what_is_relocated_covers_as_much_as_before(opacity, count):
+    opacity_n, scale = relocated(opacity, count)
     x = torch.linspace(-12, 12, 200_001, dtype=torch.float64)
     before = opacity * torch.exp(-(x**2) / 2)
     after = 1 - (1 - opacity_n * torch.exp(-((x / scale) ** 2) / 2)) ** count
@@ -48,12 +48,12 @@ def test_what_is_shared_covers_as_much_as_before(opacity, count):
 
 def test_sampled_in_proportion_and_never_what_weighs_nothing():
     weights = torch.tensor([0.0, 0.1, 0.0, 0.6, 0.3, 1e-7, 0.0])
-    drawn = mcmc.sampled(weights, 200_000, seed=3, draw=8)
-    assert torch.equal(drawn, mcmc.sampled(weights, 200_000, seed=3, draw=8))
-    assert not torch.equal(drawn, mcmc.sampled(weights, 200_000, seed=3, draw=9))
-    shares = torch.bincount(drawn, minlength=7) / len(drawn)
-    assert not shares[weights == 0].any()
-    assert torch.allclose(shares, weights, atol=4e-3)  # 4 standard deviations
+    drawn = density.sample_indices(weights, 200_000, seed=3, draw=8)
+    assert torch.equal(drawn, density.sample_indices(weights, 200_000, seed=3, draw=8))
+    assert not torch.equal(drawn, density.sample_indices(weights, 200_000, seed=3, draw=9))
+    fractions = torch.bincount(drawn, minlength=7) / len(drawn)
+    assert not fractions[weights == 0].any()
+    assert torch.allclose(fractions, weights, atol=4e-3)  # 4 standard deviations
 
 
 def mcmc_settings(**options) -> FitSettings:
@@ -62,21 +62,21 @@ def mcmc_settings(**options) -> FitSettings:
 
 def test_relocation_moves_the_dead_to_the_living():
     settings = mcmc_settings(cap_max=150)
-    fields = first_fields(known_scene(), settings)
+    state = first_state(known_scene(), settings)
     dead = torch.arange(0, 150, 3)
-    fields.values.logits[dead] = -7
-    for moments in (fields.first, fields.second):
+    state.values.logits[dead] = -7
+    for moments in (state.first, state.second):
         for tensor in moments:
             tensor.fill_(1)
-    fields.renew()
-    places = fields.values.means.clone()
-    changed = mcmc.change(fields, settings, step=600)
-    assert changed is fields and changed.count == 150
+    state.refresh()
+    places = state.values.means.clone()
+    changed = density.refine_mcmc(state, settings, step=600)
+    assert changed is state and changed.count == 150
     sources = [int((places == mean).all(1).nonzero()) for mean in changed.values.means[dead]]
     assert not set(sources) & set(dead.tolist())
     touched = torch.zeros(150, dtype=torch.bool)
     touched[[*dead.tolist(), *sources]] = True
-    for moments in (fields.first, fields.second):
+    for moments in (state.first, state.second):
         for tensor in moments:  # of those that moved and of those that they moved to, as in the paper's program
             assert not tensor[touched].any() and tensor[~touched].eq(1).all()
     for source in set(sources):
@@ -92,7 +92,7 @@ def test_the_number_is_that_of_the_budget_in_the_end(steps, start, budget):
     assert [settings.rounds_from(step) for step in rounds] == list(range(len(rounds), 0, -1))
     count = start
     for step in rounds:
-        more = mcmc._wanted(count, settings, step)
+        more = density._target_count(count, settings, step)
         assert count <= more <= budget
         count = more
     assert count == budget
@@ -100,17 +100,17 @@ def test_the_number_is_that_of_the_budget_in_the_end(steps, start, budget):
 
 def test_a_fit_comes_nearer_and_repeats_bit_by_bit():
     scene = known_scene()
-    views = views_of(scene)
+    images = photograph_scene(scene)
     settings = mcmc_settings(steps=150, cap_max=250)
 
     def fitted(stops):
-        trainer = Trainer(first_fields(scene, settings), views, settings)
+        trainer = Trainer(first_state(scene, settings), images, settings)
         for stop in stops:
             trainer.advance(stop)
-        return trainer.fields
+        return trainer.state
 
-    fields = fitted([150])
-    assert fields.count == 250
-    assert psnr_db(fields, views) > psnr_db(first_fields(scene, settings), views) + 6
+    state = fitted([150])
+    assert state.count == 250
+    assert psnr_db(state, images) > psnr_db(first_state(scene, settings), images) + 6
     again = fitted([40, 41, 125, 150])
-    assert all(torch.equal(one, other) for one, other in zip(fields.tensors().values(), again.tensors().values()))
+    assert all(torch.equal(one, other) for one, other in zip(state.tensors().values(), again.tensors().values()))

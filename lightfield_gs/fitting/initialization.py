@@ -13,17 +13,24 @@ from lightfield_gs.fitting.random import Purpose, uniforms
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.scene.gaussians import Gaussians
 
-_FEWEST_POINTS = 100  # fewer say too little of where things are
+_FEWEST_POINTS = 100  # fewer say too little about the scene
 _NEIGHBOURS = 3
 _OPACITY, _SCALE = {"mcmc": 0.5, "adaptive": 0.1}, {"mcmc": 0.1, "adaptive": 1.0}
 
 
-def initial_gaussians(points: np.ndarray, colours: np.ndarray, centres: np.ndarray, settings: FitSettings) -> Gaussians:
-    """Gaussians of SH degree 0, float32, no more than settings.cap_max.
+def initialize_gaussians(
+    points: np.ndarray, colours: np.ndarray, centres: np.ndarray, settings: FitSettings
+) -> Gaussians:
+    """Return float32 Gaussians of SH degree 0, settings.cap_max at most.
 
-    points [P,3], colours [P,3] uint8, and the centres [C,3] of the cameras, in scene units with an extent of 1.
-    Scales are the root mean square distance to three neighbours (Kerbl et al. 2023), times settings.init_scale.
-    Fewer than 100 points are replaced by random ones within three times the extent of the cameras, of random colours.
+    Scales are the root mean square distance to three neighbours (Kerbl et al. 2023), times settings.init_scale. Fewer
+    than 100 points are replaced by random ones within three extents of the cameras, with random colours.
+
+    Args:
+        points: [P,3], normalised coordinates.
+        colours: [P,3] uint8.
+        centres: [C,3], of the cameras.
+        settings: those of the fit.
     """
     if len(points) < _FEWEST_POINTS:
         assume(
@@ -32,7 +39,7 @@ def initial_gaussians(points: np.ndarray, colours: np.ndarray, centres: np.ndarr
         )
         points, colours = _random_points(centres, settings)
     if len(points) > settings.cap_max:
-        kept = _some(len(points), settings.cap_max, settings.seed)
+        kept = _choose(len(points), settings.cap_max, settings.seed)
         assume(f"{len(kept)} of {len(points)} points are used: no more Gaussians were asked for")
         points, colours = points[kept], colours[kept]
     opacity = _OPACITY[settings.density] if settings.init_opa is None else settings.init_opa
@@ -45,7 +52,7 @@ def initial_gaussians(points: np.ndarray, colours: np.ndarray, centres: np.ndarr
 
 
 def neighbour_distances(points: np.ndarray) -> Tensor:
-    """[P] float64: the root of the mean squared distance of each point [P,3] to its three nearest others; positive."""
+    """Return [P] float64, the root mean square distance of each point [P,3] to its three nearest others; positive."""
     try:
         from scipy.spatial import cKDTree
     except ImportError:
@@ -56,13 +63,13 @@ def neighbour_distances(points: np.ndarray) -> Tensor:
 
 
 def _random_points(centres: np.ndarray, settings: FitSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Points in a cube of three times the extent round the cameras, and their colours."""
+    """Return points in a cube of three extents round the cameras, and their colours."""
     count = min(settings.cap_max, 100_000)
     numbers = uniforms(settings.seed, 0, Purpose.INITIAL, 6 * count).numpy().reshape(count, 6)
     middle = np.median(centres, 0)
     return middle + 6 * (numbers[:, :3] - 0.5), (255 * numbers[:, 3:]).astype(np.uint8)
 
 
-def _some(count: int, wanted: int, seed: int) -> np.ndarray:
-    """`wanted` of the numbers below `count`, chosen by the seed, ascending."""
+def _choose(count: int, wanted: int, seed: int) -> np.ndarray:
+    """Return `wanted` of the numbers below `count`, chosen by the seed, ascending."""
     return np.sort(np.argsort(uniforms(seed, 1, Purpose.INITIAL, count).numpy(), kind="stable")[:wanted])

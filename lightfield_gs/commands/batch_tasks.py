@@ -1,9 +1,8 @@
-"""The items of a batch in a process of it: each is what `encode`, `fit` or `video` does, by their own functions."""
+"""The tasks of a batch: each does what `encode`, `fit` or `video` does, by their own functions."""
 
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,11 +15,10 @@ from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import AUTO, EncodeOptions
 from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.batch.hashes import facts
-from lightfield_gs.batch.item import Item
+from lightfield_gs.batch.items import Item
+from lightfield_gs.batch.manifest import Known, facts
 from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record
-from lightfield_gs.batch.plan import Known
-from lightfield_gs.batch.worker import Place
+from lightfield_gs.batch.run import Place
 from lightfield_gs.commands.options.parser import Parser, join_values, read_options
 from lightfield_gs.io.atomic import make_folder
 
@@ -31,35 +29,43 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Setup:
-    """What all items have in common.
+    """The options that all items have in common.
 
-    folder: of the batch; start: the folder that it was started in, which paths are relative to. given: options of
-    `encode` that were given, by their names in its arguments. fit_words: options of `fit`; video_words: of `video`.
+    Attributes:
+        folder: of the batch, absolute.
+        given: options of `encode` other than the defaults, by their names in its arguments.
+        fit_words: options of `fit`.
+        video_words: options of `video`.
     """
 
     folder: Path
-    start: Path
     given: dict[str, Any]
     fit_words: tuple[str, ...] = ()
     video_words: tuple[str, ...] = ()
 
 
-def maker(options: dict[str, Any], place: Place) -> Callable[[tuple[Item, Known | None]], Any]:
-    """What makes the task of an item, once the process has what all of them need."""
+def load(setup: Setup, place: Place) -> Callable[[tuple[Item, Known | None]], Any]:
+    """Load what all items need, and return the function that makes the task of an item."""
     import torch
 
-    setup = Setup(**options)
-    os.chdir(setup.start)
     use_threads(place.threads)
     if place.device == "cuda":
-        torch.zeros(1, device="cuda")  # which loads what takes seconds
+        torch.zeros(1, device="cuda")  # loads what takes seconds
     copies = HostCopies(place.writers + DRAWN_AHEAD) if place.device == "cuda" else None
     kinds = {"encode": EncodeTask, "fit": FitTask, "video": VideoTask}
     return lambda pair: kinds[pair[0].command](pair[0], pair[1], setup, place, copies)
 
 
 class EncodeTask:
-    """A photo or a scene to the image of a panel. known: what is known of it from before. copies: see Encoding."""
+    """Encodes a photo or a scene.
+
+    Args:
+        item: the photo or scene.
+        known: what the manifest knows of it.
+        setup: the options of all items.
+        place: where the process works.
+        copies: as Encoding takes them.
+    """
 
     def __init__(
         self, item: Item, known: Known | None, setup: Setup, place: Place, copies: HostCopies | None = None
@@ -71,7 +77,7 @@ class EncodeTask:
         self.status = "done"
 
     def read(self) -> bool:
-        """Reads the input, unless it holds what it held when it was done."""
+        """Read the input, unless it is unchanged since the item was done."""
         if self._is_kept():
             return False
         make_folder(self.output.parent)
@@ -79,35 +85,35 @@ class EncodeTask:
         return True
 
     def begin(self) -> None:
-        """What is done while others are drawn."""
+        """Do the host's part before drawing."""
         self.encoding = Encoding(self.encode_options(self.item.input), Stopwatch(0.0), self.copies)
         self.encoding.read()
 
     def draw(self) -> None:
-        """Draws the image."""
+        """Draw the image."""
         self.encoding.draw()
 
     def write(self) -> None:
-        """Writes it, and notes what it holds."""
+        """Write the image, and note its hash."""
         self.encoding.write()
         self.note_outputs(*self.encoding.options.outputs())
 
     def record(self) -> Record:
-        """Status, inputs and outputs, as far as they are known."""
+        """Return status, inputs and outputs, as far as they are known."""
         said = getattr(getattr(self, "encoding", None), "messages", [])
         return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": list(said)}
 
     def files(self) -> list[Path | str | None]:
-        """Files and folders that are read."""
+        """Return the files and folders that the item reads, its input first."""
         return list(self.encode_options(self.item.input).inputs())
 
     def encode_options(self, source: str | Path) -> EncodeOptions:
-        """The options of `encode` for what is to become the image."""
+        """Return the options of `encode` for the file that becomes the image."""
         words = [*self.item.words, "-o", str(self.output), "--", str(source)]
         return read_options(EncodeOptions, _parsed("encode", words, self._given()))
 
     def note_outputs(self, *paths: Path | None) -> None:
-        """Notes what was written."""
+        """Note the hashes of outputs."""
         for path in paths:
             if path is not None and path.exists():
                 name = path.relative_to(self.setup.folder) if path.is_relative_to(self.setup.folder) else path
@@ -115,7 +121,7 @@ class EncodeTask:
 
     @property
     def is_fresh(self) -> bool:
-        """Whether what a run before left unfinished is of other options or inputs."""
+        """Whether an unfinished output of an earlier run belongs to other options or inputs."""
         known = self.known
         return known is not None and (known.is_other or bool(known.inputs))
 
@@ -123,7 +129,7 @@ class EncodeTask:
         return self.setup.given | {"device": self.place.device, "threads": self.place.threads}
 
     def _is_kept(self) -> bool:
-        """Notes what the inputs hold; whether that is what the outputs that are there were made of."""
+        """Note the hashes of the inputs; return whether the outputs were made of the same."""
         named = [path for path in self.files() if path not in (None, AUTO)]
         source = named[0]  # the input; of the others their readers say better what is wrong with them
         self.inputs = {str(path): facts(str(path)) for path in named if path == source or Path(str(path)).exists()}
@@ -137,17 +143,17 @@ class EncodeTask:
 
 
 class FitTask(EncodeTask):
-    """A capture to a scene, name.ply, and that to the image of a panel."""
+    """Fits a capture, which gives the scene NAME.ply, and encodes that."""
 
     def begin(self) -> None:
-        """Checks the options before the photographs are read."""
+        """Check the options before the photographs are read."""
         self.scene = self.output.with_suffix(".ply")
         self.fit_options = self._fit_options()
 
     def draw(self) -> None:
-        """Fits the scene, where it was left off, and draws it."""
+        """Fit the scene, from where an earlier run stopped, and draw it."""
         from lightfield_gs.commands import fit
-        from lightfield_gs.fitting.display import rig_path
+        from lightfield_gs.fitting.cone import rig_path
 
         fit.fit_scene(self.fit_options)
         options = self.encode_options(self.scene)
@@ -159,14 +165,14 @@ class FitTask(EncodeTask):
         self.encoding.draw()
 
     def write(self) -> None:
-        """Writes the image, and notes what image and scene hold."""
-        from lightfield_gs.fitting.display import rig_path
+        """Write the image, and note the hashes of image and scene."""
+        from lightfield_gs.fitting.cone import rig_path
 
         super().write()
         self.note_outputs(self.scene, rig_path(self.scene))
 
     def files(self) -> list[Path | str | None]:
-        """The folder of the capture, and what else is read."""
+        """Return the folder of the capture, and the other files that the item reads."""
         source, capture = Path(self.item.input), self._fit_options().capture
         more = self.encode_options(source).inputs()[1:]
         return [
@@ -187,10 +193,10 @@ class FitTask(EncodeTask):
 
 
 class VideoTask(EncodeTask):
-    """A scene with moving cameras, or pictures in a row, to frames."""
+    """Makes a video of a scene with moving cameras, or of pictures in a row."""
 
     def begin(self) -> None:
-        """Checks the options before the first picture is read."""
+        """Check the options before the first picture is read."""
         from lightfield_gs.app.panel import load_panel
         from lightfield_gs.app.video import video_target
 
@@ -198,17 +204,17 @@ class VideoTask(EncodeTask):
         self.result = video_target(self.options, load_panel(self.options.panel)).path
 
     def draw(self) -> None:
-        """Draws and writes the frames that are not there."""
+        """Draw and write the frames that are missing."""
         from lightfield_gs.commands import video
 
         video.make_frames(self.options, Stopwatch(time.perf_counter()))
 
     def write(self) -> None:
-        """Notes what the frames hold."""
+        """Note the hashes of the frames."""
         self.note_outputs(self.result)
 
     def files(self) -> list[Path | str | None]:
-        """Files and folders that are read."""
+        """Return the files and folders that the item reads, its input first."""
         return list(self._video_options().inputs())
 
     def _video_options(self) -> VideoOptions:
@@ -227,7 +233,7 @@ def _parser(command: str) -> Parser:
 
 
 def _parsed(command: str, words: list[str], given: dict[str, Any]) -> argparse.Namespace:
-    """The arguments of a command. given: values in place of its defaults, of those options that it has."""
+    """Return the arguments of a command; `given` replaces the defaults of the options that it has."""
     parser = _parser(command)
     known = {action.dest for action in parser._actions}
     return parser.parse_args(
@@ -236,5 +242,5 @@ def _parsed(command: str, words: list[str], given: dict[str, Any]) -> argparse.N
 
 
 def defaults(command: str) -> dict[str, Any]:
-    """The values of a command's options where none is given."""
+    """Return the defaults of a command's options."""
     return vars(_parsed(command, ["-o", "-", "--", "-"], {}))

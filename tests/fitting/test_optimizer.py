@@ -10,41 +10,41 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.random import Purpose, normals
-from lightfield_gs.fitting.update import (
+from lightfield_gs.fitting.optimizer import (
     MOST_LOG_SCALE,
     MOST_LOGIT,
     Gradients,
-    RawFields,
-    activated,
+    RawParameters,
+    activate,
     update,
     update_table,
 )
+from lightfield_gs.fitting.random import Purpose, normals
 
 RATES = dict(means_lr=2e-3, scales_lr=5e-3, quats_lr=1e-3, opacities_lr=0.05, sh0_lr=2.5e-3, shN_lr=1.25e-4)
 DOUBLE = torch.float64
 
 
-def raw_fields(count: int = 40, harmonics: int = 4, dtype: torch.dtype = DOUBLE) -> RawFields:
+def raw_fields(count: int = 40, harmonics: int = 4, dtype: torch.dtype = DOUBLE) -> RawParameters:
     random = torch.Generator().manual_seed(count)
 
     def draw(*shape: int) -> Tensor:
         return torch.randn(shape, dtype=DOUBLE, generator=random).to(dtype)
 
-    return RawFields(draw(count, 3), draw(count, 3) - 3, draw(count, 4), draw(count), draw(count, harmonics, 3))
+    return RawParameters(draw(count, 3), draw(count, 3) - 3, draw(count, 4), draw(count), draw(count, harmonics, 3))
 
 
 @dataclass
 class Run:
     """Fields on their way, with all that an update takes."""
 
-    fields: RawFields
+    fields: RawParameters
     table: Tensor
     seed: int = 5
 
     def __post_init__(self) -> None:
         self.first, self.second = self.fields.zeros_like(), self.fields.zeros_like()
-        self.scales, self.opacities = activated(self.fields)
+        self.scales, self.opacities = activate(self.fields)
         self.step, self.skipped = torch.zeros((), dtype=torch.int64), torch.zeros((), dtype=torch.int64)
 
     def update(self, gradients: Gradients, **options: object) -> None:
@@ -53,7 +53,7 @@ class Run:
         self.step += 1
 
 
-def some_gradients(fields: RawFields, step: int) -> Gradients:
+def some_gradients(fields: RawParameters, step: int) -> Gradients:
     random = torch.Generator().manual_seed(1000 + step)
     shapes = fields.means, fields.quaternions, fields.log_scales, fields.logits, fields.sh
     return Gradients(*(torch.randn(t.shape, dtype=DOUBLE, generator=random).to(t) for t in shapes))
@@ -62,13 +62,13 @@ def some_gradients(fields: RawFields, step: int) -> Gradients:
 @pytest.mark.parametrize("harmonics", [1, 4, 9, 16])
 @pytest.mark.parametrize("seen", [False, True])
 def test_fifty_steps_are_those_of_torch(harmonics, seen):
-    steps, shares = 50, dict(opacity_reg=0.01, scale_reg=0.02)
+    steps, regs = 50, dict(opacity_reg=0.01, scale_reg=0.02)
     means = torch.linspace(2e-3, 2e-5, steps, dtype=DOUBLE)
     run = Run(
-        raw_fields(harmonics=harmonics), update_table(steps, **RATES | dict(means_lr=means), **shares, dtype=DOUBLE)
+        raw_fields(harmonics=harmonics), update_table(steps, **RATES | dict(means_lr=means), **regs, dtype=DOUBLE)
     )
     mask = (torch.arange(40) % 3 > 0).to(torch.uint8) if seen else None
-    leaves = RawFields(*(field.clone().requires_grad_() for field in run.fields))
+    leaves = RawParameters(*(field.clone().requires_grad_() for field in run.fields))
     dc, rest = leaves.sh[:, :1].detach().requires_grad_(), leaves.sh[:, 1:].detach().requires_grad_()
     groups = [leaves.means, leaves.log_scales, leaves.quaternions, leaves.logits, dc, rest]
     adam = torch.optim.Adam([dict(params=[p], lr=rate) for p, rate in zip(groups, RATES.values())], eps=1e-15)
@@ -90,9 +90,9 @@ def test_fifty_steps_are_those_of_torch(harmonics, seen):
         loss.backward()
         adam.step()
     expected = [*(group.detach() for group in groups[:4]), torch.cat([dc, rest], 1).detach()]
-    for name, found, value in zip(RawFields._fields, run.fields, expected):
+    for name, found, value in zip(RawParameters._fields, run.fields, expected):
         torch.testing.assert_close(found, value, rtol=1e-9, atol=1e-11, msg=name)
-    for found, value in zip((run.scales, run.opacities), activated(run.fields)):
+    for found, value in zip((run.scales, run.opacities), activate(run.fields)):
         torch.testing.assert_close(found, value, rtol=1e-14, atol=0)
     assert run.skipped == 0
 
@@ -104,7 +104,7 @@ def test_float32_follows_float64():
         for step in range(20):
             run.update(some_gradients(run.fields, step))
         found.append(run.fields)
-    for name, single, double in zip(RawFields._fields, *found):
+    for name, single, double in zip(RawParameters._fields, *found):
         assert (single.double() - double).abs().max() < 1e-4, name
 
 
@@ -155,7 +155,7 @@ def test_gaussians_with_gradients_that_are_no_numbers_are_left_alone(field, valu
 
 def test_fields_stay_within_their_limits():
     run = Run(raw_fields(), update_table(200, **RATES | dict(scales_lr=1.0, opacities_lr=1.0)))
-    run = Run(RawFields(*(field.float() for field in run.fields)), run.table)
+    run = Run(RawParameters(*(field.float() for field in run.fields)), run.table)
     signs = (-1.0) ** torch.arange(40)
     gradients = Gradients(*(torch.zeros_like(g) for g in some_gradients(run.fields, 0)))
     for _ in range(60):
