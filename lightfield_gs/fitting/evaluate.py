@@ -235,8 +235,8 @@ def scores_by_angle(
         cone_deg: full angle of the cone.
 
     Returns:
-        Rows of views, photographs, psnr_db and ssim, for JSON: "inside the cone" (up to half of it), "outside", and each
-        range of EDGES_DEG, "5-10 degrees". Rows without photographs are left out.
+        Rows of views, photographs, psnr_db and ssim, for JSON: "inside the cone" (up to half of it), "outside", and
+        each range of EDGES_DEG, "5-10 degrees". Rows without photographs are left out.
 
     Raises:
         InputError: the lengths differ.
