@@ -31,7 +31,7 @@ from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.photo.side_by_side import depth_side, is_named_so
+from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
@@ -292,7 +292,7 @@ def _find_half(
         The options with that half, the number of that picture (else 0), and a line on it.
     """
     named_ones = pictures.files or (pictures.path,)
-    if photo.rgbd is not None or photo.depth is not None or not all(map(is_named_so, named_ones)):
+    if photo.rgbd is not None or photo.depth is not None or not all(map(is_rgbd_name, named_ones)):
         return photo, 0, []
     for number, path in pictures.pictures(list(range(count)), _make(folder / "half")):
         if (side := depth_side(read_picture(path).pixels, is_named=True)) is not None:

@@ -14,10 +14,11 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
-from lightfield_gs.fitting.native import check_tensor, optional_address, run_stage, select_stages
+from lightfield_gs.fitting.native import optional_address, run_stage, select_stages
 from lightfield_gs.scene.gaussians import Gaussians
 
 MOST_LOG_SCALE = _core.MOST_LOG_SCALE  # the update keeps log_scales within -20..20: 2e-9 .. 5e8 scene units

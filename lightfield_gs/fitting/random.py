@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.native import check_tensor, run_stage, select_stages
+from lightfield_gs.fitting.native import run_stage, select_stages
 
 
 class Purpose(IntEnum):

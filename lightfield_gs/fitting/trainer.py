@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
+from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.density import DensityStatistics, morton_order, refine_adaptive, refine_mcmc, reset_opacities
 from lightfield_gs.fitting.distributed import ALONE, Group
@@ -181,10 +182,7 @@ class Trainer:
     def _capture(self) -> torch.cuda.CUDAGraph:
         """Return a step as a graph. Capturing does not run it."""
         torch.cuda.synchronize(self.device)
-        graph, step = torch.cuda.CUDAGraph(), self._step(self._capacity)
-        with torch.cuda.graph(graph):
-            step.run()
-        return graph
+        return capture_graph(self._step(self._capacity).run)[0]
 
     def _look(self, begun: int) -> None:
         """Wait for the device; learn how many of `begun` steps are done, and raise the capacity if they need more.

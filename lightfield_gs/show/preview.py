@@ -15,7 +15,7 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.comfort import EYE_SEPARATION_MM
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
-from lightfield_gs.panels.simulate import simulate, unknown_of
+from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.look_around import write_look_around_page
 
@@ -64,7 +64,7 @@ def write_preview(
 def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
     """The pictures of the two eyes; none, and none left over either, where the panel does not say where they are."""
     paths = [folder / name for name in _EYES]
-    if unknown_of(panel):
+    if missing_geometry(panel):
         for path in paths:
             remove_file(path)
         return []

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.io.images import Picture, as_floats, read_picture
-from lightfield_gs.photo.colour import check_finite, in_srgb, is_linear
+from lightfield_gs.photo.colour import check_finite, is_linear, to_srgb
 
 _SMALL_PX = 96  # longest side of compared thumbnails, so that fine texture does not count
 _JUMP = 2.0  # times the difference of neighbours: more is a jump
@@ -47,11 +47,11 @@ class ViewColours:
         check_finite(picture, path)
         channels = 1 if pixels.shape[2] < 3 else 3
         # One pixel tells the conversion: it takes time, and without one 16 bits are kept
-        probe = in_srgb(pixels[:1, :1, :channels], picture)
+        probe = to_srgb(pixels[:1, :1, :channels], picture)
         if self.keeps_linear and is_linear(picture):
             self.messages["linear, and kept so"] = None
         elif probe.description:
-            colours = in_srgb(pixels[..., :channels], picture)
+            colours = to_srgb(pixels[..., :channels], picture)
             self.messages |= {colours.description: None}
             self.notes |= {f"{path.name} {words}": None for words in colours.notes if not self.notes}
             converted = colours.pixels

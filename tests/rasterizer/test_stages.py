@@ -6,7 +6,7 @@ import torch
 from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import _core, encode, reference, render
-from lightfield_gs.panels.lens import lens_of
+from lightfield_gs.panels.lens import panel_lens
 from lightfield_gs.rasterizer.quality import EXACT
 from lightfield_gs.reference.blend import Eye, Projection, Scene
 from lightfield_gs.scene.cameras import Cameras
@@ -91,7 +91,7 @@ class Stages:
 def native_lens(shown, fan, continuous=False):
     start = float(reference.lens_offsets(shown, fan, np.array(0.0)))
     end = float(reference.lens_offsets(shown, fan, np.array(float(shown.views))))
-    return lens_of(shown, continuous, start, (end - start) / shown.views).native()
+    return panel_lens(shown, continuous, start, (end - start) / shown.views).native()
 
 
 @pytest.mark.parametrize("name", PANELS)
@@ -117,7 +117,7 @@ def test_project_dense_gives_the_conditional_form(precision):
     for image in range(batch * per_scene):
         b, v = divmod(image, per_scene)
         eye = Eye(views[0][b, v], views[1][b, v], views[2][b, v, :4], 0.0)
-        projection = Projection(Scene.of(scenes[b]), eye)
+        projection = Projection(Scene.from_gaussians(scenes[b]), eye)
         index = torch.arange(50)
         u, row, xx, xy, yy = projected(projection, index, zero)
         drawn = stages.field("reach_y")[image] >= 0
@@ -155,7 +155,7 @@ def test_project_lens_holds_for_all_offsets(name, precision, continuous):
     fan = rig(shown, 0.1, 0.2)
     stages = Stages(precision, 1, 60, order, lens=True)
     bound = stages.project_lens(scene, shown, fan, continuous, tolerance=5e-5)
-    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
+    projection = Projection(Scene.from_gaussians(scene), reference.rig_eye(shown, fan))
     index, drawn = torch.arange(60), stages.field("reach_y")[0] >= 0
     reach = stages.lens.reach()
     assert reach == pytest.approx(fan.half_width(shown))
@@ -192,7 +192,7 @@ def test_the_bound_of_the_colour_fit_falls_with_its_order():
     for order in (2, 4, 6):  # which have no room for a colour on a circle
         stages = Stages("float64", 1, 60, order, lens=True)
         bounds.append(stages.project_lens(scene, shown, rig(shown)))
-        projection = Projection(Scene.of(scene), reference.rig_eye(shown, rig(shown)))
+        projection = Projection(Scene.from_gaussians(scene), reference.rig_eye(shown, rig(shown)))
         drawn = torch.from_numpy(np.flatnonzero(stages.field("reach_y")[0] >= 0))
         worst = 0.0
         for s in np.linspace(-1, 1, 41):

@@ -53,7 +53,10 @@ def test_the_oracle_has_the_second_moments_of_footprints_integrated_over_the_vie
     """Mean, variance and covariance in pixels of footprints averaged over 4001 cameras within a box of forty views."""
     shown, scene = panel(cone_deg=12.0), deep_scene(30)
     fan, width = rig(shown, 0.1, -0.15), 40.0
-    projection, everything = Projection(Scene.of(scene), rig_eye(shown, fan, width)), torch.arange(scene.count)
+    projection, everything = (
+        Projection(Scene.from_gaussians(scene), rig_eye(shown, fan, width)),
+        torch.arange(scene.count),
+    )
     middle = 0.3 * fan.half_width(shown)
     box = width * 2 * fan.half_width(shown) / shown.views
     offsets = middle + box * ((torch.arange(4001, dtype=torch.float64) + 0.5) / 4001 - 0.5)

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.io.images import write_image
-from lightfield_gs.panels.quilt import QuiltLayout, layout_of_panel
+from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
 from lightfield_gs.show.page.controls import Controls
 from lightfield_gs.show.page.stage import Stage
 
 
 def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
     """By the name of the file, what writes it to a path."""
-    layout = layout_of_panel(stage.panel)
+    layout = panel_quilt(stage.panel)
     return {
         "native.png": partial(_native, stage),
         f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),

@@ -18,7 +18,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QUALITY_NAMES
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.panels.simulate import missing_geometry
 from lightfield_gs.show.page.controls import Controls, defaults, number
 from lightfield_gs.show.page.server import Answer, Place, Query, Route, Superseded, as_json, page_file, text
 from lightfield_gs.show.page.stage import Picture, Stage
@@ -192,7 +192,7 @@ def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
         "device": stage.gaussians.device.type,
         "live": stage.is_live,
         "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
-        "zone_mm": None if unknown_of(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
+        "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
         "rig": {"zero_depth": stage.base.zero_depth, "cone_deg": stage.base.cone_deg or panel.cone_deg},
         "defaults": defaults(),
         "qualities": QUALITY_NAMES,

@@ -22,7 +22,7 @@ from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
-from lightfield_gs.panels.simulate import simulate, unknown_of
+from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.page.controls import Controls, orbited
 from lightfield_gs.show.preview import contact_sheet, to_integers
@@ -74,7 +74,7 @@ class Stage:
         still: the native picture through the lenses, one sample a lens, where the panel says where its eyes are; else
         the one view that such an eye would see through perfect lenses, width_px wide.
         """
-        if still and not unknown_of(self.panel):
+        if still and not missing_geometry(self.panel):
             native, stages = self.native(controls)
             with _timed(stages, "simulate"):
                 seen = to_integers(simulate(native, self.panel, self.eye_mm(controls)), 8)
@@ -154,7 +154,7 @@ class Stage:
 
     def eye_mm(self, controls: Controls) -> tuple[float, float, float]:
         """The place of the eye before the panel, mm. Raises InputError where the panel does not say."""
-        if missing := unknown_of(self.panel):
+        if missing := missing_geometry(self.panel):
             raise InputError(f"panel {self.panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
         distance = cast(float, self.panel.viewing_distance_mm)
         return controls.eye * 2 * distance * math.tan(math.radians(self.panel.cone_deg) / 2), 0.0, distance
