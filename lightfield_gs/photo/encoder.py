@@ -170,12 +170,12 @@ class _Capture:
         self.host = torch.empty(photo.shape, dtype=photo.dtype, pin_memory=True)
         self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
         self.photo.copy_(photo)
-        self._crop, (self.cropped, self.fine, self.checks) = capture_graph(self._cropped)
+        self._crop, (self.cropped, self.fine, self.checks) = capture_graph(self._cropped, warm_up=True)
         self._network, self.gaussians = capture_graph(
-            lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level)
+            lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level), warm_up=True
         )
         self._framing, self.numbers = capture_graph(
-            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)])
+            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]), warm_up=True
         )
 
     def takes(self, photo: Tensor) -> bool:
