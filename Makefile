@@ -10,7 +10,7 @@ PHOTO := lightfield_gs/data/cat.png
 CAPTURE := lightfield_gs/data/banana
 
 .PHONY: setup demo demo-fit test test-wheel test-cuda-emulated sanitize sanitize-all sanitize-threads sanitized-module \
-  sanitize-cuda cuda-module test-arm clang lint fuzz bench docs clean FORCE
+  sanitize-cuda cuda-module stubs test-arm clang lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -70,7 +70,7 @@ test-cuda-emulated: setup
 # without the marker not_sanitized). --capture=sys, or pytest keeps to itself what a sanitizer says at the end.
 SANITIZED := tests/rasterizer tests/encoding tests/io/test_stress_images.py tests/io/test_stress_invalid.py \
   tests/models/test_detail.py tests/models/test_sheet.py \
-  $(foreach name,dropout morton photo_loss random update,tests/fitting/test_$(name).py)
+  $(foreach name,dropout morton photo_loss random optimizer,tests/fitting/test_$(name).py)
 CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
   -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir) \
   -DSKBUILD_PROJECT_VERSION_FULL=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
@@ -103,6 +103,10 @@ cuda-module: setup
 	$(CONFIGURE) -B build/cuda -DLFGS_CUDA=ON "-DLFGS_CUDA_ARCHITECTURES=$(CUDA_ARCHITECTURES)"
 	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/cuda --target _core
 	LFGS_CORE=$$(ls build/cuda/_core*.so) $(PYTEST) tests/house/test_build.py
+
+# The stubs of the native module, lightfield_gs/_core/*.pyi, from a build with CUDA, for only that has all of it.
+stubs: cuda-module
+	LFGS_CORE=$$(ls build/cuda/_core*.so) $(BIN)/python csrc/bind/stubs.py lightfield_gs
 
 # The stages on 64-bit ARM: cross-compiled, run by QEMU, and compared with the same program on this processor and with the
 # native module.

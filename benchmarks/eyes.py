@@ -18,7 +18,7 @@ from lightfield_gs.bench.report import aligned
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.panels.simulate import missing_geometry
 from lightfield_gs.reference.eyes import EyeReference, eyes_across
 
 EYES = 25
@@ -32,7 +32,7 @@ def filter_widths(panel: Panel) -> list[float]:
 
 def check_panel(panel: Panel) -> None:
     """Raises InputError for a panel before which no eye can be placed."""
-    if missing := unknown_of(panel):
+    if missing := missing_geometry(panel):
         raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}, without which no eye can be placed")
 
 

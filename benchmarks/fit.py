@@ -26,13 +26,12 @@ from lightfield_gs.bench import options
 from lightfield_gs.bench.report import check_plot
 from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.options.parser import whole
-from lightfield_gs.fitting.evaluate import compared, weighted_psnr_db, weighted_ssim
-from lightfield_gs.fitting.fields import Fields
-from lightfield_gs.fitting.initial import initial_gaussians
+from lightfield_gs.fitting.evaluate import render_and_photo, weighted_psnr_db, weighted_ssim
+from lightfield_gs.fitting.initialization import initialize_gaussians
+from lightfield_gs.fitting.optimizer import GaussianState
+from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.settings import Density, FitSettings
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.fitting.views import Views
-from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.text_files import write_json
 from lightfield_gs.rasterizer.images import render
@@ -48,7 +47,7 @@ class OurFit:
     """Ours."""
 
     def __init__(self, photographs: Photographs, settings: FitSettings) -> None:
-        self._trainer = Trainer(Fields.of(photographs.start(settings)), photographs.train, settings)
+        self._trainer = Trainer(GaussianState.start(photographs.start(settings)), photographs.train, settings)
 
     def advance(self, until: int) -> None:
         """Does the steps up to `until`."""
@@ -56,7 +55,7 @@ class OurFit:
 
     def gaussians(self) -> Gaussians:
         """The scene as it is now."""
-        return self._trainer.fields.gaussians()
+        return self._trainer.state.gaussians()
 
     def draw(self, cameras: Cameras) -> Tensor:
         """It before a camera, [1, H, W, 3]."""
@@ -203,12 +202,12 @@ class Fit(Protocol):
 
 @dataclass(frozen=True)
 class Photographs:
-    """A capture on its device, in coordinates of the fit: views to fit to, those held out, and where points [P,3] of
+    """A capture on its device, in normalised coordinates: images to fit to, held-out images, and where points [P,3] of
     colours [P,3] uint8 and the centres of all cameras [C,3] are."""
 
     name: str
-    train: Views
-    test: Views
+    train: PosedImages
+    test: PosedImages
     points: np.ndarray
     colours: np.ndarray
     centres: np.ndarray
@@ -216,30 +215,30 @@ class Photographs:
     @classmethod
     def load(cls, capture: Capture, test_every: int, device: str) -> Photographs:
         """Those of a capture. Raises InputError."""
-        world = World.of(capture.centres, capture.extent)
+        normalization = Normalization.from_centres(capture.centres, capture.extent)
         train, test = capture.split(test_every)
         if not test:
             raise InputError(
                 f"{capture.folder}: {len(capture.names)} photographs are too few to hold out one of {test_every}; "
                 "give a smaller --test-every"
             )
-        fitted, held = (Views.load(capture, some, world, device, some) for some in (train, test))
-        points, centres = (world.points(places) for places in (capture.points, capture.centres))
+        fitted, held = (PosedImages.load(capture, some, normalization, device, some) for some in (train, test))
+        points, centres = (normalization.points(places) for places in (capture.points, capture.centres))
         return cls(capture.folder.resolve().name, fitted, held, points, capture.colours, centres)
 
     def start(self, settings: FitSettings) -> Gaussians:
         """What a fit begins with, on the device."""
-        return initial_gaussians(self.points, self.colours, self.centres, settings).to(self.train.device)
+        return initialize_gaussians(self.points, self.colours, self.centres, settings).to(self.train.device)
 
 
 @torch.no_grad()
-def scores(fit: Fit, views: Views) -> dict[str, float]:
-    """Means over views of PSNR in dB and SSIM by the protocol of fitting/evaluate.py, drawn by the fit's own
+def scores(fit: Fit, images: PosedImages) -> dict[str, float]:
+    """Means over photographs of PSNR in dB and SSIM by the protocol of fitting/evaluate.py, drawn by the fit's own
     rasterizer; and of the PSNR of the same scene drawn by ours."""
     scene, found = fit.gaussians(), []
-    for place, (width, height) in enumerate(views.sizes):
-        by_ours, photo, weights = compared(scene, views, place, BLACK)
-        image = fit.draw(views.cameras(place))[0, :height, :width].clamp(0, 1)
+    for place, (width, height) in enumerate(images.sizes):
+        by_ours, photo, weights = render_and_photo(scene, images, place, BLACK)
+        image = fit.draw(images.cameras(place))[0, :height, :width].clamp(0, 1)
         psnr, psnr_by_ours = (weighted_psnr_db(picture, photo, weights) for picture in (image, by_ours))
         found.append((psnr, weighted_ssim(image, photo, weights), psnr_by_ours))
     return dict(zip(("psnr_db", "ssim", "psnr_db_by_ours"), np.mean(found, 0).tolist()))

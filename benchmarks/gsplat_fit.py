@@ -16,9 +16,9 @@ from torch import Tensor
 
 from benchmarks import peers
 from lightfield_gs.fitting.photo_loss import photo_loss
+from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import RECIPE_STEPS, FitSettings
-from lightfield_gs.fitting.views import Views
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.cameras import Cameras
@@ -45,7 +45,7 @@ class Recipe:
     our_loss: bool = False
 
     def initial(self, settings: FitSettings, points: int) -> FitSettings:
-        """The settings of initial_gaussians for what the recipe begins with, of so many points."""
+        """The settings of initialize_gaussians for what the recipe begins with, of so many points."""
         if self.strategy == "mcmc":
             return replace(settings, init_opa=0.5, init_scale=0.1)
         return replace(settings, init_opa=0.1, init_scale=1.0, cap_max=max(settings.cap_max, points))
@@ -70,12 +70,12 @@ def _parameters(start: Gaussians) -> torch.nn.ParameterDict:
 class PeerFit:
     """A fit by a recipe. It draws random numbers from torch's generators, and seeds them."""
 
-    def __init__(self, recipe: Recipe, start: Gaussians, views: Views, settings: FitSettings) -> None:
+    def __init__(self, recipe: Recipe, start: Gaussians, images: PosedImages, settings: FitSettings) -> None:
         torch.manual_seed(settings.seed)
-        self._recipe, self._views, self._settings = recipe, views, settings
+        self._recipe, self._images, self._settings = recipe, images, settings
         self._rasterization = peers.gsplat().rasterization
-        self._order = Schedule.of(settings, views.count, "cpu").order[:, 0].tolist()
-        self._cameras = [views.cameras(place) for place in range(views.count)]
+        self._order = Schedule.make(settings, images.count, "cpu").order[:, 0].tolist()
+        self._cameras = [images.cameras(place) for place in range(images.count)]
         self._matrices = [peers.intrinsic_matrices(cameras) for cameras in self._cameras]
         self._done = 0
         self.params = _parameters(start)
@@ -168,9 +168,9 @@ class PeerFit:
     def _loss(self, image: Tensor, place: int) -> Tensor:
         """That of Kerbl et al. 2023, and regularisers of mcmc; what a mask leaves out looks as in the photograph."""
         one = slice(place, place + 1)
-        photo, weights = self._views.photos[one], None
-        if self._views.weights is not None:
-            weights = self._views.weights[one] / 255
+        photo, weights = self._images.photos[one], None
+        if self._images.weights is not None:
+            weights = self._images.weights[one] / 255
         if self._recipe.our_loss:
             loss = photo_loss(image, photo, weights, SSIM_LAMBDA)
         else:

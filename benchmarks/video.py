@@ -20,7 +20,7 @@ from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.camera_path import turntable
 from lightfield_gs.video.frame_folder import FrameFolder
-from lightfield_gs.video.rendering import Drawing, NativeFrames, NoFiles, Sink, make_video
+from lightfield_gs.video.rendering import FrameOptions, NativeRenderer, NullSink, Sink, render_frames
 from lightfield_gs.video.video_file import VideoFile
 
 SINKS = ("none", "png", "h264-rgb", "ffv1")
@@ -40,12 +40,12 @@ def rows(scene: str, panel: Panel, frames: int, sinks: tuple[str, ...], device: 
     found = []
     for name in sinks:
         options.progress(f"{frames} frames to {name}")
-        draw = NativeFrames(panel, Drawing(), is_one_scene=True)
+        draw = NativeRenderer(panel, FrameOptions(), is_one_scene=True)
         for rig in rigs[:2]:  # memory comes, and on CUDA kernels load
             draw(gaussians, rig, 0)
         with ExitStack() as stack:
             folder = stack.enter_context(scratch_folder())
-            made = make_video(
+            made = render_frames(
                 lambda numbers: ((number, gaussians, rigs[number]) for number in numbers),
                 draw,
                 _sink(name, folder, frames, size),
@@ -68,7 +68,7 @@ def rows(scene: str, panel: Panel, frames: int, sinks: tuple[str, ...], device: 
 
 def _sink(name: str, folder: Path, frames: int, size_px: tuple[int, int]) -> Sink:
     if name == "none":
-        return NoFiles(frames)
+        return NullSink(frames)
     if name == "png":
         return FrameFolder(folder / "frames", frames, {}, fps=float(_FPS))
     return VideoFile(folder / "video.mkv", frames, size_px, _FPS, "ffv1" if name == "ffv1" else "h264-rgb")

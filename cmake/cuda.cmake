@@ -45,26 +45,23 @@ set_target_properties(_core PROPERTIES
 
 target_sources(bindings PRIVATE
   csrc/bind/cuda.cpp
-  csrc/bind/fit_cuda.cpp
-  csrc/bind/frame.cpp
-  csrc/bind/photo_cuda.cpp
-  csrc/bind/png_cuda.cpp)
+  csrc/bind/frame.cpp)
 target_compile_definitions(bindings PRIVATE LFGS_WITH_CUDA)
 target_include_directories(bindings PRIVATE ${CMAKE_CUDA_TOOLKIT_INCLUDE_DIRECTORIES})
 target_sources(_core PRIVATE
   csrc/cuda/common/architectures.cu
   csrc/cuda/stages/bin.cu
   csrc/cuda/stages/order.cu
-  csrc/cuda/dense/composite_dense.cu
-  csrc/cuda/dense/project_dense.cu
-  csrc/cuda/dense/project_dense_backward.cu
-  csrc/cuda/dense/sum_slots.cu
+  csrc/cuda/image/composite_images.cu
+  csrc/cuda/image/project_images.cu
+  csrc/cuda/image/project_images_backward.cu
+  csrc/cuda/image/sum_intersections.cu
   csrc/cuda/fit/photo_loss.cu
   csrc/cuda/fit/random.cu
   csrc/cuda/fit/update.cu
-  csrc/cuda/lens/composite_lens.cu
-  csrc/cuda/lens/project_lens.cu
-  csrc/cuda/lens/project_lens_backward.cu
+  csrc/cuda/direct/composite_direct.cu
+  csrc/cuda/direct/project_direct.cu
+  csrc/cuda/direct/project_direct_backward.cu
   csrc/cuda/photo/crop.cu
   csrc/cuda/photo/sheet.cu
   csrc/cuda/photo/surface.cu
@@ -72,12 +69,12 @@ target_sources(_core PRIVATE
   csrc/cuda/sorted/bin_sorted.cu
   csrc/cuda/sorted/composite_sorted.cu
   csrc/cuda/sorted/project_sorted.cu
-  csrc/cuda/frame/lens_bin.cu
-  csrc/cuda/frame/lens_frame.cu
-  csrc/cuda/frame/lens_order.cu
+  csrc/cuda/frame/bin_frame.cu
+  csrc/cuda/frame/direct_frame.cu
+  csrc/cuda/frame/order_frame.cu
   csrc/cuda/frame/project_frame.cu
   csrc/cuda/frame/lattice/composite_lattice.cu
-  csrc/cuda/frame/ordinal/composite_ordinal.cu
+  csrc/cuda/frame/lens_column/composite_lens_column.cu
   csrc/cuda/frame/pixel/composite_pixel.cu
   csrc/network/group_norm.cu)
 # GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself

@@ -3,10 +3,23 @@
 import os
 import signal
 import time
+from functools import partial
 from pathlib import Path
 
+from lightfield_gs.batch.items import Item
+from lightfield_gs.batch.manifest import Manifest, make_plan
+from lightfield_gs.batch.run import Run
 
-def maker(options, place):
+
+def run_shard(options, shard, worker) -> int:
+    """Do the items options["names"] in the folder options["folder"], as `lightfield-gs batch` does its own."""
+    items = [Item(name, name) for name in options["names"]][shard[0] - 1 :: shard[1]]
+    with Manifest(options["folder"], shard) as manifest:
+        plan = make_plan(items, manifest, {"all": {}}, since=options["since"])
+        return int(bool(Run(plan, manifest, worker, {}).run(partial(load, options))))
+
+
+def load(options):
     if options.get("unfit"):
         from lightfield_gs import InputError
 
@@ -17,7 +30,6 @@ def maker(options, place):
 class _Task:
     def __init__(self, name, folder):
         self.name, self.folder = name, folder
-        self.part = "read"
 
     def read(self):
         print(f"reads {self.name}")
@@ -32,7 +44,7 @@ class _Task:
         self._does("write")
 
     def record(self):
-        return {"status": "done", "process": os.getpid()}
+        return {"status": "done", "process": os.getpid(), "inputs": {}, "outputs": {}}
 
     def _does(self, part):
         if self.name == f"dies-in-{part}":

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from fit_scene import known_cameras, known_scene, views_of
+from fit_scene import known_cameras, known_scene, photograph_scene
 from PIL import Image
 
 
@@ -15,17 +15,17 @@ def write_capture(folder: Path, count: int = 8, points: int = 150, masked: bool 
     photograph is black in its mask."""
     scene, cameras = known_scene(), known_cameras(count)
     (folder / "images").mkdir(parents=True)
-    views = views_of(scene, cameras)
+    images = photograph_scene(scene, cameras)
     frames = []
-    for name, photo, pose in zip(views.names, views.photos.numpy(), cameras.world_to_camera.double().numpy()):
+    for name, photo, pose in zip(images.names, images.photos.numpy(), cameras.world_to_camera.double().numpy()):
         Image.fromarray(photo).save(folder / "images" / name)
         camera_to_world = np.linalg.inv(pose) @ np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's axes
         frames.append({"file_path": f"images/{name}", "transform_matrix": camera_to_world.tolist()})
     if masked:
         (folder / "masks").mkdir()
-        mask = np.full(views.photos.shape[1:3], 255, np.uint8)
+        mask = np.full(images.photos.shape[1:3], 255, np.uint8)
         mask[:, : mask.shape[1] // 3] = 0
-        for name in views.names:
+        for name in images.names:
             Image.fromarray(mask).save(folder / "masks" / name)
     width, height = cameras.width_px, cameras.height_px
     (fx, fy), (cx, cy) = cameras.focal_px[0].tolist(), cameras.principal_point_px[0].tolist()

@@ -8,12 +8,12 @@ import torch
 from rasterizer_cases import random_scene, turned_pose
 
 import lightfield_gs as lf
-from lightfield_gs.fitting.fields import Fields
-from lightfield_gs.fitting.initial import initial_gaussians
+from lightfield_gs.fitting.initialization import initialize_gaussians
+from lightfield_gs.fitting.optimizer import GaussianState
+from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.settings import FitSettings
-from lightfield_gs.fitting.views import Views
 
-WIDTH, HEIGHT, VIEWS = 48, 32, 6
+WIDTH, HEIGHT, PHOTOGRAPHS = 48, 32, 6
 
 
 def known_scene(count: int = 300, degree: int = 0, seed: int = 0) -> lf.Gaussians:
@@ -23,7 +23,7 @@ def known_scene(count: int = 300, degree: int = 0, seed: int = 0) -> lf.Gaussian
     return scene
 
 
-def known_cameras(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) -> lf.Cameras:
+def known_cameras(count: int = PHOTOGRAPHS, width: int = WIDTH, height: int = HEIGHT) -> lf.Cameras:
     """Cameras on an arc of 45 degrees about the middle of the scene, up and down by turns, within 1 of the origin."""
     yaws = torch.linspace(-0.4, 0.4, count).tolist()
     poses = torch.stack([torch.from_numpy(turned_pose(yaw, 0.1 * (-1) ** i)) for i, yaw in enumerate(yaws)]).float()
@@ -31,25 +31,25 @@ def known_cameras(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) 
     return lf.Cameras(poses, focal, middle.contiguous(), width, height)
 
 
-def views_of(scene: lf.Gaussians, cameras: lf.Cameras | None = None, device: str = "cpu") -> Views:
+def photograph_scene(scene: lf.Gaussians, cameras: lf.Cameras | None = None, device: str = "cpu") -> PosedImages:
     """Photographs of a scene over black, in 8 bits, with their cameras."""
     cameras = cameras or known_cameras()
     photos = lf.render(scene, cameras, background=(0.0, 0.0, 0.0)).image.clamp(0, 1).mul(255).round().to(torch.uint8)
     names, size = [f"{i:02d}.png" for i in range(cameras.count)], (cameras.width_px, cameras.height_px)
     tensors = (t.contiguous().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits()))
-    return Views(names, photos.to(device), None, *tensors, [size] * cameras.count)
+    return PosedImages(names, photos.to(device), None, *tensors, [size] * cameras.count)
 
 
-def first_fields(scene: lf.Gaussians, settings: FitSettings, points: int = 150, device: str = "cpu") -> Fields:
-    """What a fit begins with: small Gaussians near some of those of the scene, all of them grey."""
+def first_state(scene: lf.Gaussians, settings: FitSettings, points: int = 150, device: str = "cpu") -> GaussianState:
+    """Return the first state of a fit: small grey Gaussians near some of the scene's."""
     shift = 0.02 * torch.randn(points, 3, generator=torch.Generator().manual_seed(1))
     places = (scene.means[:points] + shift).double().numpy()
     grey = (127 * torch.ones(points, 3, dtype=torch.uint8)).numpy()
     centres = torch.linalg.inv(known_cameras().world_to_camera.double())[:, :3, 3].numpy()
-    return Fields.of(initial_gaussians(places, grey, centres, settings).to(device))
+    return GaussianState.start(initialize_gaussians(places, grey, centres, settings).to(device))
 
 
-def psnr_db(fields: Fields, views: Views) -> float:
-    """Of all views together, as the fields are now."""
-    image = lf.render(fields.gaussians(), views.cameras(), background=(0.0, 0.0, 0.0)).image.clamp(0, 1)
-    return -10 * math.log10(float((image - views.photos / 255).square().mean()))
+def psnr_db(state: GaussianState, images: PosedImages) -> float:
+    """Of all images together, as the state is now."""
+    image = lf.render(state.gaussians(), images.cameras(), background=(0.0, 0.0, 0.0)).image.clamp(0, 1)
+    return -10 * math.log10(float((image - images.photos / 255).square().mean()))

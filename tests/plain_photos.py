@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from lightfield_gs.io.images import read_picture
-from lightfield_gs.photo.load import Photo, photo_of
+from lightfield_gs.photo.load import Photo, cut_out_photo
 from lightfield_gs.show.preview import to_integers
 
 HEIGHT, WIDTH, GREY = 240, 320, 0.92
@@ -36,4 +36,4 @@ def save(path: Path, values: np.ndarray, **options) -> Path:
 
 def photo(path: Path, *mask, **options) -> Photo:
     """load_photo, with what was decided."""
-    return photo_of(path, read_picture(path), *mask, **options)
+    return cut_out_photo(path, read_picture(path), *mask, **options)

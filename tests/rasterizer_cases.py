@@ -161,8 +161,8 @@ def _alphas(scene: Gaussians, panel: Panel, fan: Rig) -> tuple[torch.Tensor, tor
     rows, columns, channels = all_subpixels(panel)
     offsets = reference.lens_offsets(panel, fan, reference.lens_views(panel, rows, columns, channels))
     samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
-    projection = Projection(Scene.of(scene), reference.rig_eye(panel, fan))
-    sample, gaussian = projection.pairs(samples)
+    projection = Projection(Scene.from_gaussians(scene), reference.rig_eye(panel, fan))
+    sample, gaussian = projection.intersections(samples)
     alpha = projection.alpha(
         gaussian, samples=Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample])
     )

@@ -1,10 +1,7 @@
-"""The processes of a run: one, or as many as torchrun starts, each with its share of every batch."""
+"""Training by one process, or by several that torchrun starts, each with its part of every batch."""
 
 from __future__ import annotations
 
-import gc
-import importlib
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +13,7 @@ from torch import Tensor, nn
 
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.torchrun import join_processes
 
 # The others wait while the first process decodes the data or scores the weights.
 _PATIENCE = timedelta(hours=2)
@@ -23,7 +21,7 @@ _PATIENCE = timedelta(hours=2)
 
 @dataclass(frozen=True)
 class Team:
-    """The processes of a run as one of them sees them. device: its own. rank: its number. size: how many there are."""
+    """The processes of a run as one of them sees them: its device, its rank, and their number."""
 
     device: torch.device
     rank: int = 0
@@ -31,11 +29,11 @@ class Team:
 
     @property
     def leads(self) -> bool:
-        """Whether this is the process that logs, saves and scores."""
+        """Whether this process logs, saves and scores."""
         return self.rank == 0
 
-    def share(self, count: int) -> slice:
-        """This process's part of `count` examples. Raises InputError where equal parts cannot be made."""
+    def split(self, count: int) -> slice:
+        """Return this process's part of `count` examples; raise InputError unless all parts are equal."""
         if count % self.size:
             raise InputError(
                 f"{self.size} processes cannot share the {count} objects of a step equally: choose a "
@@ -45,11 +43,11 @@ class Team:
         return slice(self.rank * part, (self.rank + 1) * part)
 
     def replicated(self, net: nn.Module) -> nn.Module:
-        """The network whose backward averages gradients over all processes; the same parameters."""
+        """Return the network with a backward pass that averages gradients over all processes; it shares parameters."""
         return net if self.size == 1 else nn.parallel.DistributedDataParallel(net)
 
     def mean(self, values: Tensor) -> Tensor:
-        """The mean of each number over all processes."""
+        """Return the mean of each number over all processes."""
         if self.size > 1:
             dist.all_reduce(values)
             values = values / self.size
@@ -57,7 +55,7 @@ class Team:
 
     @contextmanager
     def leader_first(self) -> Iterator[None]:
-        """Lets the leader through the block before the others."""
+        """Let the leader through the block before the others."""
         if self.size > 1 and not self.leads:
             dist.barrier()
         yield
@@ -67,35 +65,21 @@ class Team:
 
 @contextmanager
 def join_team(device: str) -> Iterator[Team]:
-    """The team of this process: alone, or as torchrun's environment variables say; one GPU each on CUDA.
+    """Join the processes of a run, one GPU each on CUDA; see base.torchrun.join_processes.
 
-    device: cpu, cuda or auto. Nothing that the team has replicated may outlive the block. Raises InputError where there
-    are not enough GPUs.
+    Nothing that the team has replicated may outlive the block.
+
+    Args:
+        device: cpu, cuda or auto.
+
+    Raises:
+        InputError: there are too few GPUs.
     """
-    kind, size = choose_device(device), int(os.environ.get("WORLD_SIZE", 1)) if "RANK" in os.environ else 1
-    local_rank = int(os.environ.get("LOCAL_RANK", 0)) if size > 1 else 0
-    if kind == "cuda" and local_rank >= torch.cuda.device_count():
-        raise InputError(
-            f"process number {local_rank} of this machine has no GPU of its own, there are "
-            f"{torch.cuda.device_count()}: start no more processes than that"
-        )
-    if kind == "cuda":
-        torch.cuda.set_device(local_rank)
-        # What is not bfloat16 is float32: the heads place Gaussians to fractions of a pixel.
-        torch.backends.cudnn.allow_tf32 = False
-    own = torch.device(kind, local_rank) if kind == "cuda" else torch.device("cpu")
-    if size == 1:
-        yield Team(own)
-        return
-    # Before there is a group: DDP imports this module, whose functions keep the one that they find as a default.
-    importlib.import_module("torch.distributed.nn")
-    dist.init_process_group(
-        "nccl" if kind == "cuda" else "gloo", timeout=_PATIENCE, device_id=own if kind == "cuda" else None
-    )
-    try:
-        yield Team(own, dist.get_rank(), size)
-    finally:
-        # Gloo's threads end with the last reference to the group; one that has a tensor of Python's left to let go of
-        # when the interpreter ends aborts the process.
-        gc.collect()
-        dist.destroy_process_group()
+    kind = choose_device(device)
+    with join_processes(kind, _PATIENCE) as (rank, size, own):
+        if own.type == "cuda":
+            own = torch.device("cuda", own.index or 0)
+            torch.cuda.set_device(own)
+            # Sums that are not bfloat16 are float32: the heads place Gaussians to fractions of a pixel
+            torch.backends.cudnn.allow_tf32 = False
+        yield Team(own, rank, size)

@@ -99,7 +99,7 @@ def plans(planner: BatchPlanner, config: TrainingConfig, start: int, team: Team)
 
     def plan(step: int) -> BatchPlan:
         stage, drawn = config.stage_at(step)
-        return planner.plan(step, drawn, stage.objects, stage.image_size_px, stage.target_px, team.share(stage.objects))
+        return planner.plan(step, drawn, stage.objects, stage.image_size_px, stage.target_px, team.split(stage.objects))
 
     with ThreadPoolExecutor(1) as pool:
         following = pool.submit(plan, start) if start < config.total_steps else None
@@ -175,7 +175,7 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
 def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
     """What train() does, as one of a team."""
     for stage in config.stages:
-        team.share(stage.objects)
+        team.split(stage.objects)
     trainer, planner = Trainer(config, team), make_planner(config, team, tell=True)
     if (output / "last.pt").exists():
         trainer.restore(load_checkpoint(output / "last.pt", config))

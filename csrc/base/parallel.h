@@ -7,7 +7,7 @@
 
 namespace lfgs {
 
-// Calls body(item, worker) for item in [0, items), worker in [0, threads). Items are handed out in order. The first
+// Call body(item, worker) for item in [0, items), worker in [0, threads). Items are handed out in order. The first
 // exception that a body throws is rethrown here after all threads have stopped.
 void parallel_for(int64_t items, int threads, const std::function<void(int64_t item, int worker)>& body);
 

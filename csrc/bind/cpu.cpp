@@ -1,4 +1,4 @@
-// Binds the CPU's stages in both precisions, and the choice of the vector instructions that they use.
+// Bind the CPU's stages in both precisions, and the choice of the vector instructions that they use.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
@@ -6,8 +6,7 @@
 #include <vector>
 
 #include "base/error.h"
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #include "hwy/highway.h"
 #include "hwy/targets.h"
 #include "stages/stages.h"
@@ -21,37 +20,39 @@ template <class T>
 void bind_project(py::module_ m) {
   using G = Gaussians<T>;
   m.def(
-      "project_dense",
+      "project_images",
       [](const G& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads) {
-        project_dense<T>(read_only(gaussians), cameras, out, threads);
+        project_images<T>(read_only(gaussians), cameras, out, threads);
       },
       NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("out"), py::arg("threads"));
   m.def(
-      "project_dense_backward",
-      [](const G& gaussians, const Cameras<T>& cameras, const Splats<T>& splats, Address first_pair,
-         Address pair_gradients, const G& out, Address screen, bool absolute, Address g_world_to_camera, int threads) {
-        project_dense_backward<T>(read_only(gaussians), cameras, splats, at<int64_t>(first_pair), at<T>(pair_gradients),
-                                  out, at<T>(screen), absolute, at<T>(g_world_to_camera), threads);
+      "project_images_backward",
+      [](const G& gaussians, const Cameras<T>& cameras, const Splats<T>& splats, Address first_intersection,
+         Address intersection_gradients, const G& out, Address screen, bool absolute, Address g_world_to_camera,
+         int threads) {
+        project_images_backward<T>(read_only(gaussians), cameras, splats, at<int64_t>(first_intersection),
+                                   at<T>(intersection_gradients), out, at<T>(screen), absolute,
+                                   at<T>(g_world_to_camera), threads);
       },
-      NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("splats"), py::arg("first_pair"),
-      py::arg("pair_gradients"), py::arg("out"), py::arg("screen"), py::arg("absolute"), py::arg("g_world_to_camera"),
-      py::arg("threads"));
+      NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("splats"), py::arg("first_intersection"),
+      py::arg("intersection_gradients"), py::arg("out"), py::arg("screen"), py::arg("absolute"),
+      py::arg("g_world_to_camera"), py::arg("threads"));
   m.def(
-      "project_lens",
-      [](const G& gaussians, const View<double>& rig, const Lens& lens, const Quality& quality, double tolerance,
+      "project_direct",
+      [](const G& gaussians, const Camera<double>& rig, const Lens& lens, const Quality& quality, double tolerance,
          const Splats<T>& out,
-         int threads) { return project_lens<T>(read_only(gaussians), rig, lens, quality, tolerance, out, threads); },
+         int threads) { return project_direct<T>(read_only(gaussians), rig, lens, quality, tolerance, out, threads); },
       NoGil(), py::arg("gaussians"), py::arg("rig"), py::arg("lens"), py::arg("quality"), py::arg("tolerance"),
       py::arg("out"), py::arg("threads"));
   m.def(
-      "project_lens_backward",
-      [](const G& gaussians, const View<double>& rig, const Lens& lens, const Splats<T>& splats, Address first_pair,
-         Address pair_gradients, const G& out, int threads) {
-        project_lens_backward<T>(read_only(gaussians), rig, lens, splats, at<int64_t>(first_pair),
-                                 at<T>(pair_gradients), out, threads);
+      "project_direct_backward",
+      [](const G& gaussians, const Camera<double>& rig, const Lens& lens, const Splats<T>& splats,
+         Address first_intersection, Address intersection_gradients, const G& out, int threads) {
+        project_direct_backward<T>(read_only(gaussians), rig, lens, splats, at<int64_t>(first_intersection),
+                                   at<T>(intersection_gradients), out, threads);
       },
-      NoGil(), py::arg("gaussians"), py::arg("rig"), py::arg("lens"), py::arg("splats"), py::arg("first_pair"),
-      py::arg("pair_gradients"), py::arg("out"), py::arg("threads"));
+      NoGil(), py::arg("gaussians"), py::arg("rig"), py::arg("lens"), py::arg("splats"), py::arg("first_intersection"),
+      py::arg("intersection_gradients"), py::arg("out"), py::arg("threads"));
 }
 
 template <class T>
@@ -77,57 +78,58 @@ void bind_order_and_bin(py::module_ m) {
       NoGil(), py::arg("splats"), py::arg("order"), py::arg("drawn"), py::arg("height_px"), py::arg("bins"),
       py::arg("threads"));
   m.def(
-      "first_pairs",
-      [](const Splats<T>& splats, int64_t height_px, const Bins& bins, Address first_pair, int threads) {
-        first_pairs<T>(splats, height_px, bins, at<int64_t>(first_pair), threads);
+      "first_intersections",
+      [](const Splats<T>& splats, int64_t height_px, const Bins& bins, Address first_intersection, int threads) {
+        first_intersections<T>(splats, height_px, bins, at<int64_t>(first_intersection), threads);
       },
-      NoGil(), py::arg("splats"), py::arg("height_px"), py::arg("bins"), py::arg("first_pair"), py::arg("threads"));
+      NoGil(), py::arg("splats"), py::arg("height_px"), py::arg("bins"), py::arg("first_intersection"),
+      py::arg("threads"));
 }
 
 template <class T>
-void bind_composite_dense(py::module_ m) {
+void bind_composite_images(py::module_ m) {
   m.def(
-      "composite_dense",
-      [](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras, Address background,
-         const DenseImages<T>& out,
-         int threads) { return composite_dense<T>(splats, bins, cameras, at<T>(background), out, threads); },
+      "composite_images",
+      [](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras, Address background, const Images<T>& out,
+         int threads) { return composite_images<T>(splats, bins, cameras, at<T>(background), out, threads); },
       NoGil(), py::arg("splats"), py::arg("bins"), py::arg("cameras"), py::arg("background"), py::arg("out"),
       py::arg("threads"));
   m.def(
-      "composite_dense_backward",
+      "composite_images_backward",
       [](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras, Address background,
-         const DenseImages<T>& images, const DenseImages<T>& gradients, bool absolute, Address first_pair,
-         Address pair_gradients, Address band_background, int threads) {
-        return composite_dense_backward<T>(splats, bins, cameras, at<T>(background), read_only(images),
-                                           read_only(gradients), absolute, at<int64_t>(first_pair),
-                                           at<T>(pair_gradients), at<T>(band_background), threads);
+         const Images<T>& images, const Images<T>& gradients, bool absolute, Address first_intersection,
+         Address intersection_gradients, Address band_background, int threads) {
+        return composite_images_backward<T>(splats, bins, cameras, at<T>(background), read_only(images),
+                                            read_only(gradients), absolute, at<int64_t>(first_intersection),
+                                            at<T>(intersection_gradients), at<T>(band_background), threads);
       },
       NoGil(), py::arg("splats"), py::arg("bins"), py::arg("cameras"), py::arg("background"), py::arg("images"),
-      py::arg("gradients"), py::arg("absolute"), py::arg("first_pair"), py::arg("pair_gradients"),
+      py::arg("gradients"), py::arg("absolute"), py::arg("first_intersection"), py::arg("intersection_gradients"),
       py::arg("band_background"), py::arg("threads"));
 }
 
 template <class T>
-void bind_composite_lens(py::module_ m) {
+void bind_composite_direct(py::module_ m) {
   m.def(
-      "composite_lens",
+      "composite_direct",
       [](const Splats<T>& splats, const Bins& bins, const Lens& lens, const Quality& quality, Address background,
          Address out, Address out8, int threads) {
-        return composite_lens<T>(splats, bins, lens, quality, at<T>(background), at<T>(out), at<uint8_t>(out8),
-                                 threads);
+        return composite_direct<T>(splats, bins, lens, quality, at<T>(background), at<T>(out), at<uint8_t>(out8),
+                                   threads);
       },
       NoGil(), py::arg("splats"), py::arg("bins"), py::arg("lens"), py::arg("quality"), py::arg("background"),
       py::arg("out"), py::arg("out8"), py::arg("threads"));
   m.def(
-      "composite_lens_backward",
+      "composite_direct_backward",
       [](const Splats<T>& splats, const Bins& bins, const Lens& lens, Address background, Address image,
-         Address gradient, Address first_pair, Address pair_gradients, Address band_background, int threads) {
-        return composite_lens_backward<T>(splats, bins, lens, at<T>(background), at<T>(image), at<T>(gradient),
-                                          at<int64_t>(first_pair), at<T>(pair_gradients), at<T>(band_background),
-                                          threads);
+         Address gradient, Address first_intersection, Address intersection_gradients, Address band_background,
+         int threads) {
+        return composite_direct_backward<T>(splats, bins, lens, at<T>(background), at<T>(image), at<T>(gradient),
+                                            at<int64_t>(first_intersection), at<T>(intersection_gradients),
+                                            at<T>(band_background), threads);
       },
       NoGil(), py::arg("splats"), py::arg("bins"), py::arg("lens"), py::arg("background"), py::arg("image"),
-      py::arg("gradient"), py::arg("first_pair"), py::arg("pair_gradients"), py::arg("band_background"),
+      py::arg("gradient"), py::arg("first_intersection"), py::arg("intersection_gradients"), py::arg("band_background"),
       py::arg("threads"));
 }
 
@@ -135,8 +137,8 @@ template <class T>
 void bind_stages(py::module_ m) {
   bind_project<T>(m);
   bind_order_and_bin<T>(m);
-  bind_composite_dense<T>(m);
-  bind_composite_lens<T>(m);
+  bind_composite_images<T>(m);
+  bind_composite_direct<T>(m);
 }
 
 // The instruction sets that were compiled and that this processor has. The static one and scalar code, if compiled
@@ -149,7 +151,7 @@ std::vector<std::string> simd_targets() {
   return names;
 }
 
-// Restricts run-time dispatch to one vector instruction set ("" for the best there is).
+// Restrict run-time dispatch to one vector instruction set ("" for the best there is).
 void set_simd_target(const std::string& name) {
   hwy::SetSupportedTargetsForTest(0);
   int64_t chosen = 0;
@@ -164,8 +166,9 @@ void set_simd_target(const std::string& name) {
 
 void bind_cpu(py::module_ root) {
   root.def("band_count", &band_count, py::arg("height_px"));
-  root.def("dense_pair_gradient_size", &dense_pair_gradient_size, py::arg("absolute"));
-  root.def("pair_gradient_size", &pair_gradient_size, py::arg("colour_order"), py::arg("compensated") = false);
+  root.def("image_intersection_gradient_size", &image_intersection_gradient_size, py::arg("absolute"));
+  root.def("intersection_gradient_size", &intersection_gradient_size, py::arg("colour_order"),
+           py::arg("compensated") = false);
   root.def("simd_targets", &simd_targets);
   root.def("set_simd_target", &set_simd_target, py::arg("name"));
   bind_stages<float>(root.attr("float32"));

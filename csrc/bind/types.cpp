@@ -1,4 +1,4 @@
-// Binds what the functions of the module take: constants, the panel and the rig, and for each precision the structs
+// Bind what the functions of the module take: constants, the panel and the rig, and for each precision the structs
 // that name buffers.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
@@ -9,8 +9,7 @@
 #include <vector>
 
 #include "base/error.h"
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #include "math/footprint.h"
 #include "stages/stages.h"
 
@@ -36,9 +35,9 @@ void bind_constants(py::module_ m) {
   m.attr("COMPENSATION_FIELDS") = kCompensationFields;
 }
 
-Lens lens_of(int64_t width_px, int64_t height_px, int64_t views, uint64_t phase0, uint64_t phase_x, uint64_t phase_y,
-             double line_number, double slant_tan, double phase, bool bgr, bool continuous, double offset_start,
-             double offset_step, const std::vector<uint64_t>& cell_phases, const std::vector<int>& cell_channels) {
+Lens make_lens(int64_t width_px, int64_t height_px, int64_t views, uint64_t phase0, uint64_t phase_x, uint64_t phase_y,
+               double line_number, double slant_tan, double phase, bool bgr, bool continuous, double offset_start,
+               double offset_step, const std::vector<uint64_t>& cell_phases, const std::vector<int>& cell_channels) {
   Lens lens{width_px, height_px, views,      phase0,       phase_x,     phase_y, line_number, slant_tan,
             phase,    bgr,       continuous, offset_start, offset_step, false,   {}};
   lens.set_cells(cell_phases, cell_channels);
@@ -47,12 +46,12 @@ Lens lens_of(int64_t width_px, int64_t height_px, int64_t views, uint64_t phase0
 
 void bind_lens(py::module_ m) {
   py::class_<Lens>(m, "Lens")
-      .def(py::init(&lens_of), py::kw_only(), py::arg("width_px"), py::arg("height_px"), py::arg("views"),
+      .def(py::init(&make_lens), py::kw_only(), py::arg("width_px"), py::arg("height_px"), py::arg("views"),
            py::arg("phase0"), py::arg("phase_x"), py::arg("phase_y"), py::arg("line_number"), py::arg("slant_tan"),
            py::arg("phase"), py::arg("bgr"), py::arg("continuous"), py::arg("offset_start"), py::arg("offset_step"),
            py::arg("cell_phases") = std::vector<uint64_t>(), py::arg("cell_channels") = std::vector<int>())
       .def("reach", &Lens::reach)
-      .def("subpixel_of", &Lens::subpixel_of, py::arg("row"), py::arg("column"), py::arg("channel"))
+      .def("subpixel_index", &Lens::subpixel_index, py::arg("row"), py::arg("column"), py::arg("channel"))
       .def("stands_in_order", &Lens::stands_in_order)
       .def("has_one_order", &Lens::has_one_order)
       .def(
@@ -63,11 +62,11 @@ void bind_lens(py::module_ m) {
           py::arg("row"), py::arg("subpixel"));
 }
 
-View<double> rig_of(const std::vector<double>& world_to_camera, const std::vector<double>& intrinsics,
-                    const std::vector<double>& limits, double zero_depth, const Lens& lens, bool antialiased,
-                    double aperture) {
+Camera<double> make_rig(const std::vector<double>& world_to_camera, const std::vector<double>& intrinsics,
+                        const std::vector<double>& limits, double zero_depth, const Lens& lens, bool antialiased,
+                        double aperture) {
   require(world_to_camera.size() == 16 && intrinsics.size() == 4 && limits.size() == 5, "a rig is 16 + 4 + 5 numbers");
-  View<double> rig = make_view<double>(world_to_camera.data(), intrinsics.data(), limits.data());
+  Camera<double> rig = make_camera<double>(world_to_camera.data(), intrinsics.data(), limits.data());
   rig.sweep = lens.reach();
   rig.inverse_zero_depth = 1 / zero_depth;
   rig.antialiased = antialiased;
@@ -75,18 +74,18 @@ View<double> rig_of(const std::vector<double>& world_to_camera, const std::vecto
   return rig;
 }
 
-Quality quality_of(double opacity_cut, double transmittance_stop, double lattice, double contribution,
-                   double evaluation) {
+Quality make_quality(double opacity_cut, double transmittance_stop, double lattice, double contribution,
+                     double evaluation) {
   return {opacity_cut * 255 > 1 ? std::log2(opacity_cut) : kLog2MinAlpha,
           std::max(transmittance_stop, kMinTransmittance), lattice, contribution, evaluation};
 }
 
 void bind_rig_and_quality(py::module_ m) {
-  py::class_<View<double>>(m, "Rig").def(py::init(&rig_of), py::kw_only(), py::arg("world_to_camera"),
-                                         py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
-                                         py::arg("lens"), py::arg("antialiased") = false, py::arg("aperture") = 0.0);
+  py::class_<Camera<double>>(m, "Rig").def(py::init(&make_rig), py::kw_only(), py::arg("world_to_camera"),
+                                           py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
+                                           py::arg("lens"), py::arg("antialiased") = false, py::arg("aperture") = 0.0);
   py::class_<Quality>(m, "Quality")
-      .def(py::init(&quality_of), py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"),
+      .def(py::init(&make_quality), py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"),
            py::arg("lattice"), py::arg("contribution"), py::arg("evaluation"));
 }
 
@@ -95,7 +94,7 @@ void bind_bins_and_counters(py::module_ m) {
       py::init([](Address offsets, Address splats) { return Bins{at<int64_t>(offsets), at<int32_t>(splats)}; }),
       py::arg("band_offsets"), py::arg("band_splats"));
   py::class_<Counters>(m, "Counters")
-      .def_readonly("pairs", &Counters::pairs)
+      .def_readonly("intersections", &Counters::intersections)
       .def_readonly("evaluations", &Counters::evaluations)
       .def_readonly("scratch_bytes", &Counters::scratch_bytes)
       .def_readonly("tiles", &Counters::tiles)
@@ -142,9 +141,9 @@ void bind_buffers(py::module_ m) {
            }),
            py::arg("images"), py::arg("count"), py::arg("colour_order"), py::arg("splats"), py::arg("colours"),
            py::arg("orders"), py::arg("compensations") = 0);
-  py::class_<DenseImages<T>>(m, "DenseImages")
+  py::class_<Images<T>>(m, "Images")
       .def(py::init([](Address image, Address alpha, Address depth) {
-             return DenseImages<T>{at<T>(image), at<T>(alpha), at<T>(depth)};
+             return Images<T>{at<T>(image), at<T>(alpha), at<T>(depth)};
            }),
            py::arg("image"), py::arg("alpha"), py::arg("depth"));
 }

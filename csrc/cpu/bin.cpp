@@ -1,5 +1,5 @@
-// Stage bin: lists for every band of every image the splats whose rows touch it, nearest first. Reads splats and their
-// order, writes Bins; also numbers the pairs for the reverse.
+// Stage bin: list for every band of every image the splats whose rows touch it, nearest first. Read splats and their
+// order, write Bins; also number the intersections for the backward pass.
 #include <algorithm>
 #include <vector>
 
@@ -16,8 +16,8 @@ struct Bands {
 };
 
 template <class T>
-Bands bands_of(const Splat<T>& splat, int64_t height_px) {
-  Range rows = rows_of(splat, height_px);
+Bands splat_bands(const Splat<T>& splat, int64_t height_px) {
+  Range rows = footprint_rows(splat, height_px);
   if (rows.last < rows.first) return {0, -1};
   return {int32_t(rows.first / kBandRows), int32_t(rows.last / kBandRows)};
 }
@@ -38,7 +38,7 @@ void for_each_band(const Splats<T>& splats, const int32_t* order, const int64_t*
     // First the bands of every splat, in the order of memory, so that the walk by depth reads only a few bytes of each
     std::vector<Bands> ranges(size_t(splats.count));
     for (int64_t i = 0; i < splats.count; ++i) {
-      const Bands b = bands_of(s[i], height_px);
+      const Bands b = splat_bands(s[i], height_px);
       ranges[size_t(i)] = {std::max(b.first, int32_t(begin)), std::min(b.last, int32_t(end - 1))};
     }
     for (int64_t k = 0; k < drawn[image]; ++k) {
@@ -71,13 +71,14 @@ void bin_fill(const Splats<T>& splats, const int32_t* order, const int64_t* draw
 }
 
 template <class T>
-void first_pairs(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t* first_pair, int threads) {
+void first_intersections(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t* first_intersection,
+                         int threads) {
   const int64_t bands = band_count(height_px);
   parallel_for(splats.images, threads, [&](int64_t image, int) {
     int64_t next = bins.band_offsets[image * bands];
     for (int64_t i = image * splats.count; i < (image + 1) * splats.count; ++i) {
-      const Bands b = bands_of(splats.splats[i], height_px);
-      first_pair[i] = next;
+      const Bands b = splat_bands(splats.splats[i], height_px);
+      first_intersection[i] = next;
       next += b.last - b.first + 1;
     }
   });
@@ -86,7 +87,7 @@ void first_pairs(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t*
 #define LFGS_INSTANTIATE(T)                                                                         \
   template int64_t bin_count(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int); \
   template void bin_fill(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int);     \
-  template void first_pairs(const Splats<T>&, int64_t, Bins, int64_t*, int);
+  template void first_intersections(const Splats<T>&, int64_t, Bins, int64_t*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

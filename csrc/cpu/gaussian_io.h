@@ -1,6 +1,6 @@
-// What the projections of both sensors have in common on the CPU: they read one Gaussian, sum the gradients of its
-// pairs and add to its own. Arithmetic is double whatever the precision of the data, which costs a few milliseconds and
-// keeps needles and far-away means exact.
+// Common parts of both projections on the CPU: read one Gaussian, sum the gradients of its intersections, and add to
+// the gradient of the Gaussian. Arithmetic is double whatever the precision of the data, which costs a few milliseconds
+// and keeps needles and far-away means exact.
 #pragma once
 
 #include <algorithm>
@@ -16,32 +16,33 @@ namespace lfgs {
 constexpr int64_t kGrain = 1024;  // Gaussians per work item; fixed, so that sums do not depend on the thread count
 
 template <class T>
-Shape<double> shape_of(const Gaussians<const T>& g, int64_t i) {
+Shape<double> load_shape(const Gaussians<const T>& g, int64_t i) {
   const T *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, double(g.opacities[i])};
 }
 
-// Sums the gradients of a splat's pairs, always in the order of its bands, so that every run has the same bits.
+// Sum the gradients of a splat's intersections, always in the order of its bands, so that every run has the same bits.
 template <class T>
-void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* pairs, double* sum) {
-  Range rows = rows_of(splat, height_px);
+void sum_intersections(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* intersections,
+                       double* sum) {
+  Range rows = footprint_rows(splat, height_px);
   std::fill(sum, sum + size, 0.0);
   if (rows.last < rows.first) return;
   int64_t bands = rows.last / kBandRows - rows.first / kBandRows + 1;
   for (int64_t k = 0; k < bands; ++k)
-    for (int f = 0; f < size; ++f) sum[f] += double(pairs[(first + k) * size + f]);
+    for (int f = 0; f < size; ++f) sum[f] += double(intersections[(first + k) * size + f]);
 }
 
-// Projects a Gaussian; sets `compensation` if its opacity is compensated and it is drawn.
-inline Splat<double> projected(const View<double>& view, const Shape<double>& shape,
+// Project a Gaussian; sets `compensation` if its opacity is compensated and it is drawn.
+inline Splat<double> projected(const Camera<double>& camera, const Shape<double>& shape,
                                Compensation<double>& compensation) {
-  const Projection<double> projection(view, shape);
-  Splat<double> splat = projection.splat(view, shape.opacity);
-  if (view.compensated() && splat.reach_y >= 0) projection.compensate(view, splat, compensation);
+  const Projection<double> projection(camera, shape);
+  Splat<double> splat = projection.splat(camera, shape.opacity);
+  if (camera.compensated() && splat.reach_y >= 0) projection.compensate(camera, splat, compensation);
   return splat;
 }
 
-// Adds the gradient of a Gaussian to those of the set.
+// Add the gradient of a Gaussian to those of the set.
 template <class T>
 void add_gradient(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
   const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);

@@ -1,4 +1,4 @@
-// Stage order: sorts those splats of an image that are drawn, nearest first by depth, ties by index. Reads splats,
+// Stage order: sort those splats of an image that are drawn, nearest first by depth, ties by index. Read splats,
 // writes their indices and how many they are.
 #include <array>
 #include <bit>

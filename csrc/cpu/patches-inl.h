@@ -32,7 +32,7 @@ struct Patches {
   uint64_t open[kWords];     // bit per patch: some sample still takes light
   uint64_t touched[kWords];  // bit per patch: the splat at hand may touch it
 
-  // Opens the first `count` patches.
+  // Open the first `count` patches.
   void reopen(int count) {
     for (int w = 0; w < kWords; ++w) {
       const int bits = std::clamp(count - 64 * w, 0, 64);
@@ -44,7 +44,7 @@ struct Patches {
   }
   void close(int patch) { open[patch / 64] &= ~(1ull << patch % 64); }
 
-  // Marks the open patches that a splat may touch, whose centre is (u, v) from the tile's corner; returns how many.
+  // Mark the open patches that a splat may touch, whose centre is (u, v) from the tile's corner; return how many.
   HWY_INLINE int find(const Splat<T>& s, T u, T v) {
     const D d;
     const V slope = hn::Set(d, std::abs(s.c0)), margin = hn::Set(d, T(0.01));
@@ -76,7 +76,7 @@ struct Patches {
     return count;
   }
 
-  // Calls visit(patch) for the patches that find marked.
+  // Call visit(patch) for the patches that find marked.
   template <class Visit>
   HWY_INLINE void for_each_touched(const Visit& visit) const {
     for (int w = 0; w < kWords; ++w)
@@ -96,7 +96,7 @@ struct SplatTerms {
     u = hn::Set(d, u_), v = hn::Set(d, v_), c0 = hn::Set(d, s.c0), tau = hn::Set(d, s.tau);
     log2_opacity = hn::Set(d, s.log2_opacity), inverse_S = hn::Set(d, T(1) / s.S0);
   }
-  // Returns log2 of opacity * weight; also sets dy, the distance from the centre's row, and dx, that from the
+  // Return log2 of opacity * weight; also set dy, the distance from the centre's row, and dx, that from the
   // footprint's middle in the sample's row.
   HWY_INLINE V power(V x, V y, V& dx, V& dy) const {
     dy = hn::Sub(y, v);

@@ -1,4 +1,4 @@
-// Lists which splats of a band touch which of its tiles, in the order given: a counting sort whose memory is reused
+// List the splats of a band that touch each of its tiles, in the given order, by a counting sort. Its memory is reused
 // from band to band.
 #pragma once
 
@@ -40,7 +40,7 @@ class TileLists {
 
   const int32_t* begin(int64_t tile) const { return splats_.data() + offsets_[tile]; }
   const int32_t* end(int64_t tile) const { return splats_.data() + offsets_[tile + 1]; }
-  int64_t pairs() const { return int64_t(splats_.size()); }
+  int64_t intersections() const { return int64_t(splats_.size()); }
   int64_t bytes() const {
     return int64_t(ranges_.capacity() * sizeof(Tiles) + (offsets_.capacity() + next_.capacity()) * sizeof(int64_t) +
                    splats_.capacity() * sizeof(int32_t));

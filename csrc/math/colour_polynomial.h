@@ -1,5 +1,5 @@
 // The colour of a Gaussian as seen from everywhere along a rig: a polynomial in the normalized offset s in [-1, 1]. The
-// fit takes values at Chebyshev nodes to Chebyshev coefficients, and those to powers of s; its adjoint goes back.
+// fit takes values at Chebyshev nodes to Chebyshev coefficients, and those to powers of s; its backward pass goes back.
 #pragma once
 
 #include <cmath>
@@ -64,12 +64,12 @@ LFGS_HD V power_of_chebyshev(const Basis& basis, int nodes, int p, int kept, int
   return power;
 }
 
-// Adjoint of both: from g_powers, [kept + 1, 3], calls visit(s, gradient of the value at s) for every node. Colours of
-// order 0 were clamped at zero, so a channel counts only where `colours`, the result of the fit, is above. g_chebyshev
-// has room for kept + 1 colours.
+// Backward pass of both: from g_powers, [kept + 1, 3], calls visit(s, gradient of the value at s) for every node.
+// Colours of order 0 were clamped at zero, so a channel counts only where `colours`, the result of the fit, is above.
+// g_chebyshev has room for kept + 1 colours.
 template <class V, class Basis, class G, class T, class Visit>
-LFGS_HD void colour_fit_adjoint(const Basis& basis, int nodes, int kept, const G* g_powers, const T* colours,
-                                V* g_chebyshev, const Visit& visit) {
+LFGS_HD void colour_fit_backward(const Basis& basis, int nodes, int kept, const G* g_powers, const T* colours,
+                                 V* g_chebyshev, const Visit& visit) {
   using R = typename V::value_type;
   for (int k = 0; k <= kept; ++k) {
     g_chebyshev[k] = V(0);

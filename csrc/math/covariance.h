@@ -9,7 +9,7 @@ namespace lfgs {
 
 // Rotation matrix of a unit quaternion (w, x, y, z); glm matrices are column-major: m[col][row].
 template <class R>
-LFGS_HD glm::mat<3, 3, R> rotation_of(const glm::vec<4, R>& q) {
+LFGS_HD glm::mat<3, 3, R> rotation_matrix(const glm::vec<4, R>& q) {
   R w = q[0], x = q[1], y = q[2], z = q[3];
   return glm::mat<3, 3, R>(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), 2 * (x * y - w * z),
                            1 - 2 * (x * x + z * z), 2 * (y * z + w * x), 2 * (x * z + w * y), 2 * (y * z - w * x),
@@ -18,7 +18,7 @@ LFGS_HD glm::mat<3, 3, R> rotation_of(const glm::vec<4, R>& q) {
 
 // Gradient of a unit quaternion from that of its rotation matrix.
 template <class R>
-LFGS_HD glm::vec<4, R> rotation_of_adjoint(const glm::vec<4, R>& q, const glm::mat<3, 3, R>& g) {
+LFGS_HD glm::vec<4, R> rotation_matrix_backward(const glm::vec<4, R>& q, const glm::mat<3, 3, R>& g) {
   R w = q[0], x = q[1], y = q[2], z = q[3];
   return {
       2 * (x * (g[1][2] - g[2][1]) + y * (g[2][0] - g[0][2]) + z * (g[0][1] - g[1][0])),
@@ -41,7 +41,7 @@ LFGS_HD Symmetric3<R> times_own_transpose(const glm::mat<3, 3, R>& f) {
 
 // Gradient of F from that of the six numbers of F F^T.
 template <class R>
-LFGS_HD glm::mat<3, 3, R> times_own_transpose_adjoint(const glm::mat<3, 3, R>& f, const Symmetric3<R>& g) {
+LFGS_HD glm::mat<3, 3, R> times_own_transpose_backward(const glm::mat<3, 3, R>& f, const Symmetric3<R>& g) {
   glm::mat<3, 3, R> twice(2 * g.xx, g.xy, g.xz, g.xy, 2 * g.yy, g.yz, g.xz, g.yz, 2 * g.zz);
   return twice * f;
 }

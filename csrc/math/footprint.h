@@ -28,7 +28,7 @@ LFGS_HD Range pixels_within(T low, T high, int64_t size) {
 
 // Rows of the image that the footprint touches.
 template <class T>
-LFGS_HD Range rows_of(const Splat<T>& s, int64_t height_px) {
+LFGS_HD Range footprint_rows(const Splat<T>& s, int64_t height_px) {
   if (!(s.reach_y >= 0)) return {0, -1};
   return pixels_within(s.v0 - s.reach_y, s.v0 + s.reach_y, height_px);
 }
@@ -48,10 +48,10 @@ LFGS_HD T square_reach_x(const Splat<T>& s, T dy) {
   return exponent > 0 ? exponent * (left > right ? left : right) : T(0);
 }
 
-// The interval of x + shear * (y - 1/2) that the footprint covers, from all cameras of the rig, in the rows whose
-// centres are in [y_low, y_high]; false if it touches none of these rows.
+// Find the interval of x + shear * (y - 1/2) that the footprint covers in the rows with centres in [y_low, y_high],
+// from all cameras. Return false if it touches none of these rows.
 template <class T>
-LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T& high) {
+LFGS_HD bool footprint_columns(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T& high) {
   T d1 = y_low - s.v0, d2 = y_high - s.v0;
   d1 = d1 > -s.reach_y ? d1 : -s.reach_y, d2 = d2 < s.reach_y ? d2 : s.reach_y;
   const T margin = T(0.01);
@@ -70,44 +70,45 @@ LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T
 // How many pixels patches that touch an ellipse reach beyond it, on average.
 constexpr int kPatchMargin = 6;
 
-// A raised cut gives up the ring where a splat's alpha lies between 1/255 and the cut. Who draws whole patches still
-// draws what is within `margin_px` of the ellipse inside the ring; this is the share of the ring that is left out.
+// A raised cut gives up the ring where a splat's alpha lies between 1/255 and the cut. Kernels that draw whole patches
+// still draw the pixels within `margin_px` of the ellipse inside the ring. This is the fraction of the ring that is
+// left out.
 template <class T>
-LFGS_HD T share_left_out(const Splat<T>& s, T log2_cut, T margin_px) {
+LFGS_HD T fraction_left_out(const Splat<T>& s, T log2_cut, T margin_px) {
   const T deviation = std::sqrt(std::sqrt(s.S0 / s.tau)), inside = s.log2_opacity - log2_cut;
   const T ring = deviation * (std::sqrt(s.log2_opacity - T(kLog2MinAlpha)) - (inside > 0 ? std::sqrt(inside) : T(0)));
   return ring > 0 ? ring / (ring + margin_px) : T(1);
 }
 
-// Raises the opacity cut of a splat from 1/255, and its opacity by as much: the integral of alpha over an image, which
-// is proportional to opacity - cut, stays what it was (but where the opacity ends at 0.99). by_patches: alphas from
+// Raise the opacity cut of a splat from 1/255, and its opacity by as much. The integral of alpha over an image, which
+// is proportional to opacity - cut, stays the same, except where the opacity ends at 0.99. by_patches: alphas from
 // 1/255 on are drawn in whole patches that the cut touches, so that less is left out.
 template <class T>
 LFGS_HD void raise_cut(Splat<T>& s, T log2_cut, bool by_patches) {
   if (!(s.reach_y >= 0)) return;
-  const T share = by_patches ? share_left_out(s, log2_cut, T(kPatchMargin)) : T(1);
-  const T raised = std::log2(std::exp2(s.log2_opacity) + share * (std::exp2(log2_cut) - T(kMinAlpha)));
+  const T fraction = by_patches ? fraction_left_out(s, log2_cut, T(kPatchMargin)) : T(1);
+  const T raised = std::log2(std::exp2(s.log2_opacity) + fraction * (std::exp2(log2_cut) - T(kMinAlpha)));
   const T most = T(kLog2MaxAlpha) > s.log2_opacity ? T(kLog2MaxAlpha) : s.log2_opacity;
   s.log2_opacity = raised < most ? raised : most;
   s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(kNotSeen);
 }
 
-// Sum of a splat's alphas over the pixels for the camera that sees it widest, as if there were no edges, cuts or
-// limits: the integral of 2^(log2_opacity - tau dy^2 - dx^2 / S).
+// Return the sum of a splat's alphas over the pixels for the camera that sees it widest, without edges, cuts or limits.
+// It is the integral of 2^(log2_opacity - tau dy^2 - dx^2 / S).
 template <class T>
-LFGS_HD T light_of(const Splat<T>& s) {
+LFGS_HD T alpha_integral(const Splat<T>& s) {
   const T left = s.S0 - s.S1 + s.S2, right = s.S0 + s.S1 + s.S2;
   return std::exp2(s.log2_opacity) * T(kPi / kLn2) * std::sqrt((left > right ? left : right) / s.tau);
 }
 
-// Marks splats as not seen that touch no pixel of the image from any camera of the rig, or whose numbers overflowed.
+// Mark splats as not seen that touch no pixel of the image from any camera of the rig, or whose numbers overflowed.
 template <class T>
 LFGS_HD void cull_outside(Splat<T>& s, int64_t width_px, int64_t height_px) {
   if (!(s.reach_y >= 0)) return;
   T sum = s.u0 + s.v0 + s.reach_y + s.S0, low, high;
   bool finite = sum - sum == 0;
-  if (!finite || rows_of(s, height_px).last < 0 || !columns_of(s, T(0.5), T(height_px) - T(0.5), T(0), low, high) ||
-      high < 0 || low > T(width_px))
+  if (!finite || footprint_rows(s, height_px).last < 0 ||
+      !footprint_columns(s, T(0.5), T(height_px) - T(0.5), T(0), low, high) || high < 0 || low > T(width_px))
     s.reach_y = kNotSeen;
 }
 

@@ -12,7 +12,7 @@ namespace lfgs {
 constexpr int kMaxShCount = 16;
 constexpr double kConstantHarmonic = 0.28209479177387814;  // that of degree 0, 1 / (2 sqrt(pi))
 
-// Writes the values of the harmonics at the unit direction d: basis[k], k < (degree + 1)^2.
+// Write the values of the harmonics at the unit direction d: basis[k], k < (degree + 1)^2.
 template <class R>
 LFGS_HD void sh_basis(int degree, const glm::vec<3, R>& d, R* basis) {
   R x = d.x, y = d.y, z = d.z;
@@ -38,7 +38,7 @@ LFGS_HD void sh_basis(int degree, const glm::vec<3, R>& d, R* basis) {
 
 // Gradient of the direction d from those of the values that sh_basis writes.
 template <class R>
-LFGS_HD glm::vec<3, R> sh_basis_adjoint(int degree, const glm::vec<3, R>& d, const R* g) {
+LFGS_HD glm::vec<3, R> sh_basis_backward(int degree, const glm::vec<3, R>& d, const R* g) {
   R x = d.x, y = d.y, z = d.z;
   glm::vec<3, R> out(0);
   if (degree < 1) return out;
@@ -83,11 +83,11 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
   return sh_colour_towards(degree, sh, length > 0 ? to_mean / length : glm::vec<3, R>(0, 0, 1));
 }
 
-// Writes the gradients of the coefficients to g_sh, which may be sh itself, or adds them if kAdd. Returns the gradient
+// Write the gradients of the coefficients to g_sh, which may be sh itself, or add them if kAdd. Return the gradient
 // of the direction d.
 template <bool kAdd = true, class R, class T, class G>
-LFGS_HD glm::vec<3, R> sh_colour_towards_adjoint(int degree, const T* sh, const glm::vec<3, R>& d,
-                                                 const glm::vec<3, R>& g_colour, G* g_sh) {
+LFGS_HD glm::vec<3, R> sh_colour_towards_backward(int degree, const T* sh, const glm::vec<3, R>& d,
+                                                  const glm::vec<3, R>& g_colour, G* g_sh) {
   R basis[kMaxShCount], g_basis[kMaxShCount] = {};
   sh_basis(degree, d, basis);
   // To a fixed end, so that a compiler may unroll it and keep the bases in registers
@@ -101,18 +101,18 @@ LFGS_HD glm::vec<3, R> sh_colour_towards_adjoint(int degree, const T* sh, const 
       g_sh[3 * k + c] = kAdd ? g_sh[3 * k + c] + gradient : gradient;
     }
   }
-  return sh_basis_adjoint(degree, d, g_basis);
+  return sh_basis_backward(degree, d, g_basis);
 }
 
-// The same for the colour seen from `eye`. Returns the gradient of the mean; that of the eye is minus this.
+// The same for the colour seen from `eye`. Return the gradient of the mean; that of the eye is minus this.
 template <bool kAdd = true, class R, class T, class G>
-LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye,
-                                         const glm::vec<3, R>& g_colour, G* g_sh) {
+LFGS_HD glm::vec<3, R> sh_colour_backward(int degree, const T* sh, const glm::vec<3, R>& mean,
+                                          const glm::vec<3, R>& eye, const glm::vec<3, R>& g_colour, G* g_sh) {
   const glm::vec<3, R> to_mean = mean - eye;
   const R length = glm::length(to_mean);
   const bool defined = length > 0;
   const glm::vec<3, R> d = defined ? to_mean / length : glm::vec<3, R>(0, 0, 1);
-  const glm::vec<3, R> g_d = sh_colour_towards_adjoint<kAdd>(degree, sh, d, g_colour, g_sh);
+  const glm::vec<3, R> g_d = sh_colour_towards_backward<kAdd>(degree, sh, d, g_colour, g_sh);
   return defined ? (g_d - glm::dot(g_d, d) * d) / length : glm::vec<3, R>(0);
 }
 

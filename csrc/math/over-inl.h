@@ -1,11 +1,13 @@
-// Front-to-back blending of splats, and its reverse. A sample lets T_i = (1 - alpha_1) ... (1 - alpha_(i-1)) of the
-// light through to splat i, which adds its weight w_i = alpha_i T_i. With v_i what a unit of that weight adds to the
-// loss,
+// Front-to-back blending of splats, and its backward pass. A sample lets T_i = (1 - alpha_1) ... (1 - alpha_(i-1)) of
+// the light through to splat i, which adds its weight w_i = alpha_i T_i. v_i is the derivative of the loss by that
+// weight.
 //
-//   dL/dalpha_i = T_i v_i - (total - prefix_i) / (1 - alpha_i),
+//   dL/dalpha_i = T_i v_i - (total - prefix_i) / (1 - alpha_i).
 //
-// total the sum of w v over all splats and the background, prefix_i that up to and with splat i. The total follows from
-// the image, so the reverse walks front to back as well. Twin of "over" in cuda/common/blend.cuh.
+// total is the sum of w v over all splats and the background, prefix_i the sum up to and with splat i. The total
+// follows from the image, so the backward pass walks front to back as well. The formula has a twin in
+// cuda/common/blend.cuh. One copy would cost speed or bits: here it is masks and fused operations of Highway on a
+// vector, there branches on one float, whose fusing nvcc chooses.
 
 #if defined(LFGS_MATH_OVER_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_MATH_OVER_INL_H_
@@ -24,9 +26,9 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// One splat over a vector of samples: `weight` is its share of the light of each, which their transmittances lose. A
-// sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
-// background. Returns whether a sample ended and with it the last of the vector.
+// Blend one splat over a vector of samples: `weight` is its part of the light of each, which their transmittances lose.
+// A sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
+// background. Return whether a sample ended and with it the last of the vector.
 template <class D>
 HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmittance, hn::TFromD<D>* HWY_RESTRICT rest,
                      hn::Vec<D>& weight) {
@@ -46,7 +48,7 @@ HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmit
 }
 
 // The same splat on the way back: the transmittances lose what they lost to Over, and where a sample ended before it
-// alpha becomes zero. Returns where; `before` is what they were. Over subtracts the weight that it needs anyway, here
+// alpha becomes zero. Return where; `before` is what they were. Over subtracts the weight that it needs anyway, here
 // one operation does for both: so the last digit of a transmittance may differ.
 template <class D>
 HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_RESTRICT transmittance,
@@ -59,11 +61,11 @@ HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_REST
   return stop;
 }
 
-// Returns dL/dalpha, and adds this splat to `prefix`. kEstimate: divides by an estimate and a Newton step, as the dense
+// Return dL/dalpha, and add this splat to `prefix`. kEstimate: divide by an estimate and a Newton step, as the image
 // sensor does; the lens sensor divides exactly. Which is used decides the last digits of its gradients.
 template <bool kEstimate, class D>
-HWY_INLINE hn::Vec<D> OverAdjoint(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::Vec<D> weight, hn::Vec<D> v,
-                                  const hn::TFromD<D>* HWY_RESTRICT total, hn::TFromD<D>* HWY_RESTRICT prefix) {
+HWY_INLINE hn::Vec<D> OverBackward(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::Vec<D> weight, hn::Vec<D> v,
+                                   const hn::TFromD<D>* HWY_RESTRICT total, hn::TFromD<D>* HWY_RESTRICT prefix) {
   const auto so_far = hn::MulAdd(weight, v, hn::Load(d, prefix));
   hn::Store(so_far, d, prefix);
   const auto rest = hn::Sub(hn::Load(d, total), so_far), through = hn::Sub(hn::Set(d, hn::TFromD<D>(1)), alpha);
@@ -71,10 +73,10 @@ HWY_INLINE hn::Vec<D> OverAdjoint(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::
   return hn::MulSub(before, v, later);
 }
 
-// The gradient of the exponent, log2 alpha, from that of alpha: zero unless alpha follows the exponent (`free`), as it
-// does not where it is cut or limited.
+// Return the gradient of the exponent, log2 alpha, from the gradient of alpha. It is zero unless `free`: where alpha is
+// cut or limited it does not follow the exponent.
 template <class D>
-HWY_INLINE hn::Vec<D> ExponentAdjoint(D d, hn::Vec<D> g_alpha, hn::Vec<D> alpha, hn::Mask<D> free) {
+HWY_INLINE hn::Vec<D> ExponentBackward(D d, hn::Vec<D> g_alpha, hn::Vec<D> alpha, hn::Mask<D> free) {
   return hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, hn::TFromD<D>(kLn2))));
 }
 
@@ -113,14 +115,14 @@ struct SplatSums {
     S_s2 = hn::MulAdd(gS_s, s, S_s2);
   }
 
-  // Adds to `out` the splat's gradient, summed over the lanes.
+  // Add to `out` the splat's gradient, summed over the lanes.
   HWY_INLINE void Reduce(D d, const Splat<T>& s, Splat<T>& out) const {
     auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
-    T sums[kLensFootprintSums];
+    T sums[kDirectFootprintSums];
     sums[kPowerSum] = sum(power), sums[kPowerDySum] = sum(power_dy), sums[kPowerDy2Sum] = sum(power_dy2);
     sums[kXSum] = sum(x), sums[kXsSum] = sum(x_s), sums[kXDySum] = sum(x_dy), sums[kXsDySum] = sum(x_s_dy);
     sums[kSSum] = sum(S), sums[kSsSum] = sum(S_s), sums[kSs2Sum] = sum(S_s2);
-    const Splat<T> g = lens_gradient_of(s, sums);
+    const Splat<T> g = direct_gradient(s, sums);
     out.u0 += g.u0, out.du += g.du, out.v0 += g.v0, out.log2_opacity += g.log2_opacity;
     out.S0 += g.S0, out.S1 += g.S1, out.S2 += g.S2;
     out.tau += g.tau, out.c0 += g.c0, out.c1 += g.c1;

@@ -1,11 +1,11 @@
-// EWA projection of one Gaussian by a camera, or by all cameras of an off-axis rig at once: a Shape and a View become a
-// Splat. The adjoint takes the gradient of the Splat back to both.
+// EWA projection of one Gaussian by a camera, or by all cameras of an off-axis rig at once. A Shape and a Camera become
+// a Splat. The backward pass takes the gradient of the Splat back to both.
 //
 // For the camera at offset s, the projected mean is u(s) = u0 + s du, and the projected covariance (Zwicker et al.
-// 2001) is xx(s), quadratic, xy(s), linear, and yy, constant. A splat stores them in conditional form,
+// 2001) is xx(s), quadratic, xy(s), linear, and yy, constant. A splat stores them in conditional form. log2(e)/2 is
+// folded into tau and 1/S.
 //   -log2 weight = tau dy^2 + (px - m(s))^2 / S(s),   dy = py - v0,
-//   m(s) = u0 + c0 dy + s (du + c1 dy),   S(s) = S0 + S1 s + S2 s^2,
-// with log2(e)/2 folded into tau and 1/S.
+//   m(s) = u0 + c0 dy + s (du + c1 dy),   S(s) = S0 + S1 s + S2 s^2.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -15,7 +15,7 @@
 #include "math/compensation.h"
 #include "math/constants.h"
 #include "math/covariance.h"
-#include "scene/view.h"
+#include "scene/camera.h"
 
 namespace lfgs {
 
@@ -26,7 +26,7 @@ struct Splat {
   T S0, S1, S2, tau;
   T c0, c1;
   T reach_y;  // half height of the footprint in rows; negative: not drawn
-  T depth;    // view-space z
+  T depth;    // camera-space z
 };
 constexpr int kSplatFields = 12, kSplatReachIndex = 10;  // how many numbers a Splat has, and which of them is reach_y
 
@@ -47,7 +47,7 @@ struct Shape {
 
 // Largest component of a quaternion, by which it is divided before squares that might underflow or overflow.
 template <class R>
-LFGS_HD R largest_of(const glm::vec<4, R>& quaternion) {
+LFGS_HD R largest_component(const glm::vec<4, R>& quaternion) {
   const glm::vec<4, R> q = glm::abs(quaternion);
   return glm::max(glm::max(q.x, q.y), glm::max(q.z, q.w));
 }
@@ -56,51 +56,52 @@ LFGS_HD R largest_of(const glm::vec<4, R>& quaternion) {
 // infinity; but zero stays zero.
 LFGS_HD glm::dvec4 quaternion_gradient(const glm::dvec4& quaternion, const glm::dvec4& g_unit) {
   if (g_unit == glm::dvec4(0)) return g_unit;
-  const double largest = largest_of(quaternion);
+  const double largest = largest_component(quaternion);
   return g_unit / largest / glm::length(quaternion / largest);
 }
 
 template <class R>
-struct ViewAdjoint {
+struct CameraGradient {
   glm::mat<3, 3, R> rotation{R(0)};
   glm::vec<3, R> translation{R(0)};
 };
 
-// What projection and its adjoint share. It is cheaper to compute it again for the adjoint than to store it.
+// Intermediate values of the projection and its backward pass. To compute them again for the backward pass is cheaper
+// than to store them.
 template <class R>
 struct Projection {
-  glm::vec<3, R> t;                // mean in view axes
+  glm::vec<3, R> t;                // mean in camera axes
   glm::vec<4, R> unit;             // normalized quaternion
-  glm::mat<3, 3, R> turn, factor;  // view-from-local rotation; the same times the scales
-  Symmetric3<R> V;                 // covariance in view axes
+  glm::mat<3, 3, R> turn, factor;  // camera-from-local rotation; the same times the scales
+  Symmetric3<R> V;                 // covariance in camera axes
   R iz, kx, ky;                    // 1/Z, clamped slopes
   bool x_free, y_free;             // slopes not clamped
   R a, b, c, e, g;                 // Jacobian, rows (a, 0, b) and (0, c, e); g = db / ds
   R qz, yz, xy0, xy1, yy, iy;      // xy(s) = xy0 + s xy1, yy and 1 / yy; qz and yz are terms of xx and xy
   bool drawn;
 
-  LFGS_HD Projection(const View<R>& view, const Shape<R>& shape) {
-    t = view.rotation * shape.mean + view.translation;
-    const glm::vec<4, R> direction = shape.quaternion / largest_of(shape.quaternion);  // NaN where it is zero
+  LFGS_HD Projection(const Camera<R>& camera, const Shape<R>& shape) {
+    t = camera.rotation * shape.mean + camera.translation;
+    const glm::vec<4, R> direction = shape.quaternion / largest_component(shape.quaternion);  // NaN where it is zero
     drawn = t.z >= R(kNearDepth) && shape.opacity * 255 >= 1 && glm::length(direction) > 0;
     if (!drawn) return;
 
-    // Covariance in view axes
+    // Covariance in camera axes
     unit = glm::normalize(direction);
-    turn = view.rotation * rotation_of(unit);
+    turn = camera.rotation * rotation_matrix(unit);
     factor = turn;
     for (int k = 0; k < 3; ++k) factor[k] *= shape.scale[k];
     V = times_own_transpose(factor);
 
     // Jacobian, its slopes clamped at the rig's centre
     iz = 1 / t.z;
-    R x = (t.x + view.offset) * iz, y = t.y * iz;
-    kx = x < view.x_low ? view.x_low : x > view.x_high ? view.x_high : x;
-    ky = y < view.y_low ? view.y_low : y > view.y_high ? view.y_high : y;
+    R x = (t.x + camera.offset) * iz, y = t.y * iz;
+    kx = x < camera.x_low ? camera.x_low : x > camera.x_high ? camera.x_high : x;
+    ky = y < camera.y_low ? camera.y_low : y > camera.y_high ? camera.y_high : y;
     x_free = kx == x, y_free = ky == y;
-    a = view.fx * iz, b = -view.fx * (kx - view.offset * iz) * iz;
-    c = view.fy * iz, e = -view.fy * ky * iz;
-    g = view.sweep * view.fx * iz * iz;
+    a = camera.fx * iz, b = -camera.fx * (kx - camera.offset * iz) * iz;
+    c = camera.fy * iz, e = -camera.fy * ky * iz;
+    g = camera.sweep * camera.fx * iz * iz;
 
     // Projected covariance, conditional on the row
     qz = a * V.xz + b * V.zz;
@@ -112,14 +113,14 @@ struct Projection {
   }
 
   // The splat; its reach_y is negative if it is not drawn.
-  LFGS_HD Splat<R> splat(const View<R>& view, R opacity) const {
+  LFGS_HD Splat<R> splat(const Camera<R>& camera, R opacity) const {
     Splat<R> s{};
     s.reach_y = -1;
     s.depth = t.z;
     if (!drawn) return s;
-    s.u0 = view.fx * t.x * iz + view.cx;
-    s.du = view.sweep * view.fx * (view.inverse_zero_depth - iz);
-    s.v0 = view.fy * t.y * iz + view.cy;
+    s.u0 = camera.fx * t.x * iz + camera.cx;
+    s.du = camera.sweep * camera.fx * (camera.inverse_zero_depth - iz);
+    s.v0 = camera.fy * t.y * iz + camera.cy;
     s.log2_opacity = std::log2(opacity);
     conditional_variance(s);
     s.tau = R(kHalfLog2e) * iy;
@@ -129,7 +130,7 @@ struct Projection {
     return s;
   }
 
-  // The projected factor has the rows `across` + s g `deep` and `down` / iy^(1/2); times its own transpose it is the
+  // The projected factor has the rows `across` + s g `deep` and `down` / iy^(1/2). Times its own transpose it is the
   // projected covariance without blur. m0 + s m1 are its minors, times iy^(1/2).
   struct Minors {
     glm::vec<3, R> across, deep, m0, m1;
@@ -142,8 +143,8 @@ struct Projection {
     }
   };
 
-  // Computes S(s) = xx(s) - xy(s)^2 / yy as a sum of squares of minors (Cauchy and Binet), for the difference has no
-  // digits left where a needle is some thousand pixels long. So S(s) never falls below the blur's variance.
+  // Compute S(s) = xx(s) - xy(s)^2 / yy as a sum of squares of minors (Cauchy and Binet). The difference has no digits
+  // left for a needle some thousand pixels long. So S(s) never falls below the blur's variance.
   LFGS_HD void conditional_variance(Splat<R>& s) const {
     const R blur(kBlurVariancePx);
     const Minors m(*this);
@@ -152,30 +153,30 @@ struct Projection {
     s.S2 = (glm::dot(m.m1, m.m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
   }
 
-  // What an aperture adds to xx(s), px^2: per unit of offset the mean moves by fx (1/Z0 - 1/Z) along its row, and what
-  // lies deeper or nearer than the mean by fx/Z^2 per unit of depth more or less. Together they are the exact second
-  // moment of the footprints that are averaged; xy and yy stay as they are (Zwicker et al., "Antialiasing for
-  // automultiscopic 3D displays", 2006).
-  LFGS_HD R aperture_variance(const View<R>& view) const {
-    const R per_offset = view.fx * view.aperture, shift = view.inverse_zero_depth - iz, shear = iz * iz;
+  // Return the part of an aperture in xx(s), px^2. Per unit of offset the mean moves by fx (1/Z0 - 1/Z) along its row.
+  // Points deeper or nearer than the mean move by fx/Z^2 per unit of depth more or less. This is the exact second
+  // moment of the averaged footprints; xy and yy stay the same (Zwicker et al., "Antialiasing for automultiscopic 3D
+  // displays", 2006).
+  LFGS_HD R aperture_variance(const Camera<R>& camera) const {
+    const R per_offset = camera.fx * camera.aperture, shift = camera.inverse_zero_depth - iz, shear = iz * iz;
     return per_offset * per_offset * (shift * shift + shear * shear * V.zz);
   }
 
-  // D(s) before it is divided: S(s) without what the blur adds to it, if it is that of an anti-aliased scene.
-  LFGS_HD Compensation<R> sharp_variance(const View<R>& view, const Splat<R>& s) const {
-    if (!view.antialiased) return {s.S0, s.S1, s.S2};
+  // D(s) before compensate() divides it: S(s), in an anti-aliased scene without the blur.
+  LFGS_HD Compensation<R> unfiltered_variance(const Camera<R>& camera, const Splat<R>& s) const {
+    if (!camera.antialiased) return {s.S0, s.S1, s.S2};
     const Minors m(*this);
     return {glm::dot(m.m0, m.m0) / R(kHalfLog2e), 2 * glm::dot(m.m0, m.m1) / R(kHalfLog2e),
             glm::dot(m.m1, m.m1) / R(kHalfLog2e)};
   }
 
-  // For views with an aperture and for anti-aliased scenes: adds what the aperture does to S(s), lowers the opacity of
-  // a splat to the highest that it has over the rig, so that the splat's bounds hold for all cameras, and returns the
-  // square of the share that is left. `out` is D(s) divided by it; D(s) / S(s) is then at most 1.
-  LFGS_HD R compensate(const View<R>& view, Splat<R>& s, Compensation<R>& out) const {
-    out = sharp_variance(view, s);
-    if (view.aperture > 0) s.S0 += aperture_variance(view) / R(kHalfLog2e);
-    const R most = largest_share(s.S0, s.S1, s.S2, out);
+  // Compensate for the aperture and for the blur of anti-aliased scenes. Add the aperture to S(s), and lower the
+  // opacity to its highest over the rig. So the splat's bounds hold for all cameras. Return the square of the factor.
+  // `out` is D(s) divided by it; D(s) / S(s) is then at most 1.
+  LFGS_HD R compensate(const Camera<R>& camera, Splat<R>& s, Compensation<R>& out) const {
+    out = unfiltered_variance(camera, s);
+    if (camera.aperture > 0) s.S0 += aperture_variance(camera) / R(kHalfLog2e);
+    const R most = largest_ratio(s.S0, s.S1, s.S2, out);
     if (most > 0) out = {out.D0 / most, out.D1 / most, out.D2 / most};
     s.log2_opacity += std::log2(most) / 2;
     const R left = s.log2_opacity - R(kLog2MinAlpha);
@@ -183,23 +184,23 @@ struct Projection {
     return most;
   }
 
-  // The adjoint of compensate() for one camera: returns the gradient of D that follows from that of the lowered
-  // opacity, and adds the gradient of S to g.S0.
-  LFGS_HD Compensation<R> compensate_adjoint(const View<R>& view, Splat<R>& g) const {
+  // The backward pass of compensate() for one camera. Return the gradient of D, from the gradient of the lowered
+  // opacity, and add the gradient of S to g.S0.
+  LFGS_HD Compensation<R> compensate_backward(const Camera<R>& camera, Splat<R>& g) const {
     Splat<R> s;
     conditional_variance(s);
-    const R sharp = sharp_variance(view, s).D0, half = g.log2_opacity / R(2 * kLn2);
-    if (view.aperture > 0) s.S0 += aperture_variance(view) / R(kHalfLog2e);
+    const R D = unfiltered_variance(camera, s).D0, half = g.log2_opacity / R(2 * kLn2);
+    if (camera.aperture > 0) s.S0 += aperture_variance(camera) / R(kHalfLog2e);
     g.S0 -= half / s.S0;
-    return {half / sharp, 0, 0};
+    return {half / D, 0, 0};
   }
 
-  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat; for a compensated
-  // splat also from `sharp`, the gradient of D before compensate() divides it. What out.quaternion gets is the gradient
-  // of the unit quaternion: a sum of it over views may cancel where quaternion_gradient would be infinite.
+  // Add to `out` and `camera_out` the gradients that follow from `s`, the gradient of the splat. For a compensated
+  // splat add also those from `g_D`, the gradient of D before compensate() divides it. What out.quaternion gets is the
+  // gradient of the unit quaternion: a sum of it over cameras may cancel where quaternion_gradient would be infinite.
   template <bool kCompensated = false>
-  LFGS_HD void adjoint(const View<R>& view, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
-                       ViewAdjoint<R>& view_out, const Compensation<R>& sharp = {}) const {
+  LFGS_HD void backward(const Camera<R>& camera, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
+                        CameraGradient<R>& camera_out, const Compensation<R>& g_D = {}) const {
     if (!drawn) return;
     out.opacity += s.log2_opacity / (shape.opacity * R(kLn2));
 
@@ -209,8 +210,8 @@ struct Projection {
     [[maybe_unused]] const R g_aperture = gS0;    // of aperture_variance()
     if constexpr (kCompensated) {
       // D(s) = (xx(s) - blur) (1 - blur / yy) - xy(s)^2 / yy, where the blur counts
-      const R gD0 = sharp.D0 / R(kHalfLog2e), gD1 = sharp.D1 / R(kHalfLog2e), gD2 = sharp.D2 / R(kHalfLog2e);
-      const R blur(view.antialiased ? kBlurVariancePx : 0), keep = 1 - blur * iy;
+      const R gD0 = g_D.D0 / R(kHalfLog2e), gD1 = g_D.D1 / R(kHalfLog2e), gD2 = g_D.D2 / R(kHalfLog2e);
+      const R blur(camera.antialiased ? kBlurVariancePx : 0), keep = 1 - blur * iy;
       const R xx = a * (a * V.xx + b * V.xz) + b * qz;
       gQ0 += gD0, gQ1 += gD1, gQ2 += gD2;
       gS0 += keep * gD0, gS1 += keep * gD1, gS2 += keep * gD2;
@@ -230,7 +231,7 @@ struct Projection {
     R g_e = g_xy0 * a * V.xz + g_yz * V.zz + g_yy * 2 * (c * V.yz + e * V.zz);
     R g_g = gS1 * 2 * qz + gS2 * 2 * g * V.zz + g_xy1 * yz;
 
-    // To the covariance in view axes, and from there to rotation and scales
+    // To the covariance in camera axes, and from there to rotation and scales
     Symmetric3<R> gV;
     gV.xx = gS0 * a * a;
     gV.xz = gS0 * 2 * a * b + g_qz * a + g_xy0 * a * e;
@@ -240,34 +241,35 @@ struct Projection {
     gV.yy = g_yy * c * c;
     [[maybe_unused]] R g_iz_of_aperture = 0;
     if constexpr (kCompensated) {
-      const R square = view.fx * view.aperture * view.fx * view.aperture * g_aperture, shear = iz * iz;
+      const R square = camera.fx * camera.aperture * camera.fx * camera.aperture * g_aperture, shear = iz * iz;
       gV.zz += square * shear * shear;
-      g_iz_of_aperture = square * (4 * iz * shear * V.zz - 2 * (view.inverse_zero_depth - iz));
+      g_iz_of_aperture = square * (4 * iz * shear * V.zz - 2 * (camera.inverse_zero_depth - iz));
     }
-    glm::mat<3, 3, R> g_turn = times_own_transpose_adjoint(factor, gV);
+    glm::mat<3, 3, R> g_turn = times_own_transpose_backward(factor, gV);
     for (int k = 0; k < 3; ++k) {
       out.scale[k] += glm::dot(g_turn[k], turn[k]);
       g_turn[k] *= shape.scale[k];
     }
-    glm::mat<3, 3, R> local = rotation_of(unit);
-    glm::vec<4, R> g_unit = rotation_of_adjoint(unit, glm::transpose(view.rotation) * g_turn);
+    glm::mat<3, 3, R> local = rotation_matrix(unit);
+    glm::vec<4, R> g_unit = rotation_matrix_backward(unit, glm::transpose(camera.rotation) * g_turn);
     out.quaternion += g_unit - glm::dot(g_unit, unit) * unit;
-    view_out.rotation += g_turn * glm::transpose(local);
+    camera_out.rotation += g_turn * glm::transpose(local);
 
-    // To the mean in view axes; b = -fx (kx - offset iz) iz
-    R g_kx = -view.fx * iz * g_b, g_ky = -view.fy * iz * g_e;
-    R g_iz = view.fx * g_a + view.fy * g_c - view.fx * (kx - 2 * view.offset * iz) * g_b - view.fy * ky * g_e +
-             view.sweep * view.fx * (2 * iz * g_g - s.du) + view.fx * t.x * s.u0 + view.fy * t.y * s.v0;
+    // To the mean in camera axes; b = -fx (kx - offset iz) iz
+    R g_kx = -camera.fx * iz * g_b, g_ky = -camera.fy * iz * g_e;
+    R g_iz = camera.fx * g_a + camera.fy * g_c - camera.fx * (kx - 2 * camera.offset * iz) * g_b -
+             camera.fy * ky * g_e + camera.sweep * camera.fx * (2 * iz * g_g - s.du) + camera.fx * t.x * s.u0 +
+             camera.fy * t.y * s.v0;
     if constexpr (kCompensated) g_iz += g_iz_of_aperture;
-    glm::vec<3, R> g_t(view.fx * iz * s.u0, view.fy * iz * s.v0, s.depth);
-    if (x_free) g_t.x += g_kx * iz, g_iz += g_kx * (t.x + view.offset);
+    glm::vec<3, R> g_t(camera.fx * iz * s.u0, camera.fy * iz * s.v0, s.depth);
+    if (x_free) g_t.x += g_kx * iz, g_iz += g_kx * (t.x + camera.offset);
     if (y_free) g_t.y += g_ky * iz, g_iz += g_ky * t.y;
     g_t.z -= g_iz * iz * iz;
 
     // To the mean and the camera
-    out.mean += glm::transpose(view.rotation) * g_t;
-    view_out.rotation += glm::outerProduct(g_t, shape.mean);
-    view_out.translation += g_t;
+    out.mean += glm::transpose(camera.rotation) * g_t;
+    camera_out.rotation += glm::outerProduct(g_t, shape.mean);
+    camera_out.translation += g_t;
   }
 };
 

@@ -1,6 +1,6 @@
-// Group normalisation of feature maps, followed by SiLU. A block has one group of channels of one image: it reads the
-// group twice, the first time for mean and variance, the second time (then from the cache) to write the result. A
-// thread has two channels in some of the pixels.
+// Group normalisation of feature maps, followed by SiLU. A block has one group of channels of one image. It reads the
+// group twice: first for mean and variance, then (from the cache) to write the result. A thread has two channels in
+// some of the pixels.
 #include "network/group_norm.h"
 
 #include "cuda/common/blend.cuh"
@@ -15,12 +15,12 @@ constexpr int kThreads = 512, kWarps = kThreads / 32;
 __device__ inline float2 floats(uint32_t pair) {
   return make_float2(__uint_as_float(pair << 16), __uint_as_float(pair & 0xffff0000u));
 }
-// Rounds to bfloat16, to nearest with ties to even; the result is in the upper half.
+// Round to bfloat16, to nearest with ties to even; the result is in the upper half.
 __device__ inline uint32_t rounded_bits(float a) {
   const uint32_t bits = __float_as_uint(a);
   return a == a ? bits + 0x7fffu + (bits >> 16 & 1) : 0x7fff0000u;  // rounding could turn the bits of a NaN into zero
 }
-__device__ inline uint32_t pair_of(float low, float high) {
+__device__ inline uint32_t pack(float low, float high) {
   return rounded_bits(low) >> 16 | (rounded_bits(high) & 0xffff0000u);
 }
 
@@ -42,16 +42,16 @@ __global__ void __launch_bounds__(kThreads)
                            float eps, uint32_t* out) {
   __shared__ float parts[kWarps];
   const int image = blockIdx.x / maps.groups, group = blockIdx.x % maps.groups;
-  const int row = maps.channels / 2, pairs = row / maps.groups, first_pair = group * pairs;
+  const int row = maps.channels / 2, pairs = row / maps.groups, first = group * pairs;
 
   // Every thread stays with two channels; the last few threads of a block may have none
-  const int together = kThreads / pairs, pair = first_pair + threadIdx.x % pairs;
+  const int together = kThreads / pairs, pair = first + threadIdx.x % pairs;
   const int64_t start = threadIdx.x / pairs < together ? threadIdx.x / pairs : maps.pixels;
   const int64_t origin = int64_t(image) * maps.pixels * row;
   in += origin, out += origin;
 
   // Mean and variance. They are summed as differences to one of the numbers, so that large means do not take the digits
-  const float about = floats(in[first_pair]).x;
+  const float about = floats(in[first]).x;
   float sum = 0, squares = 0;
 #pragma unroll 4
   for (int64_t p = start; p < maps.pixels; p += together) {
@@ -71,7 +71,7 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll 4
   for (int64_t p = start; p < maps.pixels; p += together) {
     const float2 v = floats(in[p * row + pair]);
-    out[p * row + pair] = pair_of(silu(fmaf(v.x, by.x, plus.x)), silu(fmaf(v.y, by.y, plus.y)));
+    out[p * row + pair] = pack(silu(fmaf(v.x, by.x, plus.x)), silu(fmaf(v.y, by.y, plus.y)));
   }
 }
 

@@ -13,8 +13,8 @@
 
 namespace lfgs {
 
-// For panels whose sub-pixels do not stand in stripes: how far place k of a pixel is from stripe k, as a phase, and
-// which channel it has, by row and column modulo kCellPeriod. Places are numbered in the order in which a lens meets
+// Of panels whose sub-pixels do not stand in stripes: the distance of place k of a pixel from stripe k, as a phase, and
+// the channel. Both are by row and column modulo kCellPeriod. Places are numbered in the order in which a lens meets
 // them.
 constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // columns; the same in sub-pixels
 struct SubpixelCells {
@@ -51,18 +51,18 @@ struct Lens {
     return int(bgr ? 2 - subpixel % 3 : subpixel % 3);
   }
   // The sub-pixel of a pixel that has this channel.
-  LFGS_HD int64_t subpixel_of(int64_t row, int64_t column, int channel) const {
+  LFGS_HD int64_t subpixel_index(int64_t row, int64_t column, int channel) const {
     int64_t m = 3 * column;
     while (channel_at(row, m) != channel) ++m;
     return m;
   }
   // The largest distance of a sub-pixel from its stripe, in sub-pixels.
   double most_beyond() const;
-  // Sets phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
+  // Set phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
   // stripes.
   void set_cells(const std::vector<uint64_t>& phases, const std::vector<int>& channels);
-  // Whether the sub-pixels of a row follow each other as their stripes do, each less than one sub-pixel from its own:
-  // those of a lens then lie side by side.
+  // Whether the sub-pixels of a row follow each other as their stripes do, each less than one sub-pixel from its own.
+  // Then the sub-pixels of a lens lie side by side.
   bool stands_in_order() const;
   // Whether a place has the same channel in all pixels.
   bool has_one_order() const;

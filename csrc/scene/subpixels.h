@@ -17,7 +17,7 @@ struct ViewMap {
 
   int64_t at(int64_t row, int64_t column, int channel) const {
     if (table) return table[(row * width_px + column) * 3 + channel];
-    return integer_view(lens.true_phase(row, lens.subpixel_of(row, column, channel)), uint64_t(lens.views));
+    return integer_view(lens.true_phase(row, lens.subpixel_index(row, column, channel)), uint64_t(lens.views));
   }
 };
 

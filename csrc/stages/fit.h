@@ -5,7 +5,7 @@
 
 #include "math/fit/dropout.h"
 #include "math/fit/photo_loss.h"
-#include "math/fit/philox.h"
+#include "math/fit/random.h"
 #include "math/fit/update.h"
 
 namespace lfgs {

@@ -6,10 +6,10 @@
 
 namespace lfgs {
 
-// Writes where the sheet lies, and the opacities of the cloud under it.
+// Write where the sheet lies, and the opacities of the cloud under it.
 void surface(const Surface& job, int threads);
 
-// Writes the Gaussians of all texels.
+// Write the Gaussians of all texels.
 void sheet(const Sheet& job, int threads);
 
 }  // namespace lfgs

@@ -1,10 +1,10 @@
-// The stages of the rasterizer and their reverses. Every buffer belongs to the caller; T is float or double.
+// The stages of the rasterizer and their backward passes. Every buffer belongs to the caller; T is float or double.
 //
 //   Gaussians + views -> project -> order -> bin -> composite -> image, and back.
 //
 // An *image* is what one camera sees (dense, sorted), or the whole panel (lens); it is cut into bands of kBandRows
-// rows. A *pair* is a (band, splat) that may touch each other. Layouts are row-major; there are N Gaussians and I
-// images.
+// rows. An *intersection* is a (band, splat) that may touch each other. Layouts are row-major; there are N Gaussians
+// and I images.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,7 @@
 #include "scene/gaussians.h"
 #include "scene/lens.h"
 #include "scene/subpixels.h"
-#include "scene/view.h"
+#include "scene/camera.h"
 
 namespace lfgs {
 
@@ -24,24 +24,26 @@ constexpr int kColourStride = 4;  // r, g, b and padding, since a vector look-up
 
 inline int64_t band_count(int64_t height_px) { return (height_px + kBandRows - 1) / kBandRows; }
 
-// How many numbers the gradient of a pair has, see PairGradient.
-inline int pair_gradient_size(int colour_order, bool compensated = false) {
+// How many numbers the gradient of an intersection has, see IntersectionGradient.
+inline int intersection_gradient_size(int colour_order, bool compensated = false) {
   return kSplatFields + 3 * (colour_order + 1) + (compensated ? kCompensationFields : 0);
 }
-// The same for ordinary images; absolute: with the sums over samples of |gradient| of u0 and of v0 behind the others
+// The same for ordinary images. absolute: with the sums over samples of |gradient| of u0 and of v0 behind the others
 // (Ye et al., "AbsGS", 2024).
-inline int dense_pair_gradient_size(bool absolute) { return pair_gradient_size(0) + (absolute ? 2 : 0); }
+inline int image_intersection_gradient_size(bool absolute) {
+  return intersection_gradient_size(0) + (absolute ? 2 : 0);
+}
 
-// The gradient of a pair, or a sum over pairs: what the samples of a band add to the gradients of a splat's fields, of
-// its colours by power of s, and, for a compensated splat on a panel, of its compensation.
+// The gradient of an intersection, or a sum over intersections. It is the part of a band's samples in the gradients of
+// a splat: of its fields, its colours by power of s and, on a panel, its compensation.
 template <class T>
-struct PairGradient {
+struct IntersectionGradient {
   T* numbers;
   int colour_order = 0;
 
   Splat<T>& splat() const { return *reinterpret_cast<Splat<T>*>(numbers); }
   T* colours() const { return numbers + kSplatFields; }  // [order + 1, 3]
-  T* absolute() const { return numbers + pair_gradient_size(0); }
+  T* absolute() const { return numbers + intersection_gradient_size(0); }
   Compensation<T>& compensation() const {
     return *reinterpret_cast<Compensation<T>*>(colours() + 3 * (colour_order + 1));
   }
@@ -51,17 +53,17 @@ static_assert(sizeof(Compensation<float>) == kCompensationFields * sizeof(float)
 
 // What composite counted, for statistics.
 struct Counters {
-  int64_t pairs = 0;        // (tile, splat)
-  int64_t evaluations = 0;  // samples at which a splat was evaluated, with the lanes that it missed
+  int64_t intersections = 0;  // (tile, splat)
+  int64_t evaluations = 0;    // samples at which a splat was evaluated, with the lanes that it missed
   int64_t scratch_bytes = 0;
   // Lens only. Tiles drawn splat by splat, tiles without splats, samples that stopped before the last splat, and tiles
-  // drawn from lattices; then lattices that were good enough, lattices so coarse that their run was halved, and runs
-  // for which lattices were given up.
+  // drawn from lattices. Lattices that fitted, lattices whose run was halved, and runs for which lattices were given
+  // up.
   int64_t tiles = 0, empty_tiles = 0, stopped_samples = 0, lattice_tiles = 0;
   int64_t lattices = 0, split_lattices = 0, refused_lattices = 0;
 
   Counters& operator+=(const Counters& other) {
-    for (auto count : {&Counters::pairs, &Counters::evaluations, &Counters::scratch_bytes, &Counters::tiles,
+    for (auto count : {&Counters::intersections, &Counters::evaluations, &Counters::scratch_bytes, &Counters::tiles,
                        &Counters::empty_tiles, &Counters::stopped_samples, &Counters::lattice_tiles,
                        &Counters::lattices, &Counters::split_lattices, &Counters::refused_lattices})
       this->*count += other.*count;
@@ -75,16 +77,16 @@ struct Cameras {
   int64_t scenes = 0, per_scene = 0, width_px = 0, height_px = 0;
   const T* world_to_camera = nullptr;  // [I, 4, 4]
   const T* intrinsics = nullptr;       // [I, 4]: fx, fy, cx, cy
-  const T* limits = nullptr;           // [I, 5]: x_low, x_high, y_low, y_high, offset of View
-  bool antialiased = false;            // see View, as the next two
+  const T* limits = nullptr;           // [I, 5]: x_low, x_high, y_low, y_high, offset of Camera
+  bool antialiased = false;            // see Camera, as the next two
   double aperture = 0, inverse_zero_depth = 0;
   int64_t images() const { return scenes * per_scene; }
   template <class R = double>
-  LFGS_HD View<R> view(int64_t image) const {
-    View<R> view = make_view<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
-    view.antialiased = antialiased;
-    view.aperture = R(aperture), view.inverse_zero_depth = R(inverse_zero_depth);
-    return view;
+  LFGS_HD Camera<R> camera(int64_t image) const {
+    Camera<R> camera = make_camera<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
+    camera.antialiased = antialiased;
+    camera.aperture = R(aperture), camera.inverse_zero_depth = R(inverse_zero_depth);
+    return camera;
   }
   bool compensated() const { return antialiased || aperture > 0; }
 };
@@ -93,7 +95,7 @@ struct Cameras {
 template <class T>
 struct Splats {
   int64_t images = 0, count = 0;
-  int colour_order = 0;                      // polynomial order of the colours in s; 0 for dense
+  int colour_order = 0;                      // polynomial order of the colours in s; 0 for images
   Splat<T>* splats = nullptr;                // [I, N]
   T* colours = nullptr;                      // [I, N, order + 1, kColourStride]; see also math/colour_circle.h
   int32_t* orders = nullptr;                 // [I, N] of each, <= colour_order; or kCircleOrder; null for dense
@@ -103,12 +105,12 @@ struct Splats {
 // Which splats touch which band, nearest first.
 struct Bins {
   int64_t* band_offsets = nullptr;  // [I * bands + 1] into band_splats
-  int32_t* band_splats = nullptr;   // [pairs] splat index within the image
+  int32_t* band_splats = nullptr;   // [intersections] splat index within the image
 };
 
-// What composite_dense writes.
+// What composite_images writes.
 template <class T>
-struct DenseImages {
+struct Images {
   T* image = nullptr;  // [I, H, W, 3]
   T* alpha = nullptr;  // [I, H, W]
   T* depth = nullptr;  // [I, H, W] sum of weight * z
@@ -121,35 +123,35 @@ void plan_sorted_count(const ViewMap& map, const SubpixelTile& tile, const int32
 void plan_sorted_fill(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
                       const int64_t* starts, uint16_t* codes, int threads);
 
-// --- project: Gaussians to splats. project_dense writes colours of all, zeros where a splat is not drawn.
+// --- project: Gaussians to splats. project_images writes colours of all, zeros where a splat is not drawn.
 template <class T>
-void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
+void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
 
-// The rig is a View with a sweep, the lens tells the size of the panel. Where a polynomial of the order might err by
+// The rig is a Camera with a sweep, the lens tells the size of the panel. Where a polynomial of the order might err by
 // more than the tolerance, the colour is on a circle if there is room for one. In float a splat's order is the smallest
-// whose dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Returns a bound of the error
+// whose dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Return a bound of the error
 // of the colours.
 template <class T>
-double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
-                    const Quality& quality, double tolerance, const Splats<T>& out, int threads);
+double project_direct(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
+                      const Quality& quality, double tolerance, const Splats<T>& out, int threads);
 
 // screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in pixels, 0 where nothing is
-// drawn; if the pairs have absolute ones, [I, N, 4], with these behind.
+// drawn. With absolute gradients it is [I, N, 4], with these behind.
 template <class T>
-void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
-                            const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out, T* screen,
-                            bool absolute, T* g_world_to_camera, int threads);
+void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
+                             const int64_t* first_intersection, const T* intersection_gradients,
+                             const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, int threads);
 template <class T>
-void project_lens_backward(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
-                           const Splats<T>& splats, const int64_t* first_pair, const T* pair_gradients,
-                           const Gaussians<T>& out, int threads);
+void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
+                             const Splats<T>& splats, const int64_t* first_intersection,
+                             const T* intersection_gradients, const Gaussians<T>& out, int threads);
 
 // --- order: sorts by depth, nearest first, ties by index. drawn[i] of the splats of image i are drawn; order[i] begins
 // with them, and only they count.
 template <class T>
 void order(const Splats<T>& splats, int32_t* order, int64_t* drawn, int threads);
 
-// --- bin: lists the splats of each band. count fills band_offsets and returns the number of pairs; fill writes
+// --- bin: lists the splats of each band. count fills band_offsets and returns the number of intersections; fill writes
 // band_splats.
 template <class T>
 int64_t bin_count(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, Bins bins,
@@ -157,34 +159,36 @@ int64_t bin_count(const Splats<T>& splats, const int32_t* order, const int64_t* 
 template <class T>
 void bin_fill(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, Bins bins,
               int threads);
-// For the reverse, whose pairs are in order of splats, then bands: the number of each splat's first pair, first_pair
-// [I, N].
+// For the backward pass, whose intersections are in order of splats, then bands: the number of each splat's first
+// intersection, first_intersection [I, N].
 template <class T>
-void first_pairs(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t* first_pair, int threads);
+void first_intersections(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t* first_intersection,
+                         int threads);
 
-// --- composite: blends splats into samples. The reverse writes the gradients of pairs, and that of the background by
-// band. Gradients of alpha and of depth of ordinary images may be null: zero everywhere.
+// --- composite: blends splats into samples. The backward pass writes the gradients of intersections, and that of the
+// background by band. Gradients of alpha and of depth of ordinary images may be null: zero everywhere.
 template <class T>
-Counters composite_dense(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
-                         DenseImages<T> out, int threads);
+Counters composite_images(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
+                          Images<T> out, int threads);
 template <class T>
-Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
-                                  DenseImages<const T> images, DenseImages<const T> gradients, bool absolute,
-                                  const int64_t* first_pair, T* pair_gradients, T* band_background, int threads);
+Counters composite_images_backward(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
+                                   Images<const T> images, Images<const T> gradients, bool absolute,
+                                   const int64_t* first_intersection, T* intersection_gradients, T* band_background,
+                                   int threads);
 
-// Draws each sub-pixel by the camera of its view, one channel of one sample: image i is the i-th view of the lists.
-// Writes to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].
+// Draw each sub-pixel by the camera of its view, one channel of one sample: image i is the i-th view of the lists.
+// Write to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].
 template <class T>
 Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
                           const T* background, T* out, uint8_t* out8, int threads);
 
 // The same for a rig: the camera of each sub-pixel follows from the lens.
 template <class T>
-Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
-                        const T* background, T* out, uint8_t* out8, int threads);
+Counters composite_direct(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
+                          const T* background, T* out, uint8_t* out8, int threads);
 template <class T>
-Counters composite_lens_backward(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background,
-                                 const T* image, const T* gradient, const int64_t* first_pair, T* pair_gradients,
-                                 T* band_background, int threads);
+Counters composite_direct_backward(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background,
+                                   const T* image, const T* gradient, const int64_t* first_intersection,
+                                   T* intersection_gradients, T* band_background, int threads);
 
 }  // namespace lfgs

@@ -147,7 +147,7 @@ def _look_from(
     from lightfield_gs.panels import framing
 
     pose = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin).world_to_camera
-    return framing.look_from(gaussians, panel, pose, focal_px, principal_point_px)
+    return framing.frame_from_camera(gaussians, panel, pose, focal_px, principal_point_px)
 
 
 def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:

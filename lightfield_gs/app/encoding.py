@@ -299,11 +299,11 @@ def _read_views(options: EncodeOptions, panel: Panel) -> dict[str, Any]:
 
 def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel, device: str) -> None:
     """Note a panel or an option that keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_way
+    from lightfield_gs.panels.lens import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
     lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0
-    if options.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+    if options.method == "direct" and (why := slow_reason(panel, lattices and device == "cuda")):
         note(why)
     if (render.antialiased or render.view_filter) and options.quality != "exact" and device == "cuda":
         note(

@@ -15,7 +15,7 @@ from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.quilt import QuiltLayout
-from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.panels.simulate import missing_geometry
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
 
@@ -71,7 +71,7 @@ def at_distance(panel: Panel, viewing_distance_mm: float | None) -> Panel:
 
 def why_no_eye(panel: Panel) -> str | None:
     """Return why no eye can be placed before the panel, and what to do; None where one can."""
-    missing = unknown_of(panel)
+    missing = missing_geometry(panel)
     if not missing:
         return None
     return f"panel {panel.name} lacks {' and '.join(missing)}; {', and '.join(_REMEDIES[key] for key in missing)}"

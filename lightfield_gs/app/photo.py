@@ -26,7 +26,7 @@ from lightfield_gs.base.cli_messages import note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import FITS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.photo.side_by_side import depth_side, halves
+from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
-    from lightfield_gs.photo.margin import Placed
+    from lightfield_gs.photo.margin import PanelFit
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
@@ -82,7 +82,7 @@ class PhotoPlacement:
 
     options: PhotoOptions
     is_whole: bool = False
-    placed: Placed | None = None
+    placed: PanelFit | None = None
 
 
 def quilt_in_name(path: Path) -> re.Match[str] | None:
@@ -120,19 +120,19 @@ def photo_rig(photo: PhotoPlacement, panel: Panel, gaussians: Gaussians) -> Rig:
     from lightfield_gs.panels import framing
 
     rig = framing.frame_photo(gaussians, panel) if photo.placed is None else photo.placed.rig
-    return framing.on_subject(rig, gaussians, panel) if photo.options.is_estimated else rig
+    return framing.focus_on_subject(rig, gaussians, panel) if photo.options.is_estimated else rig
 
 
 def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo and cut its object out; where that fails and depths can be estimated, read the whole photo."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.load import NoCutOut, photo_of
+    from lightfield_gs.photo.load import NoCutOut, cut_out_photo
 
     picture = read_picture(path)
     side = depth_side(picture.pixels)
     notes = _other_ways(path, picture, side)
     try:
-        photo = photo_of(
+        photo = cut_out_photo(
             path,
             picture,
             options.mask,
@@ -157,7 +157,7 @@ def _other_ways(path: Path, picture: Picture, side: str | None) -> list[str]:
     side: the half that looks like a depth map; its note is the first.
     """
     from lightfield_gs.io.depth_names import depth_maps_beside
-    from lightfield_gs.photo.embedded_depth import notes_inside
+    from lightfield_gs.photo.embedded_depth import embedded_notes
 
     notes = []
     if side is not None:
@@ -165,7 +165,7 @@ def _other_ways(path: Path, picture: Picture, side: str | None) -> list[str]:
             f"{path}: its {side} half is grey, as a photo's depth map beside it would be: --rgbd {side} takes it so"
         )
     notes += _notes_on_eyes(path, picture)
-    notes += notes_inside(path, is_depth_used=False)
+    notes += embedded_notes(path, is_depth_used=False)
     some = [file.name for file in islice(path.parent.iterdir(), _MOST_BESIDE)]
     beside = depth_maps_beside(some) if len(some) < _MOST_BESIDE else {}
     if maps := beside.get(path.name):
@@ -222,8 +222,8 @@ def _trying(refused: InputError) -> Iterator[None]:
 def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo that is shown whole, with its depth map unless a network estimates it."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.embedded_depth import notes_inside
-    from lightfield_gs.photo.load import photo_of
+    from lightfield_gs.photo.embedded_depth import embedded_notes
+    from lightfield_gs.photo.load import cut_out_photo
     from lightfield_gs.photo.rgbd import check_photo_size
 
     picture = read_picture(path)
@@ -236,9 +236,9 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
                 f"{path}: its name says that its depth map is in it, and none of its halves is grey beside one in "
                 "colour; say which it is with --rgbd, or rename it"
             )
-    colour = picture if side is None else replace(picture, pixels=halves(path, picture.pixels, side)[0])
+    colour = picture if side is None else replace(picture, pixels=split_halves(path, picture.pixels, side)[0])
     check_photo_size(str(path), *colour.pixels.shape[:2])
-    photo = photo_of(
+    photo = cut_out_photo(
         path,
         colour,
         options.mask,
@@ -246,7 +246,7 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
         whole=True,
         map_orientation=options.map_orientation,
     )
-    notes = notes_inside(path, is_depth_used=is_inside or not options.is_estimated)
+    notes = embedded_notes(path, is_depth_used=is_inside or not options.is_estimated)
     notes += [] if side else _notes_on_eyes(path, colour)
     if options.is_estimated:
         depth = None
@@ -292,7 +292,7 @@ def _place(
     depth: Tensor,
     focal_px: tuple[float, float],
     principal_point_px: tuple[float, float],
-) -> tuple[Placed | None, list[str]]:
+) -> tuple[PanelFit | None, list[str]]:
     """Fit a photo to the panel's shape. A photo whose border is cut out is not placed: it needs no margin.
 
     Args:
@@ -311,13 +311,13 @@ def _place(
     border = min(float(part.min()) for part in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
     if border < _TRANSPARENT or not bool(((depth > 0) & depth.isfinite()).any()):
         return None, []
-    from lightfield_gs.photo.margin import place
+    from lightfield_gs.photo.margin import fit_to_panel
 
     cone = panel.cone_deg if look.cone is None else look.cone
     amount = 1.0 if look.depth_amount is None else look.depth_amount
 
-    def placed(fit: str) -> Placed:
-        return place(
+    def placed(fit: str) -> PanelFit:
+        return fit_to_panel(
             depth,
             focal_px,
             principal_point_px,

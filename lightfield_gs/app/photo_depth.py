@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.photo.side_by_side import is_named_so
+from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,17 +42,17 @@ def depth_by_network(options: PhotoOptions, photo: Photo, device: str) -> DepthM
 
 def has_depth(path: Path, options: PhotoOptions) -> bool:
     """Return whether a photo has depths: in a file, beside it, inside its file, or estimated."""
-    return options.depth is not None or options.rgbd is not None or is_named_so(path) or is_depth_inside(path, options)
+    return options.depth is not None or options.rgbd is not None or is_rgbd_name(path) or is_depth_inside(path, options)
 
 
 def is_depth_inside(path: Path, options: PhotoOptions) -> bool:
     """Return whether to take the depth map inside a photo's file: no option names another, or asks for an object."""
     others = (options.depth, options.rgbd, options.mask, options.checkpoint, options.detail, options.detail_budget)
-    if is_named_so(path) or options.remove_background or any(value is not None for value in others):
+    if is_rgbd_name(path) or options.remove_background or any(value is not None for value in others):
         return False
-    from lightfield_gs.photo.embedded_depth import depth_inside
+    from lightfield_gs.photo.embedded_depth import find_embedded_depth
 
-    return depth_inside(path) is not None
+    return find_embedded_depth(path) is not None
 
 
 def depth_from_file(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
@@ -69,9 +69,9 @@ def depth_from_file(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap
 def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str) -> DepthMap:
     """Read the depth map in the half `side` of a picture. The defaults are Looking Glass's. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
-    from lightfield_gs.photo.side_by_side import beside_numbers
+    from lightfield_gs.photo.side_by_side import read_depth_half
 
-    numbers = beside_numbers(path, picture.pixels, side)
+    numbers = read_depth_half(path, picture.pixels, side)
     limits = _limits_or(options, _BESIDE_LIMITS)
     # A range that is given the other way round says by itself that bright is near
     is_plain = limits is not None and limits[0] <= limits[1]
@@ -96,9 +96,9 @@ def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str)
 def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
     """Read the depth map inside the photo's file. The defaults are those of its format. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
-    from lightfield_gs.photo.embedded_depth import depth_inside
+    from lightfield_gs.photo.embedded_depth import find_embedded_depth
 
-    inside = depth_inside(path)
+    inside = find_embedded_depth(path)
     assert inside is not None
     limits = _limits_or(options, (inside.near, inside.far) if inside.near and inside.far else _BESIDE_LIMITS)
     kind = options.depth_kind
@@ -151,9 +151,9 @@ def _turn_with(
     options: PhotoOptions, photo: Photo, choice: str | None
 ) -> Callable[[DepthNumbers], tuple[np.ndarray, bool]]:
     """Return the function that turns a map's numbers as the photo was turned. choice: of --map-orientation."""
-    from lightfield_gs.photo.load import turned_with_photo
+    from lightfield_gs.photo.load import turn_with_photo
 
-    return lambda numbers: turned_with_photo(
+    return lambda numbers: turn_with_photo(
         str(options.depth),
         numbers.values,
         numbers.orientation,
@@ -186,20 +186,20 @@ def _ray_lengths(
 
 def _resize_to_photo(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """Return the map at the photo's size. Raises InputError where it has another shape."""
-    from lightfield_gs.photo.joint_upsampling import at_size_of_photo
-    from lightfield_gs.photo.load import is_alike
+    from lightfield_gs.photo.joint_upsampling import resize_to_photo
+    from lightfield_gs.photo.load import has_same_shape
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
     if shape == size:
         return depth
-    if not is_alike(shape, size):
+    if not has_same_shape(shape, size):
         raise InputError(
             f"{name}: expected a depth map of the photo's size {size[1]} x {size[0]}, or of its shape, got {shape[1]} "
             f"x {shape[0]}; crop one of them, so that both show the same"
         )
     way = "along the photo's edges" if math.prod(shape) <= math.prod(size) else "pixel by pixel"
     description = f"{depth.description}, of {shape[1]} x {shape[0]}, fitted to the photo {way}"
-    return replace(depth, z=at_size_of_photo(depth.z, photo.floats()), description=description)
+    return replace(depth, z=resize_to_photo(depth.z, photo.floats()), description=description)
 
 
 def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float | None) -> tuple:

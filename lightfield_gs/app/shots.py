@@ -31,12 +31,12 @@ from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.photo.side_by_side import depth_side, is_named_so
+from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
 from lightfield_gs.video.rendering import FrameSource
-from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, pictures_and_maps
+from lightfield_gs.video.sequence import ImageSequence, is_sequence, open_sequence, pictures_and_maps
 
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is: frames in a folder must have the same ones
@@ -217,7 +217,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
 
 
 def _pictures(
-    scene: SceneOptions, parts: dict[str, Sequence], numbers: list[int], folder: Path
+    scene: SceneOptions, parts: dict[str, ImageSequence], numbers: list[int], folder: Path
 ) -> Iterator[tuple[int, SceneOptions]]:
     """Yield the number and the options of each picture, as if it were alone.
 
@@ -250,7 +250,7 @@ class _Renaming:
 
 
 @contextlib.contextmanager
-def _naming_videos(parts: dict[str, Sequence], folder: Path) -> Iterator[None]:
+def _naming_videos(parts: dict[str, ImageSequence], folder: Path) -> Iterator[None]:
     """Have prints and errors name the videos, not the files of their frames in the folder."""
     names = {str(folder / name / f"{part.path.stem}.png"): str(part.path) for name, part in parts.items()}
     names |= {f"{part.path.stem}.png": part.path.name for part in parts.values() if not part.files}
@@ -269,7 +269,7 @@ def _naming_videos(parts: dict[str, Sequence], folder: Path) -> Iterator[None]:
         raise InputError(renamed(str(error))) from None
 
 
-def _take_pairs(source: Path, photo: PhotoOptions, pictures: Sequence) -> tuple[PhotoOptions, list[str]]:
+def _take_pairs(source: Path, photo: PhotoOptions, pictures: ImageSequence) -> tuple[PhotoOptions, list[str]]:
     """Take the depth maps beside the pictures in their folder, unless others are given; return a line on them too."""
     maps = pictures_and_maps(source)[1] if pictures.files else []
     if not maps:
@@ -282,7 +282,7 @@ def _take_pairs(source: Path, photo: PhotoOptions, pictures: Sequence) -> tuple[
 
 
 def _find_half(
-    photo: PhotoOptions, pictures: Sequence, count: int, folder: Path
+    photo: PhotoOptions, pictures: ImageSequence, count: int, folder: Path
 ) -> tuple[PhotoOptions, int, list[str]]:
     """Find the half that is the depth map, in pictures whose names say that one is.
 
@@ -292,7 +292,7 @@ def _find_half(
         The options with that half, the number of that picture (else 0), and a line on it.
     """
     named_ones = pictures.files or (pictures.path,)
-    if photo.rgbd is not None or photo.depth is not None or not all(map(is_named_so, named_ones)):
+    if photo.rgbd is not None or photo.depth is not None or not all(map(is_rgbd_name, named_ones)):
         return photo, 0, []
     for number, path in pictures.pictures(list(range(count)), _make(folder / "half")):
         if (side := depth_side(read_picture(path).pixels, is_named=True)) is not None:
@@ -301,7 +301,7 @@ def _find_half(
     return photo, 0, []
 
 
-def _open_beside(name: str, path: Path, source: Path, count: int) -> Sequence:
+def _open_beside(name: str, path: Path, source: Path, count: int) -> ImageSequence:
     """Open the pictures of --depth or --mask, one for each of the sequence. Raises InputError."""
     if not path.is_dir() and not is_sequence(path):
         refuse_video(path)

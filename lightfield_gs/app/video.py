@@ -177,17 +177,17 @@ def _even_multiple(side_px: int, tiles: int) -> int:
 
 def frame_drawer(options: VideoOptions, panel: Panel, target: VideoTarget, shots: Shots) -> Any:
     """Return what draws a frame. Raises InputError."""
-    from lightfield_gs.video.rendering import Drawing, EyeFrames, NativeFrames, QuiltFrames
+    from lightfield_gs.video.rendering import EyeRenderer, FrameOptions, NativeRenderer, QuiltRenderer
 
     render = shots.render
-    drawing = Drawing(options.views, render.background, options.quality, render.antialiased, render.view_filter)
+    drawing = FrameOptions(options.views, render.background, options.quality, render.antialiased, render.view_filter)
     if target.kind != "native" and (options.views, options.quality) != ("integer", "exact"):
         raise InputError(f"--views and --quality are of native pictures, not of --kind {target.kind}; leave them out")
     if target.layout is not None:
-        return QuiltFrames(panel, drawing, target.layout)
+        return QuiltRenderer(panel, drawing, target.layout)
     if target.kind == "2d":
-        return EyeFrames(panel, drawing, None if options.sway is None else float(options.sway * shots.fps))
-    return NativeFrames(panel, drawing, shots.is_one_scene)
+        return EyeRenderer(panel, drawing, None if options.sway is None else float(options.sway * shots.fps))
+    return NativeRenderer(panel, drawing, shots.is_one_scene)
 
 
 def frame_sink(options: VideoOptions, panel: Panel, target: VideoTarget, shots: Shots, size_px: tuple[int, int]) -> Any:

@@ -18,7 +18,7 @@ from lightfield_gs.base.options import Compression, Device, Views
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import sha256
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.view_sets.movies import Span
+from lightfield_gs.view_sets.movies import FrameRange
 from lightfield_gs.view_sets.pixels import ViewColours
 from lightfield_gs.view_sets.view_set import QuiltMovie
 
@@ -57,7 +57,7 @@ class WeaveOptions:
     row: int | None = None
     top_first: bool = False
     right_to_left: bool = False
-    frames: Span | None = None
+    frames: FrameRange | None = None
     view_map: Path | None = None
     interpolation: str = "linear"
     views: Views = "integer"

@@ -29,6 +29,7 @@ _OPTIONS = {
     "cap_max": "gaussians",
     "cone_deg": "cone",
     "folder": "run",
+    "one_viewpoint": "one_place",
     "serial": "device_serial",
     "span": "frames",
     "test_names": "test_list",
@@ -131,10 +132,15 @@ class _CapturableStream:
         return getattr(self._stream, name)
 
 
-def make_streams_capturable() -> None:
-    """Let `capture` see the stdout and stderr of this process, from now on."""
-    if not isinstance(sys.stdout, _CapturableStream):
-        sys.stdout, sys.stderr = _CapturableStream(sys.stdout), _CapturableStream(sys.stderr)
+@contextmanager
+def capturable_streams() -> Iterator[None]:
+    """Let `capture` see stdout and stderr of this process inside the block."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = _CapturableStream(sys.stdout), _CapturableStream(sys.stderr)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
 
 
 @contextmanager

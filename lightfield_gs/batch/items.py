@@ -6,13 +6,13 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Literal
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.batch.item import COMMANDS, Command, Item
 from lightfield_gs.io.captures.colmap import model_folder
 from lightfield_gs.io.captures.transforms import transforms_file
 from lightfield_gs.io.depth_names import depth_maps_beside
@@ -21,8 +21,33 @@ from lightfield_gs.io.scenes.files import SUFFIXES, is_scene_path
 from lightfield_gs.io.text_files import parse_json, read_text
 from lightfield_gs.video.sequence import PICTURES, is_sequence
 
+Command = Literal["encode", "fit", "video"]
+COMMANDS: tuple[Command, ...] = ("encode", "fit", "video")
 _LIST_LIMIT_BYTES = 1 << 30
 _IMAGES_AND_SCENES = {*PICTURES, *SUFFIXES}
+
+
+@dataclass(frozen=True)
+class Item:
+    """A photo or scene to encode, a capture to fit and encode, or a video to make.
+
+    Attributes:
+        name: of its output in the folder of the batch, with / between folders. It identifies the item.
+        input: path of the input.
+        words: options of this item alone, as on the command line.
+        fit_words: options of this item's fit.
+    """
+
+    name: str
+    input: str
+    command: Command = "encode"
+    words: tuple[str, ...] = ()
+    fit_words: tuple[str, ...] = ()
+
+    @property
+    def is_long(self) -> bool:
+        """Whether the item takes minutes."""
+        return self.command != "encode"
 
 
 def read_items(

@@ -1,115 +1,280 @@
-"""What a batch did, line by line: a file that only grows, so that nothing that was done is ever lost or done again."""
+"""The manifest of a batch: one line for each item that ended, and from it the items that are still to be done."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+from stat import S_ISDIR
 from types import TracebackType
 from typing import Any
 
-from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import lock, make_folder
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.batch.items import Item
+from lightfield_gs.io.atomic import lock, make_folder, sha256
 from lightfield_gs.io.text_files import parse_json
 
-MANIFEST = "batch.jsonl"
+WHOLE = (1, 1)  # the shard that is the whole batch
 Record = dict[str, Any]
+_PATIENCE_S = 2.0  # for the processes of a batch that was killed, which end after it
+_MOST_TRIES = 2  # runs that an item may take with it
+
+
+def stamp(path: str | Path) -> list[int]:
+    """Return the size of a file in bytes and its time of change in ns.
+
+    Of a folder, return the sum, the latest time, and the number of files. A file with the same stamp counts as
+    unchanged.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    with reading(path):
+        own = os.stat(path)
+        if not S_ISDIR(own.st_mode):
+            return [own.st_size, own.st_mtime_ns]
+        found = [file.stat() for file in _files(Path(path))]
+    return [sum(file.st_size for file in found), max((file.st_mtime_ns for file in found), default=0), len(found)]
+
+
+def facts(path: str | Path) -> dict[str, Any]:
+    """Return the stamp and the SHA-256 of a file; the hash of a folder covers the names and contents of its files."""
+    found = stamp(path)  # before the file is read: a change meanwhile shows the next time
+    return {"stamp": found, "sha256": _digest(os.path.abspath(path), tuple(found))}
+
+
+@lru_cache(maxsize=64)  # a rig or a checkpoint is an input of every item
+def _digest(path: str, version: tuple[int, ...]) -> str:
+    with reading(path):
+        if not os.path.isdir(path):
+            return sha256(path)
+        lines = [f"{sha256(file)} {file.relative_to(path).as_posix()}\n" for file in _files(Path(path))]
+    return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.rglob("*") if file.is_file())
 
 
 class Manifest:
-    """The file batch.jsonl of a folder, one JSON object a line: use it in a `with`.
+    """The manifests of a folder, JSON lines: `append` writes to that of a shard, `last` reads all. Use it in a `with`.
 
-    A line with "item" tells how an item ended, the last one of each counts; one with "run" and no item what a run was
-    asked for, or that it ended. A line is written by one call of the system, behind what is there: a process that is
-    killed leaves whole lines, and what a machine that lost its power left of one is passed over. As long as the `with`
-    lasts the file is locked: two batches in one folder would do everything twice. Raises InputError.
+    A line with "item" says how an item ended; the last line of an item counts. Other lines tell the options of a run,
+    or its end. One system call appends a line, so a killed process leaves whole lines; `last` skips what a power
+    failure leaves of a line. A lock keeps two runs of the same items from working at the same time.
+
+    Attributes:
+        path: the manifest of the shard: batch.jsonl, or batch-I-of-N.jsonl.
+        damaged: number of lines that could not be read.
+        is_unfinished: whether the last run of any manifest did not reach its end.
     """
 
-    def __init__(self, folder: str | Path):
+    def __init__(self, folder: str | Path, shard: tuple[int, int] = WHOLE) -> None:
         self.folder = make_folder(folder)
-        self.path = self.folder / MANIFEST
-        self.damaged = 0  # lines
-        self.is_unfinished = False  # whether the last run did not come to its end
-        self._places: dict[str, tuple[int, int]] = {}  # of the last line of each item: its first byte, and how many
+        self.path = self.folder / ("batch.jsonl" if shard == WHOLE else "batch-{}-of-{}.jsonl".format(*shard))
+        self.damaged = 0
+        self.is_unfinished = False
+        self._whole = shard == WHOLE
+        self._open: list[int] = []
+        self._places: dict[str, tuple[str, Path, int, int]] = {}  # time, file, first byte and length of last lines
 
     def __enter__(self) -> Manifest:
         try:
-            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+            self._open_files()
+            for path in sorted({self.path, *self.folder.glob("batch*.jsonl")}):
+                self._read(path)
         except OSError as error:
+            self.__exit__(None, None, None)
             raise InputError(f"cannot write {self.path}: {error.strerror or error}") from error
-        try:
-            _lock(self._file, self.folder)
-            self._read()
         except BaseException:
-            os.close(self._file)
+            self.__exit__(None, None, None)
             raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        os.close(self._file)  # and the lock goes with it
+        while self._open:
+            os.close(self._open.pop())  # which unlocks it
 
     def last(self, name: str) -> Record | None:
-        """The last line of an item; None where there is none."""
+        """Return the last line of an item; None if there is none."""
         if name not in self._places:
             return None
-        start, length = self._places[name]
-        return parse_json(os.pread(self._file, length, start).decode())
+        _, path, start, length = self._places[name]
+        with path.open("rb") as file:
+            file.seek(start)
+            return parse_json(file.read(length).decode())
 
     def append(self, record: Record) -> None:
-        """Writes a line. Raises InputError where it does not get there as a whole."""
+        """Write a line. Raises InputError if the disk is full."""
         line = (json.dumps(record) + "\n").encode()
         try:
-            written = os.write(self._file, line)
+            written = os.write(self._open[0], line)
         except OSError as error:
             raise InputError(f"cannot write {self.path}: {error.strerror or error}") from error
         if written != len(line):
             raise InputError(f"cannot write {self.path}: the disk is full")
 
-    def _read(self) -> None:
-        line = b"\n"
-        for start, line in self._lines():
-            try:
-                record = parse_json(line.decode())
-            except ValueError:
-                record = None
-            if _tells_of_item(record):
-                self._places[record["item"]] = start, len(line)
-            elif isinstance(record, dict) and "run" in record and "item" not in record:
-                self.is_unfinished = "ended" not in record
-            else:
-                self.damaged += 1
-        if not line.endswith(b"\n"):
-            os.write(self._file, b"\n")
+    def _open_files(self) -> None:
+        """Open and lock the manifests: a whole batch locks batch.jsonl, a shard its own, and shares batch.jsonl."""
+        self._open.append(os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666))
+        if not self._whole:
+            self._open.append(os.open(self.folder / "batch.jsonl", os.O_RDWR | os.O_CREAT, 0o666))
+        for file, shared in zip(self._open, (False, True)):
+            deadline = time.monotonic() + _PATIENCE_S
+            while (is_ours := lock(file, shared)) is False and time.monotonic() < deadline:
+                time.sleep(0.05)
+            if is_ours is None:
+                raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here")
+            if not is_ours:
+                raise InputError(f"another batch is at work in {self.folder}: wait for it, or give another folder")
 
-    def _lines(self) -> Iterator[tuple[int, bytes]]:
-        """Each line with the place of its first byte."""
-        place = 0
-        with open(self._file, "rb", closefd=False) as file:
+    def _read(self, path: Path) -> None:
+        is_unfinished, start, line = False, 0, b"\n"
+        with path.open("rb") as file:
             for line in file:
-                yield place, line
-                place += len(line)
+                try:
+                    record = parse_json(line.decode())
+                except ValueError:
+                    record = None
+                if _is_item(record):
+                    name, at = record["item"], str(record.get("at", ""))
+                    if name not in self._places or self._places[name][0] <= at or self._places[name][1] == path:
+                        self._places[name] = at, path, start, len(line)
+                elif isinstance(record, dict) and "run" in record and "item" not in record:
+                    is_unfinished = "ended" not in record
+                else:
+                    self.damaged += 1
+                start += len(line)
+        self.is_unfinished |= is_unfinished
+        if not line.endswith(b"\n") and path == self.path:
+            os.write(self._open[0], b"\n")
 
 
-def _tells_of_item(record: Any) -> bool:
-    """Whether a line has what the next run goes by."""
+def _is_item(record: Any) -> bool:
+    """Return whether a line has the fields that the next run needs."""
     if not isinstance(record, dict) or not all(isinstance(record.get(key), str) for key in ("item", "status", "job")):
         return False
     if record["status"] != "done":
         return True
-    facts = [record.get(key) for key in ("inputs", "outputs")]
-    held = [fact for part in facts if isinstance(part, dict) for fact in part.values()]
-    return all(isinstance(part, dict) for part in facts) and all(
+    parts = [record.get(key) for key in ("inputs", "outputs")]
+    held = [fact for part in parts if isinstance(part, dict) for fact in part.values()]
+    return all(isinstance(part, dict) for part in parts) and all(
         isinstance(fact, dict) and isinstance(fact.get("stamp"), list) and isinstance(fact.get("sha256"), str)
         for fact in held
     )
 
 
-def _lock(file: int, folder: Path) -> None:
-    """Locks the manifest as long as it is open in this process, however that ends. Raises InputError where another
-    process has it."""
-    is_ours = lock(file)
-    if is_ours is None:
-        raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here")
-    if not is_ours:
-        raise InputError(f"another batch is at work in {folder}: wait for it, or give another folder")
+@dataclass(frozen=True)
+class Known:
+    """What the manifest knows of an item that is to be done again.
+
+    Attributes:
+        inputs, outputs: the facts of its files, if the outputs are there and only the inputs may have changed.
+        is_other: whether the outputs belong to other options or inputs.
+    """
+
+    inputs: Record = field(default_factory=dict)
+    outputs: Record = field(default_factory=dict)
+    is_other: bool = False
+
+
+@dataclass
+class Plan:
+    """The work of a run.
+
+    Attributes:
+        todo: items in order, with what is known of them; the first `suspects` of them ended a run before.
+        failed: items that ended too many runs.
+        failures: reasons of the items that failed at the time `since` or later, and are not tried again.
+        jobs: hash of the options of each item.
+        tries: number of runs that ended while an item was on its way, for the items with such runs.
+        kept: number of items that are done.
+    """
+
+    todo: list[tuple[Item, Known | None]] = field(default_factory=list)
+    failed: list[Item] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    jobs: dict[str, str] = field(default_factory=dict)
+    tries: dict[str, int] = field(default_factory=dict)
+    suspects: int = 0
+    kept: int = 0
+
+
+def make_plan(
+    items: Iterable[Item],
+    manifest: Manifest,
+    options: dict[str, Any],
+    *,
+    overwrite: bool = False,
+    check: bool = False,
+    since: str = "9",
+) -> Plan:
+    """Choose the items to do.
+
+    Args:
+        items: all of them.
+        manifest: of their folder.
+        options: JSON values: those of all items by "all", those of one command by its name.
+        overwrite: whether to do all items again, but for those done at the time `since` or later.
+        check: whether to read all files of items that are done; otherwise sizes and times of change decide.
+        since: the beginning of this batch, a time as the manifest writes it; by default in the far future.
+    """
+    plan, suspects = Plan(), []
+    for item in items:
+        job = plan.jobs[item.name] = _job(item, options)
+        last = manifest.last(item.name)
+        known: Known | None = None
+        if last is not None and last["status"] == "failed" and str(last.get("at", "")) >= since:
+            plan.failures.append(f"{item.input}: {last.get('reason')}")
+            continue
+        if last is None or overwrite and str(last.get("at", "")) < since:
+            known = None if last is None and not overwrite else Known(is_other=True)
+        elif last["status"] != "done" or last["job"] != job or not _are_there(last["outputs"], manifest.folder, check):
+            known = Known(is_other=last["job"] != job)
+        elif check or not _seem_unchanged(last["inputs"]):
+            known = Known(last["inputs"], last["outputs"])
+        else:
+            plan.kept += 1
+            continue
+        if last is None or last["status"] != "begun":
+            plan.todo.append((item, known))
+        elif plan.tries.setdefault(item.name, int(last.get("tries", 1))) >= _MOST_TRIES:
+            plan.failed.append(item)
+        else:
+            suspects.append((item, known))
+    plan.suspects = len(suspects)
+    plan.todo = suspects + plan.todo
+    return plan
+
+
+def _job(item: Item, options: dict[str, Any]) -> str:
+    """Return the SHA-256 of all that decides the output beside the inputs."""
+    name = Path(item.input).name  # the folder does not matter
+    words = [name, item.command, item.words, item.fit_words, options["all"], options.get(item.command)]
+    return hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()
+
+
+def _are_there(outputs: Record, folder: Path, check: bool) -> bool:
+    """Return whether the outputs have the sizes, and with `check` the contents, of their record."""
+    try:
+        for name, held in outputs.items():
+            sizes = [part for number, part in enumerate(stamp(folder / name)) if number != 1]  # without the time
+            if sizes != [part for number, part in enumerate(held["stamp"]) if number != 1]:
+                return False
+            if check and facts(folder / name)["sha256"] != held["sha256"]:
+                return False
+    except InputError:
+        return False
+    return True
+
+
+def _seem_unchanged(inputs: Record) -> bool:
+    try:
+        return all(stamp(path) == held["stamp"] for path, held in inputs.items())
+    except InputError:
+        return False

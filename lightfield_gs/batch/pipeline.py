@@ -1,4 +1,4 @@
-"""Items in one process: read by some threads, drawn by one, written by others, so that the device need not wait."""
+"""The pipeline of one process: threads read, one thread draws, threads write, so that the device need not wait."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from lightfield_gs.base.errors import InputError
 
 PARTS = ("read", "draw", "write")
 DRAWN_AHEAD = 2  # images that wait to be written, beside those that are: no more, for they are large
-_BROKEN_DEVICE = "CUDA error"  # torch's words, after which a process can use its GPU no more
+_BROKEN_DEVICE = "CUDA error"  # torch's message, after which a process can use its GPU no more
 Record = dict[str, Any]
 
 
 class Task(Protocol):
-    """What becomes of one item, in three parts, each in a thread of its own."""
+    """The work on one item, in three parts, each in a thread of its own."""
 
     def read(self) -> bool:
-        """The host's part before; whether there is anything to be done."""
+        """Do the host's part before drawing; return whether there is anything to draw."""
 
     def draw(self) -> None:
-        """The part that needs the device."""
+        """Do the part that needs the device."""
 
     def write(self) -> None:
-        """The host's part after."""
+        """Do the host's part after drawing."""
 
     def record(self) -> Record:
-        """What is to be told of the item, as far as it came."""
+        """Return the item's entries for the manifest, as far as they are known."""
 
 
 @dataclass
@@ -48,12 +48,15 @@ class _Running:
 
 
 class Pipeline:
-    """Takes items and tells how each ended.
+    """Runs tasks. All callbacks are called from several threads.
 
-    make: the task of an item. began(number): is told before an item is read. done(number, record): how it ended, by
-    "status" ("done", "failed", or what the task says), with "reason" where it failed, "seconds" of each part, and lines
-    that were "said". broken(number, reason): is told where an item left the device unusable, as the whole process is
-    then; it should not return. All three are called from several threads.
+    Args:
+        make: makes the task of an item.
+        readers, writers: numbers of threads.
+        began: called with an item's number before it is read.
+        done: called with an item's number and record: "status" ("done", "failed", or the task's), "reason" and "trace"
+            of a failure, "seconds" of each part, and the lines that it printed as "said".
+        broken: called with the number of an item after which the device is unusable, and the reason; must not return.
     """
 
     def __init__(
@@ -70,11 +73,16 @@ class Pipeline:
             part: ThreadPoolExecutor(count, thread_name_prefix=part)
             for part, count in zip(PARTS, (readers, 1, writers))
         }
-        self._room = Semaphore(writers + DRAWN_AHEAD)
+        self._drawn = Semaphore(writers + DRAWN_AHEAD)
 
     def submit(self, number: int, item: Any) -> None:
-        """Begins with an item as soon as there is a thread for it."""
+        """Begin an item as soon as a thread is free."""
         self._pools["read"].submit(self._read, number, item)
+
+    def close(self, wait: bool = True) -> None:
+        """End the threads, after the items that are on their way, or without starting another part of them."""
+        for pool in self._pools.values():
+            pool.shutdown(wait, cancel_futures=not wait)
 
     def _read(self, number: int, item: Any) -> None:
         self._began(number)
@@ -86,7 +94,7 @@ class Pipeline:
         self._go_on(running, "draw", self._draw, is_to_do)
 
     def _draw(self, running: _Running) -> None:
-        self._room.acquire()
+        self._drawn.acquire()
         running.is_drawn = True
         with self._part("draw", running):
             assert running.task is not None
@@ -107,13 +115,13 @@ class Pipeline:
 
     @contextmanager
     def _part(self, name: str, running: _Running) -> Iterator[None]:
-        """Times a part, keeps what is said in it, and notes why it failed."""
+        """Time a part, capture its messages, and note the reason of a failure."""
         began = time.perf_counter()
         try:
             with capture(running.messages):
                 yield
-        except (Exception, SystemExit) as error:  # whatever it is, the items beside it are not to suffer
-            running.reason = _words(error)
+        except (Exception, SystemExit) as error:  # of any kind: other items must not suffer
+            running.reason = _reason(error)
             if not isinstance(error, InputError):
                 running.trace = traceback.format_exc()
             if _BROKEN_DEVICE in str(error) and not is_out_of_memory(error):
@@ -123,7 +131,7 @@ class Pipeline:
 
     def _end(self, running: _Running) -> None:
         if running.is_drawn:
-            self._room.release()
+            self._drawn.release()
         record: Record = {"status": "done" if running.reason is None else "failed"}
         if running.task is not None:
             told = running.task.record()
@@ -136,8 +144,8 @@ class Pipeline:
         self._done(running.number, record | {"seconds": running.seconds})
 
 
-def _words(error: BaseException) -> str:
-    """Why an item failed, in one line."""
+def _reason(error: BaseException) -> str:
+    """Return the reason of a failure in one line."""
     words = " ".join(str(error).split())[:1000]
     if isinstance(error, InputError):
         return as_options(words)

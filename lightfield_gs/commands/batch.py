@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
-from datetime import datetime, timezone
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.provenance import package_versions
-from lightfield_gs.base.cli_messages import note
-from lightfield_gs.base.errors import named
+from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, note, report_error
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.encoding import add_encoding
 from lightfield_gs.commands.options.parser import read_options, whole
 from lightfield_gs.io.atomic import check_folder, remove_left_over
 
 if TYPE_CHECKING:
-    from lightfield_gs.batch.dispatch import Crew
-    from lightfield_gs.batch.item import Item
-    from lightfield_gs.batch.manifest import Manifest
-    from lightfield_gs.batch.plan import Plan
+    from lightfield_gs.batch.manifest import Manifest, Plan
+    from lightfield_gs.batch.run import Worker
+    from lightfield_gs.commands.batch_tasks import Setup
 
 EXIT_SOME_FAILED = 1
-_MOST_LISTED = 100  # failures, at the end
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,10 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--devices", metavar="cuda:0,...|cpu", help="where they work (default: all GPUs, or the CPU without one)")
     add(
-        "--ray",
-        metavar="ADDRESS",
-        help="processes of a Ray cluster in place of this machine's: auto, HOST:PORT, ray://HOST:PORT, or local for "
-        "one of this machine (pip install 'lightfield-gs[ray]'); all machines must see the files under the same paths",
+        "--shard",
+        type=_shard,
+        metavar="I/N",
+        help="in one process, every N-th item from the I-th on: for GNU parallel, Slurm and Ray, which place the N "
+        "processes on GPUs and machines; all must see the files under the same paths",
     )
     add("--fit-options", metavar="TEXT", help="options of `fit`, for captures, in quotation marks")
     add("--video-options", metavar="TEXT", help="options of `video`, for videos, in quotation marks")
@@ -72,13 +74,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Does what is to be done of args.input into args.output; 1 where some of it failed. Raises InputError."""
+    """Do the items of args.input that are not done; return 1 if some of them failed. Raises InputError."""
     from lightfield_gs.batch.items import read_items
-    from lightfield_gs.batch.manifest import Manifest
-    from lightfield_gs.batch.plan import make_plan
+    from lightfield_gs.batch.manifest import Manifest, make_plan
+    from lightfield_gs.batch.run import now
+    from lightfield_gs.batch.shards import choose_workers, run_shards
 
     setup, options = _setup(args)
     check_folder(args.output)
+    args.since = now()
+    if args.shard is not None:
+        if args.processes is not None or args.devices not in (None, "cpu"):
+            raise InputError(
+                "--shard is one process, on the GPU of CUDA_VISIBLE_DEVICES; leave out --processes and --devices"
+            )
+        (worker,) = choose_workers(args.devices, 1, args.threads)
+        worker = replace(worker, name="{} shard {}/{}".format(worker.device, *args.shard))
+        return _without_waiting(partial(run_shard, args, args.shard, worker))
     items, left = read_items(args.input, f".{args.format}", args.output, with_maps=args.depth is None)
     if args.input.is_dir() and (paired := [item for item in items if item.words]):
         first = f"{paired[0].input} with {paired[0].words[0].partition('=')[2]}"
@@ -92,121 +104,71 @@ def run(args: argparse.Namespace) -> int:
         if manifest.is_unfinished:
             remove_left_over(args.output)
         plan = make_plan(items, manifest, options, overwrite=args.overwrite, check=args.check)
-        if not plan.todo:
+        if not plan.todo and not plan.failed:
             print(f"{args.output}: all {plan.kept} items were done before, by {manifest.path}")
             return 0
-        with _crew(args, setup, plan) as crew:
-            return Batch(args, plan, manifest, options, crew).run()
+        have_gpus = any(item.is_long for item, _ in plan.todo)
+        workers = choose_workers(args.devices, args.processes, args.threads, have_gpus)[: len(plan.todo) or 1]
+        if len(workers) == 1:
+            return _without_waiting(partial(_do, plan, manifest, workers[0], setup, options))
+    return run_shards(run_shard, args, workers, args.output)
 
 
-def _setup(args: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What processes are told of all items, and the options that decide what comes out."""
+def run_shard(args: argparse.Namespace, shard: tuple[int, int], worker: Worker) -> int:
+    """Do every N-th item in this process; return 1 if some of them failed. Raises InputError."""
+    from lightfield_gs.batch.items import read_items
+    from lightfield_gs.batch.manifest import Manifest, make_plan
+
+    setup, options = _setup(args)
+    items, _ = read_items(args.input, f".{args.format}", args.output, with_maps=args.depth is None)
+    with Manifest(args.output, shard) as manifest:
+        some = items[shard[0] - 1 :: shard[1]]
+        plan = make_plan(some, manifest, options, overwrite=args.overwrite, check=args.check, since=args.since)
+        return _do(plan, manifest, worker, setup, options)
+
+
+def _do(plan: Plan, manifest: Manifest, worker: Worker, setup: Setup, options: dict[str, Any]) -> int:
+    from lightfield_gs.batch.run import Run
+    from lightfield_gs.commands.batch_tasks import load
+
+    heading = {"options": options, "versions": package_versions()}
+    failures = Run(plan, manifest, worker, heading).run(partial(load, setup, worker))
+    return EXIT_SOME_FAILED if failures else 0
+
+
+def _without_waiting(call: Callable[[], int]) -> int:
+    """Return what `call` returns; end the process at once if it is interrupted, while threads are at work."""
+    try:
+        return call()
+    except (KeyboardInterrupt, SystemExit) as error:
+        report_error("lightfield-gs", KeyboardInterrupt(), "")
+        sys.stdout.flush()
+        os._exit(error.code if isinstance(error, SystemExit) and isinstance(error.code, int) else EXIT_INTERRUPTED)
+
+
+def _setup(args: argparse.Namespace) -> tuple[Setup, dict[str, Any]]:
+    """Return what the tasks of all items need, and the options that decide the outputs."""
     from lightfield_gs.batch.items import split
-    from lightfield_gs.commands.batches.work import Setup, defaults
+    from lightfield_gs.commands.batch_tasks import Setup, defaults
 
     usual = {name: value for name, value in defaults("encode").items() if name not in ("input", "output", "threads")}
     given = {name: vars(args)[name] for name in usual if hasattr(args, name) and vars(args)[name] != usual[name]}
-    panel = load_panel(read_options(PanelOptions, args)).to_dict()
     with named("--fit-options"):
         fit = split(args.fit_options)
     with named("--video-options"):
         video = split(args.video_options)
-    setup = Setup(Path(os.path.abspath(args.output)), Path.cwd(), given, fit, video)
     words = {name: str(value) for name, value in sorted(given.items())}
-    return vars(setup), {"all": {"panel": panel, "given": words}, "fit": fit, "video": video}
+    options = {
+        "all": {"panel": load_panel(read_options(PanelOptions, args)).to_dict(), "given": words},
+        "fit": fit,
+        "video": video,
+    }
+    return Setup(Path(os.path.abspath(args.output)), given, fit, video), options
 
 
-def _crew(args: argparse.Namespace, setup: dict[str, Any], plan: Plan) -> Any:
-    """The processes, no more than there are items."""
-    from lightfield_gs.batch.worker import Job
-
-    job = Job("lightfield_gs.commands.batches.work:maker", setup)
-    count, have_gpus = len(plan.todo), any(item.is_long for item, _ in plan.todo)
-    if args.ray is not None:
-        from lightfield_gs.batch.ray_cluster import RayCluster
-
-        return RayCluster(args.ray, job, args.devices, args.processes, args.threads, have_gpus, count)
-    from lightfield_gs.batch.places import places_here
-    from lightfield_gs.batch.processes import Processes
-
-    return Processes(job, places_here(args.devices, args.processes, args.threads, have_gpus)[:count])
-
-
-class Batch:
-    """One run of a batch: hands out items, writes down how they end, and says so."""
-
-    def __init__(
-        self, args: argparse.Namespace, plan: Plan, manifest: Manifest, options: dict[str, Any], crew: Crew
-    ) -> None:
-        from lightfield_gs.batch.tally import Tally
-
-        self._args, self._plan, self._manifest, self._options, self._crew = args, plan, manifest, options, crew
-        self._tally = Tally(crew.places, len(plan.todo))
-        self._failures: list[str] = []
-        self._run = _now()
-
-    def run(self) -> int:
-        """0, or 1 where items failed. Raises InputError where none can be done at all."""
-        from lightfield_gs.batch.dispatch import Dispatch
-
-        versions = package_versions()
-        places = [place.name for place in self._crew.places]
-        self._manifest.append({"run": self._run, "options": self._options, "versions": versions, "places": places})
-        dispatch = Dispatch(
-            self._plan.todo,
-            self._crew,
-            ended=self._ended,
-            began=self._began,
-            ready=self._tally.ready,
-            waiting=self._tally.show,
-        )
-        try:
-            dispatch.run()
-        finally:
-            self._tally.clear()
-            self._say()
-        if not dispatch.deaths:  # else files may be left over, as of a run that was stopped
-            self._manifest.append({"run": self._run, "ended": _now()})
-        return EXIT_SOME_FAILED if self._failures else 0
-
-    def _ended(self, item: Item, record: dict[str, Any], worker: int) -> None:
-        self._append(item, {**record, "status": "done" if record["status"] == "kept" else record["status"]})
-        self._tally.ended(record, worker)
-        if record["status"] == "failed":
-            self._failures.append(f"{item.input}: {record['reason']}")
-
-    def _began(self, item: Item) -> None:
-        """So that a fit or a video goes on where it is if this run ends before it does."""
-        self._append(item, {"status": "begun"})
-
-    def _append(self, item: Item, record: dict[str, Any]) -> None:
-        words = {"options": item.words} if item.words else {}
-        if item.fit_words:
-            words["fit_options"] = item.fit_words
-        first = {"item": item.name, "status": record["status"], "input": item.input, "command": item.command}
-        last = {"job": self._plan.jobs[item.name], "run": self._run, "at": _now()}
-        self._manifest.append({**first, **words, **record, **last})
-
-    def _say(self) -> None:
-        """What was done, what held it up, and what failed and why."""
-        from lightfield_gs.base.checks import counted
-
-        tally, plan = self._tally, self._plan
-        total = len(plan.todo) + plan.kept
-        print(f"{self._args.output}: {plan.kept + tally.done} of {total} items are done, {plan.kept} of them before")
-        if tally.done + tally.failed:
-            print("\n".join(tally.summary()), flush=True)
-        for words in self._failures[:_MOST_LISTED]:
-            print(f"failed: {words}", file=sys.stderr)
-        if (more := len(self._failures) - _MOST_LISTED) > 0:
-            print(f"failed: and {more} more", file=sys.stderr)
-        if self._failures:
-            print(
-                f"{counted(len(self._failures))} failed; {self._manifest.path} has the reasons, and the same command "
-                "tries them again",
-                file=sys.stderr,
-            )
-
-
-def _now() -> str:
-    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+def _shard(text: str) -> tuple[int, int]:
+    """Parse "2/8"."""
+    match = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text)
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
+        raise argparse.ArgumentTypeError(f"expected I/N, such as 1/8 to 8/8, got '{text}'")
+    return int(match[1]), int(match[2])

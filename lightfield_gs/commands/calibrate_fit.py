@@ -17,8 +17,8 @@ from lightfield_gs.commands.calibrate_nudge import change_lines
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
 from lightfield_gs.commands.options.parser import numbers, read_options
 from lightfield_gs.io.atomic import check_outputs
-from lightfield_gs.panels.calibration_fit import CalibrationFit, PlaceFit, fit_lens, most_spread_views
-from lightfield_gs.panels.calibration_photos import Place, load_place, read_places
+from lightfield_gs.panels.calibration_fit import CalibrationFit, ViewpointFit, fit_lens, most_spread_views
+from lightfield_gs.panels.calibration_photos import Viewpoint, load_viewpoint, read_viewpoints
 from lightfield_gs.panels.lens_change import check_profile_path, write_profile
 
 _MOST_OFFSET_VIEWS = 0.3  # between a place and the lens of all, above which its eye or the profile is doubtful
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> None:
     fit = fit_lens(read_photographs(options), start, options.one_place)
     write_profile(path, profile, fit.panel, serial)
     print(f"{path}: {profile} with the lens of the photographs, for eyes at {start.viewing_distance_mm:g} mm")
-    for line in (*change_lines(profile, start, fit.panel, serial), *map(_place_line, fit.places)):
+    for line in (*change_lines(profile, start, fit.panel, serial), *map(_place_line, fit.viewpoints)):
         print(line)
     for words in implausible_places(fit):
         note(words)
@@ -120,20 +120,20 @@ def implausible_places(fit: CalibrationFit) -> list[str]:
         f"{place.name}: what is seen spreads by {place.spread_views:.2g} views about the lens found, and good "
         f"photographs by less than {most:.2g}: the lens may be wrong; check that all have one exposure and white "
         "balance, that none is turned or blurred, that nothing moved, and the corners"
-        for place in fit.places
+        for place in fit.viewpoints
         if place.spread_views > most
     ]
     off = [
         f"{place.name}: it sees the panel {place.offset_views:+.2g} views off the lens found, and good photographs by "
         f"less than {_MOST_OFFSET_VIEWS:g}: the lens may be wrong; check its eye, and cone_deg and "
         "viewing_distance_mm of the profile"
-        for place in fit.places
+        for place in fit.viewpoints
         if abs(place.offset_views) > _MOST_OFFSET_VIEWS
     ]
     return spread or off
 
 
-def read_photographs(options: CalibrationOptions) -> list[Place]:
+def read_photographs(options: CalibrationOptions) -> list[Viewpoint]:
     """Read the photographs of each place, by a .yaml or by --eye and --corners. Raises InputError."""
     is_list = [photo.suffix.lower() in (".yaml", ".yml") for photo in options.photos]
     if any(is_list):
@@ -141,7 +141,7 @@ def read_photographs(options: CalibrationOptions) -> list[Place]:
             raise InputError(
                 "a .yaml says all of the photographs: give it alone, without --eye, --corners and other files"
             )
-        return read_places(options.photos[0])
+        return read_viewpoints(options.photos[0])
     eyes: Sequence[tuple[float, float, float]] = options.eye or ()
     each = {len(eyes): 1, 3 * len(eyes): 3}.get(len(options.photos))
     if each is None:
@@ -153,11 +153,12 @@ def read_photographs(options: CalibrationOptions) -> list[Place]:
         raise InputError(f"expected --corners for each --eye, or none, got {len(options.corners)} for {len(eyes)}")
     corners = [np.reshape(one, (4, 2)).tolist() for one in options.corners] if options.corners else [None] * len(eyes)
     return [
-        load_place(options.photos[each * k : each * (k + 1)], eye, at) for k, (eye, at) in enumerate(zip(eyes, corners))
+        load_viewpoint(options.photos[each * k : each * (k + 1)], eye, at)
+        for k, (eye, at) in enumerate(zip(eyes, corners))
     ]
 
 
-def _place_line(place: PlaceFit) -> str:
+def _place_line(place: ViewpointFit) -> str:
     corners = "  ".join(f"{x:.1f},{y:.1f}" for x, y in place.corners_px)
     return (
         f"{place.name}: {place.offset_views:+.3f} views off the lens found, spread {place.spread_views:.3f}; "

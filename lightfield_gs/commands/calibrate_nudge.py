@@ -17,8 +17,8 @@ from lightfield_gs.panels.lens_change import (
     changed,
     check_profile_path,
     is_looking_glass,
-    lens_in_owners_terms,
-    turns_in_middle,
+    looking_glass_lens,
+    phase_in_middle,
     write_profile,
 )
 from lightfield_gs.panels.panel import Panel
@@ -130,7 +130,7 @@ def pitch_lpi(panel: Panel) -> float:
 def lens_slope(source: str | Path, panel: Panel, serial: str | None) -> float:
     """Return dy/dx of the lens axis, as the profile has it. Raises InputError where the lenses stand upright."""
     if is_looking_glass(source):
-        return lens_in_owners_terms(source, panel, serial)["slope"]
+        return looking_glass_lens(source, panel, serial)["slope"]
     if panel.slant_tan == 0:
         raise InputError(f"panel {panel.name}: the lenses stand upright, without a slope; give --slant-by")
     return -1 / panel.slant_tan
@@ -140,14 +140,14 @@ def change_lines(source: str | Path, before: Panel, after: Panel, serial: str | 
     """Return lines on the lens before and after, in the terms of a Looking Glass, if any, and of a .yaml."""
     lines = []
     if is_looking_glass(source):
-        old, new = (lens_in_owners_terms(source, panel, serial) for panel in (before, after))
+        old, new = (looking_glass_lens(source, panel, serial) for panel in (before, after))
         lines.append(", ".join(f"{key} {old[key]:.9g} -> {new[key]:.9g}" for key in old))
     elif before.pixel_pitch_mm is not None and before.slant_tan and after.slant_tan:
         pitch = f"pitch {pitch_lpi(before):.9g} -> {pitch_lpi(after):.9g} lenses per inch"
         lines.append(f"{pitch}, slope {-1 / before.slant_tan:.9g} -> {-1 / after.slant_tan:.9g}")
     keys = ("line_number", "slant_tan", "phase")
     lines.append(", ".join(f"{key} {getattr(before, key):.9g} -> {getattr(after, key):.9g}" for key in keys))
-    moved = turns_in_middle(after) - turns_in_middle(before)
+    moved = phase_in_middle(after) - phase_in_middle(before)
     lines.append(f"the middle of the panel moves by {moved:+.4g} lens widths, {moved * after.views:+.4g} views")
     return lines
 

@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> None:
         "unscaled"
     )
     if options.kind == "numbers":
-        shared = math.ceil(panel.views / len(np.unique(patterns.number_of_view(panel, options.step))))
+        shared = math.ceil(panel.views / len(np.unique(patterns.displayed_numbers(panel, options.step))))
         print(
             f"{shared} of {panel.views} views share a number; a lens lights about {panel.views / panel.line_number:.3g}"
         )

@@ -70,8 +70,8 @@ def fit_scene(options: FitOptions) -> int:
     held_out = None if source.test_list is None else read_names(source.test_list)
     options.cone.check()
 
+    from lightfield_gs.base.torchrun import is_first
     from lightfield_gs.fitting.fit import fit
-    from lightfield_gs.fitting.several import is_first
 
     with Interrupts() as interrupts:
         capture = _read_capture(source, folder)
@@ -122,21 +122,21 @@ def _read_capture(options: CaptureOptions, folder: Path) -> Capture:
 
 def _say(options: FitOptions, result: FitResult, folder: Path) -> None:
     """Print the scores, the files, and how to go on."""
-    from lightfield_gs.fitting.evaluate import protocol
+    from lightfield_gs.fitting.evaluate import describe_protocol
 
     if result.scores is not None:
-        print(f"{result.scores.table()}\n{protocol(result.settings.poses)}")
+        print(f"{result.scores.table()}\n{describe_protocol(result.settings.poses)}")
         _say_angles(result)
     print(f"{options.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
     scores = ", scores.json" if result.scores is not None else ""
     print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
-        from lightfield_gs.fitting.display import rig_path
+        from lightfield_gs.fitting.cone import rig_path
 
         rig = rig_path(options.output)
         encode = f"encode {options.output} --rig {rig} --panel {_panel(options.cone.cone)}"
         print(f"{rig}: the rig in the capture's coordinates: {encode}")
-        if result.shown is None:
+        if result.pruning is None:
             print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
@@ -148,10 +148,10 @@ def _say_angles(result: FitResult) -> None:
         return
     print(f"from {result.angles.centre}, cone of {result.angles.cone_deg:g} degrees:")
     print(result.angles.table(result.scores))
-    if (framed := result.frame_scores) is not None:
+    if (framed := result.window_scores) is not None:
         whole, pruned, count = framed.whole, framed.pruned, len(framed.whole.names)
         print(
-            f"in the panel's frame, {framed.share:.0%} of {counted(count, 'photograph')} inside its cone: PSNR "
+            f"in the panel's frame, {framed.coverage:.0%} of {counted(count, 'photograph')} inside its cone: PSNR "
             f"{whole.mean_psnr_db:.2f} dB, SSIM {whole.mean_ssim:.4f}; with the {result.gaussians.count} Gaussians "
             f"that it shows {pruned.mean_psnr_db:.2f} dB, {pruned.mean_ssim:.4f}"
         )
@@ -159,7 +159,7 @@ def _say_angles(result: FitResult) -> None:
 
 def _panel(cone: str | None) -> str:
     """Return the --panel of `encode` that shows the panel of --cone."""
-    from lightfield_gs.fitting.display import is_angle
+    from lightfield_gs.fitting.cone import is_angle
     from lightfield_gs.panels.panel import DEFAULT_PANEL
 
     return DEFAULT_PANEL if cone is None or is_angle(cone) else cone

@@ -135,13 +135,13 @@ def _digits(centres: Tensor) -> int:
 
 def _image(path: Path) -> list[tuple[str, object]]:
     from lightfield_gs.io.images import read_info
-    from lightfield_gs.photo.embedded_depth import facts_inside
+    from lightfield_gs.photo.embedded_depth import embedded_facts
 
     info = read_info(path)
     return [
         ("image", f"{info.width_px} x {info.height_px}, {info.channels} channels, {info.sample_type}"),
         *info.metadata.items(),
-        *facts_inside(path),
+        *embedded_facts(path),
     ]
 
 

@@ -30,11 +30,11 @@ from lightfield_gs.panels.quilt import (
     QUILT_PRESETS,
     QuiltLayout,
     check_divides,
-    layout_of_panel,
+    panel_quilt,
     stated_layout,
     with_suffix,
 )
-from lightfield_gs.photo.side_by_side import is_named_so
+from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
@@ -191,7 +191,7 @@ def quilt_layout(options: QuiltOptions, panel: Panel | None) -> QuiltLayout:
         raise InputError("--panel takes the place of --preset; leave out one of them")
     stated = stated_layout(options.output)
     tiles = options.tiles or (stated and options.preset is None and (stated.columns, stated.rows)) or None
-    base = QUILT_PRESETS[options.preset or _DEFAULT_PRESET] if panel is None else layout_of_panel(panel, tiles)
+    base = QUILT_PRESETS[options.preset or _DEFAULT_PRESET] if panel is None else panel_quilt(panel, tiles)
     if panel is None and options.preset is None and tiles:
         alike = [one for one in QUILT_PRESETS.values() if (one.columns, one.rows) == tiles]
         base = alike[0] if alike else base
@@ -220,7 +220,7 @@ def _output_paths(options: QuiltOptions, layout: QuiltLayout) -> tuple[Path, Pat
         raise InputError(f"cannot write {output}: a quilt has 8 bits; give .png or .tif")
     save_rgbd = None
     if (path := options.save_rgbd) is not None:
-        if not is_named_so(path):
+        if not is_rgbd_name(path):
             path = path.with_name(f"{path.stem}_rgbd{path.suffix}")
         save_rgbd = check_image_path(path if path.suffix else path.with_name(f"{path.name}.png"))
     if options.save_rig is not None:

@@ -19,7 +19,7 @@ from lightfield_gs.commands.options.parser import numbers, read_options, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate_eyes
+from lightfield_gs.panels.simulate import Psf, eye_row, simulate_eyes
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # sub-pixels show the same whatever they are
 
@@ -90,8 +90,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
-    from lightfield_gs.show.preview import to_integers
-    from lightfield_gs.show.sheet import in_rows
+    from lightfield_gs.show.preview import in_rows, to_integers
 
     path = check_image_path(options.output)
     check_outputs((path,), (options.image, options.panel.panel, options.psf))
@@ -131,7 +130,7 @@ def _eyes(options: SimulateOptions, panel: Panel) -> list[tuple[float, float, fl
     if options.eyes is None:
         return [cast("tuple[float, float, float]", options.eye)]
     first, last, count = options.eyes
-    return row_of_eyes(panel, first, last, cast(int, count)).tolist()
+    return eye_row(panel, first, last, cast(int, count)).tolist()
 
 
 def _implausible_eye(panel: Panel, eye_mm: Sequence[float]) -> str | None:

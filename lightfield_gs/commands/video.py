@@ -79,7 +79,7 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     import torch
 
     from lightfield_gs.app.shots import sequence_shots, still_shots
-    from lightfield_gs.video.rendering import make_video
+    from lightfield_gs.video.rendering import render_frames
     from lightfield_gs.video.sequence import is_sequence
 
     if options.threads is not None:
@@ -91,7 +91,7 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
         drawer = frame_drawer(options, panel, target, shots)
         sink = frame_sink(options, panel, target, shots, drawer.size_px)
         there = shots.count - len(sink.missing)
-        made = make_video(shots.take, drawer, sink, shots.count, shown=True)
+        made = render_frames(shots.take, drawer, sink, shots.count, shown=True)
         watch.lap("frames")
     width, height = drawer.size_px
     kept = f", of which {there} were there" if there else ""

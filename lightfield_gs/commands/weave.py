@@ -111,13 +111,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _span(text: str):
     """Parse "FIRST:LAST:STEP", of which any may be left out, to the frames that are taken."""
-    from lightfield_gs.view_sets.movies import Span
+    from lightfield_gs.view_sets.movies import FrameRange
 
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
     first, last, step = (int(part) if part else None for part in (match.groups() if match else ("", "", "0")))
     if step == 0 or last is not None and last < (first or 0):
         raise argparse.ArgumentTypeError(f"expected FIRST:LAST or FIRST:LAST:STEP, such as 0:23:1, got '{text}'")
-    return Span(first or 0, last, step or 1)
+    return FrameRange(first or 0, last, step or 1)
 
 
 def _add_framing(add) -> None:

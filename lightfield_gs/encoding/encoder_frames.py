@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import Frame, Frames, frames_of
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
@@ -205,10 +206,10 @@ class _Capture:
         return {"order", "bin"} if kept else set()
 
     def _graph(self, keep_lists: bool) -> torch.cuda.CUDAGraph:
-        """Captures a frame, and the copy of its state to the host; keep_lists: without order and bin."""
-        graph = torch.cuda.CUDAGraph()
-        # A stream of its own, for torch's belongs to the device that captured first
-        with torch.cuda.graph(graph, stream=torch.cuda.Stream()):
+        """Capture a frame and the copy of its state to the host. keep_lists: without order and bin."""
+
+        def draw() -> None:
             self.frame.draw(self.job.background, self.image, keep_lists=keep_lists)
             self.frames.note(self.frame)
-        return graph
+
+        return capture_graph(draw)[0]

@@ -54,7 +54,7 @@ class CudaStages:
         return work.intersection_count, 0
 
     def composite(
-        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+        self, work: Any, cameras: _core.float32.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         _core.cuda.composite_sorted(
@@ -75,7 +75,7 @@ class SortedWorkspace:
         self.native.place(self.work.data_ptr())
         self.stream = torch.cuda.current_stream(scene.device).cuda_stream
 
-    def project_images(self, cameras: _core._Stages.Cameras) -> None:
+    def project_images(self, cameras: _core.float32.Cameras) -> None:
         _core.cuda.project_sorted(self.native, self.scene.native(), cameras, self.stream)
 
     def order_and_bin(self, admit: Callable[[], bool]) -> bool:
@@ -195,7 +195,7 @@ class _CpuStages:
     def composite(
         self,
         work: CpuWorkspace,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         lists: tuple[Tensor, Tensor],
         background: Tensor,
         out: Tensor,
@@ -369,7 +369,7 @@ class _Encoding:
         self.plan.release()
         self.resident = False
 
-    def _native_cameras(self, first: int, views: int) -> _core._Stages.Cameras:
+    def _native_cameras(self, first: int, views: int) -> _core.float32.Cameras:
         """The core's view of a chunk's cameras, which holds as long as self.cameras does."""
         poses, optics, edges = (t[first:].data_ptr() for t in self.cameras)
         return self.scene.core.Cameras(

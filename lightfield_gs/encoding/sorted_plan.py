@@ -13,7 +13,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import lens_of
+from lightfield_gs.panels.lens import panel_lens
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels that are drawn together; every list is filled up to whole blocks
@@ -173,7 +173,7 @@ def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]
 
 
 def _core_map(panel: Panel) -> _core.ViewMap:
-    return _core.ViewMap(lens_of(panel).native())
+    return _core.ViewMap(panel_lens(panel).native())
 
 
 def _tile(views: int, width_px: int, device_type: str) -> _core.SubpixelTile:

@@ -12,7 +12,7 @@ import numpy as np
 from lightfield_gs import _core
 from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import lens_of
+from lightfield_gs.panels.lens import panel_lens
 from lightfield_gs.panels.panel import Panel
 
 _ROWS = 16  # of the panel at a time
@@ -65,7 +65,7 @@ class Fan:
         """For the native code; `places`, what places() returned, must live as long."""
         panel, table = self.panel, self.table
         view_map = (
-            _core.ViewMap(lens_of(panel).native())
+            _core.ViewMap(panel_lens(panel).native())
             if table is None
             else _core.ViewMap(panel.width_px, panel.height_px, self.count, table.ctypes.data)
         )

@@ -1,8 +1,8 @@
-"""Checkpoints: everything that a fit needs to go on to the same bits, in one file that is whole or not there.
+"""Checkpoints of a fit, from which it goes on to the same bits.
 
-A safetensors file. Its tensors are the fields with their moments, the counters, the tally and what else is optimised;
-its metadata say of which fit it is. Random numbers, orders and schedules follow from settings and step, so that they
-need no place in it.
+A checkpoint is a safetensors file, which is whole or not there. Its tensors are the parameters with their moments, the
+counters, the statistics of density control, and poses and exposure; its metadata identify the fit. Random numbers,
+orders and schedules follow from settings and step.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.dropout import former_default
-from lightfield_gs.fitting.fields import Fields
+from lightfield_gs.fitting.density import DensityStatistics
+from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.settings import FORMER_NAMES, FitSettings
-from lightfield_gs.fitting.tally import Tally
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import atomic_path, remove_file
 from lightfield_gs.io.captures.capture import Capture
@@ -31,14 +30,18 @@ from lightfield_gs.io.text_files import parse_json
 
 FILE = "checkpoint.safetensors"
 _KEY, _VERSION = "lightfield-gs fit", 1
+_FORMER_MOST, _FORMER_FEW, _FORMER_MANY = 0.2, 12, 48  # a former default of dropout, see _former_dropout
 _WAY_OUT = "give the same again, another folder=, or fresh=True to start over"
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Which fit a checkpoint is of: its settings, and of the capture what decides the result, each as a digest.
+    """The fit of a checkpoint.
 
-    photographs: how many it is to; in a cone, the sum of their shares.
+    Attributes:
+        settings: as JSON has them.
+        capture: digests of the parts of the capture that decide the result.
+        photographs: the sum of the weights of the training photographs: their number, if there is no cone.
     """
 
     settings: dict[str, Any]
@@ -46,35 +49,42 @@ class Identity:
     photographs: float
 
     @classmethod
-    def of(
-        cls, settings: FitSettings, capture: Capture, train: Sequence[int], shares: Sequence[float] | None = None
+    def make(
+        cls, settings: FitSettings, capture: Capture, train: Sequence[int], weights: Sequence[float] | None = None
     ) -> Identity:
-        """Of a fit to the photographs `train` of a capture. shares: in how many of the epochs each is, in a cone."""
+        """Return the identity of a fit.
+
+        Args:
+            settings: of the fit.
+            capture: its photographs and cameras.
+            train: indices of the training photographs.
+            weights: of the training photographs, in a cone.
+        """
         parts = {
             "names of photographs": json.dumps(capture.names).encode(),
             "sizes": np.asarray(capture.sizes_px, np.int64).tobytes(),
             "cameras": capture.world_to_camera.tobytes() + capture.intrinsics.tobytes(),
             "points": capture.points.tobytes() + capture.colours.tobytes(),
             "photographs held out": json.dumps(list(train)).encode(),
-            "cone": json.dumps(shares).encode(),
+            "cone": json.dumps(weights).encode(),
         }
         digests = {name: hashlib.sha256(data).hexdigest()[:16] for name, data in parts.items()}
-        return cls(json.loads(json.dumps(asdict(settings))), digests, len(train) if shares is None else sum(shares))
+        return cls(json.loads(json.dumps(asdict(settings))), digests, len(train) if weights is None else sum(weights))
 
     def check_file(self, path: Path, fresh: bool) -> None:
-        """As check, of a checkpoint where there is one. fresh: it is removed instead."""
+        """Check a checkpoint if there is one; with `fresh`, remove it instead."""
         if fresh:
             remove_file(path)
         elif path.exists():
-            with _a_checkpoint(path):
+            with _explain_damage(path):
                 self.check(path, _read(path, with_tensors=False)[0])
 
     def check(self, path: Path, stored: Mapping[str, Any]) -> None:
-        """Raises InputError that names what differs from a stored one."""
+        """Raise an InputError that names the differences from the metadata of a checkpoint, if there are any."""
         settings = {FORMER_NAMES.get(name, name): value for name, value in stored["settings"].items()}
         capture = stored["capture"]
         if settings.get("dropout", 0.0) is None:
-            settings = {**settings, "dropout": former_default(self.photographs)}
+            settings = {**settings, "dropout": _former_dropout(self.photographs)}
         changed = [
             f"{field.name} was {shown(settings.get(field.name))} and is {shown(self.settings[field.name])}"
             for field in fields(FitSettings)
@@ -87,14 +97,24 @@ class Identity:
 
 
 def save(path: Path, trainer: Trainer, identity: Identity, history: list[dict[str, Any]]) -> None:
-    """Writes where the fit stands. history: evaluations so far, for JSON. Raises InputError where it cannot."""
+    """Write a checkpoint.
+
+    Args:
+        path: where to.
+        trainer: the fit.
+        identity: of the fit.
+        history: evaluations so far, for JSON.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 
     groups = {
-        "fields": trainer.fields.tensors(),
-        "counters": vars(trainer.counters),
-        "tally": trainer.tally.tensors(),
+        "fields": trainer.state.tensors(),
+        "counters": trainer.counters.tensors(),
+        "tally": trainer.statistics.tensors(),
         "extra": trainer.extra,
     }
     tensors = {
@@ -102,33 +122,47 @@ def save(path: Path, trainer: Trainer, identity: Identity, history: list[dict[st
         for group, named_tensors in groups.items()
         for name, tensor in named_tensors.items()
     }
-    said = {"version": _VERSION, "step": trainer.done, "history": history, **asdict(identity)}
+    metadata = {"version": _VERSION, "step": trainer.done, "history": history, **asdict(identity)}
     with atomic_path(path) as temporary:
         try:
-            save_file(tensors, temporary, {_KEY: json.dumps(said)})
+            save_file(tensors, temporary, {_KEY: json.dumps(metadata)})
         except SafetensorError as error:
             raise InputError(f"cannot write {path}: {' '.join(str(error).split())[:200]}") from None
 
 
 def restore(path: Path, trainer: Trainer, identity: Identity) -> list[dict[str, Any]]:
-    """Brings a trainer to where a checkpoint stood, and returns the evaluations up to there.
+    """Bring a trainer to the step of a checkpoint, and return the evaluations up to there.
 
-    Raises InputError where the file is no checkpoint, and where it is of another capture or of other settings: it
-    says which.
+    Args:
+        path: the checkpoint.
+        trainer: a trainer before its first step.
+        identity: of its fit.
+
+    Raises:
+        InputError: the file is no checkpoint, or is of another capture or of other settings; the message names them.
     """
-    with _a_checkpoint(path):
-        said, on_host = _read(path)
-        identity.check(path, said)
+    with _explain_damage(path):
+        metadata, on_host = _read(path)
+        identity.check(path, metadata)
         tensors = {name: tensor.to(trainer.device) for name, tensor in on_host.items()}
-        trainer.fields = Fields.from_tensors(_below("fields", tensors))
-        trainer.tally = Tally(trainer.fields.count, trainer.settings, trainer.device)
-        trainer.tally.set(_below("tally", tensors))
-        for prefix, owned in (("counters", vars(trainer.counters)), ("extra", trainer.extra)):
-            stored = _below(prefix, tensors)
+        trainer.state = GaussianState.from_tensors(_strip_prefix("fields", tensors))
+        trainer.statistics = DensityStatistics(trainer.state.count, trainer.settings, trainer.device)
+        targets = {
+            "tally": trainer.statistics.tensors(),
+            "counters": trainer.counters.tensors(),
+            "extra": trainer.extra,
+        }
+        for prefix, owned in targets.items():
+            stored = _strip_prefix(prefix, tensors)
             for name, own in owned.items():
                 own.copy_(stored[name])
-        trainer.done = int(said["step"])
-        return list(said["history"])
+        trainer.done = int(metadata["step"])
+        return list(metadata["history"])
+
+
+def _former_dropout(photographs: float) -> float:
+    """Return the dropout of a fit whose checkpoint holds null: 0.2 up to 12 photographs, falling to 0 at 48."""
+    return _FORMER_MOST * min(1.0, max(0.0, (_FORMER_MANY - photographs) / (_FORMER_MANY - _FORMER_FEW)))
 
 
 def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -136,18 +170,18 @@ def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Any], dict[s
     from safetensors.torch import load
 
     with safe_open(path, framework="pt") as file:
-        said = parse_json((file.metadata() or {})[_KEY])
-    if said["version"] != _VERSION:
+        metadata = parse_json((file.metadata() or {})[_KEY])
+    if metadata["version"] != _VERSION:
         raise InputError(
-            f"{path}: expected a checkpoint of version {_VERSION}, got {shown(said['version'])}; {_WAY_OUT}"
+            f"{path}: expected a checkpoint of version {_VERSION}, got {shown(metadata['version'])}; {_WAY_OUT}"
         )
     # Read at once: one by one the open file would never free 64 bytes for each (safetensors 0.8)
-    return said, load(path.read_bytes()) if with_tensors else {}
+    return metadata, load(path.read_bytes()) if with_tensors else {}
 
 
 @contextmanager
-def _a_checkpoint(path: Path) -> Iterator[None]:
-    """Turns what goes wrong with a file that is no checkpoint, or not a whole one, into an InputError."""
+def _explain_damage(path: Path) -> Iterator[None]:
+    """Raise InputError for the errors of a file that is no checkpoint, or not a whole one."""
     from safetensors import SafetensorError
 
     try:
@@ -159,5 +193,5 @@ def _a_checkpoint(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: expected a checkpoint of a fit, but {words}; {_WAY_OUT}") from None
 
 
-def _below(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def _strip_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(f"{prefix}."): t for name, t in tensors.items() if name.startswith(f"{prefix}.")}

@@ -1,40 +1,59 @@
-"""Where the cone of a panel lies in a capture, and how much each photograph counts in it.
+"""A fit for a panel: the cone of views in the capture, the weights of photographs in it, and the panel's rig.
 
-A panel shows a scene from places on a line, at most half its cone to either side of a centre camera. Only what these
-places see has to be right. Angles here are those between the places of cameras, as they are seen from the pivot: the
-point of the centre camera's axis that the panel's own plane goes through.
+A panel shows a scene from places on a line, at most half its cone to either side of a centre camera. Only the views
+from these places have to be right. Angles are between the places of cameras, seen from the pivot: the point of the
+centre camera's axis in the panel's zero plane.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import counted, real_number
+from lightfield_gs.base.checks import counted, expect, real_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.angles import Angles
+from lightfield_gs.fitting.evaluate import ConeAngles
+from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.io.captures.pinhole import nearest_rotation
+from lightfield_gs.panels.framing import framing_comment
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.rig import Rig
 
-# Photographs within half the cone and this count fully: what is before and behind the zero plane is seen at other
-# angles than the pivot is, and views at the cone's edge are between photographs too.
+# Photographs within half the cone and this margin count fully. Objects before and behind the zero plane are seen at
+# other angles than the pivot. Views at the cone's edge lie between photographs, too.
 MARGIN_DEG = 5.0
-# From there the weight falls as a cosine does, over this angle, to a floor: what stands far outside still says where
-# things are, though not how they look from the panel.
+# Beyond, weights fall as a cosine over FALL_DEG to a floor: photographs far outside still show where objects are, but
+# not their look from the panel.
 FALL_DEG, FLOOR = 20.0, 0.05
-_LEAST_SPREAD_DEG = 3.0  # of axes, below which the place where they meet says little
-_IN_FRONT = 0.9  # of the cameras must have that place before them
+_LEAST_SPREAD_DEG = 3.0  # of axes; below it their intersection is too uncertain
+_IN_FRONT = 0.9  # the fraction of cameras that must have the intersection before them
 _FEWEST = 3  # cameras, and of points ten times as many, to learn a depth from
+
+# The direction of down in a stored photograph, (x, y), by the quarter turns clockwise that make it upright, and by Exif
+# orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.
+_DOWN = ((0, 1), (1, 0), (0, -1), (-1, 0))
+_STORED_DOWN = {2: _DOWN[0], 3: _DOWN[2], 4: _DOWN[2], 5: _DOWN[1], 6: _DOWN[1], 7: _DOWN[3], 8: _DOWN[3]}
+_LEAST_ACROSS = 0.5  # the least length across the centre camera's axis of a direction that counts
 
 
 @dataclass(frozen=True)
 class Cone:
-    """name and centre: of the centre photograph, and its index. pivot: [3] float64, coordinates of the capture, on the
-    axis of the centre camera, `zero_depth` before it, scene units. cone_deg: full angle. angles_deg: [C] float64,
-    0..180, of every photograph from the centre one, seen from the pivot. messages: what was chosen, one line each.
+    """The cone of a panel's views in a capture of C photographs.
+
+    Attributes:
+        name: of the centre photograph.
+        centre: its index.
+        pivot: [3] float64, coordinates of the capture, on the axis of the centre camera.
+        zero_depth: its depth before the centre camera, scene units.
+        cone_deg: full angle.
+        angles_deg: [C] float64, 0..180, of every photograph from the centre one, seen from the pivot.
+        messages: the choices, one line each.
     """
 
     name: str
@@ -47,44 +66,53 @@ class Cone:
 
     @property
     def inside(self) -> np.ndarray:
-        """[C] bool: which photographs are within half the cone of the centre."""
+        """[C] bool, photographs within half the cone of the centre."""
         return self.angles_deg <= self.cone_deg / 2
 
-    def angles(self, indices: Sequence[int]) -> Angles:
-        """Of photographs at these indices of the capture, to score them by; says so where few of them are inside."""
+    def held_out_angles(self, indices: Sequence[int]) -> ConeAngles:
+        """Return the angles of held-out photographs, by their indices in the capture; warn if few are inside."""
         if (inside := int(self.inside[list(indices)].sum())) < _FEWEST:
             assume(
                 f"cone: {inside} of {len(indices)} held-out photographs are inside, whose mean says little; hold out "
                 "more of them (test_every=3, or test_names=)"
             )
-        return Angles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
+        return ConeAngles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
 
     def weights(self) -> np.ndarray:
-        """[C] float64, FLOOR..1: how much each photograph counts."""
-        return weights_at(self.angles_deg, self.cone_deg)
+        """Return [C] float64, FLOOR..1, the weight of each photograph in the fit."""
+        return cone_weights(self.angles_deg, self.cone_deg)
 
 
-def weights_at(angles_deg: np.ndarray, cone_deg: float) -> np.ndarray:
-    """Weights FLOOR..1 at angles from the centre: 1 within half the cone and MARGIN_DEG, then half a period of a cosine
-    down to FLOOR, FALL_DEG farther out."""
+def cone_weights(angles_deg: np.ndarray, cone_deg: float) -> np.ndarray:
+    """Return weights FLOOR..1 at angles from the centre.
+
+    They are 1 within half the cone and MARGIN_DEG, then fall as half a period of a cosine to FLOOR at FALL_DEG farther.
+    """
     beyond = np.clip((angles_deg - cone_deg / 2 - MARGIN_DEG) / FALL_DEG, 0, 1)
     return FLOOR + (1 - FLOOR) * (1 + np.cos(np.pi * beyond)) / 2
 
 
 def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> Cone:
-    """The cone of this full angle, 1..179 degrees, round a photograph of a capture.
+    """Place a cone round a photograph of a capture.
 
-    centre: its name. None: the photograph with the most others within half the cone and MARGIN_DEG, seen from where the
-    capture's axes meet; among such the one that these are nearest to (the least mean square of angles).
     The pivot is on the centre camera's axis, at the median depth of the points in the middle third, each way, of its
-    photograph: a panel is sharpest there, and the surface of the subject should be. Where such points are few: at the
-    depth of the point with the least squared distance to the axes of the cameras within that angle, which lies within
-    the subject of a capture from around it. Raises InputError for unknown names, and where neither is known.
+    photograph: a panel is sharpest there, and the surface of the subject should be. With few such points it is at the
+    depth of the intersection of the axes of the cameras in the cone, which lies within a subject seen from around.
+
+    Args:
+        capture: the photographs and cameras.
+        cone_deg: full angle, 1..179.
+        centre: name of the centre photograph. None: the photograph with the most others within half the cone and
+            MARGIN_DEG, seen from the intersection of the capture's axes. Among equals the least mean square of their
+            angles decides.
+
+    Raises:
+        InputError: the name is unknown, or nothing tells the depth.
     """
     cone_deg = real_number("cone", cone_deg, 1.0, 179.0)
     half = cone_deg / 2 + MARGIN_DEG
     chosen_by = "given"
-    middle = _middle_of(capture)
+    middle = _capture_middle(capture)
     if centre is None:
         index, others = _most_central(_directions(capture.centres, middle), half)
         chosen_by = f"it has the most others within {half:g} degrees, {others}, seen from the middle of the capture"
@@ -105,10 +133,15 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
     return Cone(capture.names[index], index, pivot, depth, cone_deg, angles, messages)
 
 
-def meeting_point(centres: np.ndarray, axes: np.ndarray) -> np.ndarray | None:
-    """[3]: the point of least squared distance to lines through centres [C,3] along axes [C,3], of length 1.
+def axes_intersection(centres: np.ndarray, axes: np.ndarray) -> np.ndarray | None:
+    """Return the point [3] of least squared distance to the axes of cameras.
 
-    None where the lines are fewer than three or too parallel to tell, or where it is not before nine of ten cameras.
+    Args:
+        centres: [C,3], of the cameras.
+        axes: [C,3], of length 1.
+
+    Returns:
+        None where the axes are fewer than three or nearly parallel, or the point is not before nine of ten cameras.
     """
     if len(centres) < _FEWEST:
         return None
@@ -120,10 +153,10 @@ def meeting_point(centres: np.ndarray, axes: np.ndarray) -> np.ndarray | None:
     return point if (((point - centres) * axes).sum(1) > 0).mean() >= _IN_FRONT else None
 
 
-def depth_in_the_middle(capture: Capture, index: int) -> float | None:
-    """The median depth of the capture's points in the middle third, each way, of a photograph; None where they are few.
+def central_depth(capture: Capture, index: int) -> float | None:
+    """Return the median depth of the points in the middle third, each way, of a photograph; None with few points.
 
-    Which points the photograph really shows is not known: some may be hidden.
+    Some of the points may be hidden in the photograph.
     """
     pose, (fx, fy, cx, cy) = capture.world_to_camera[index], capture.intrinsics[index]
     x, y, z = (capture.points @ pose[:3, :3].T + pose[:3, 3]).T
@@ -134,13 +167,13 @@ def depth_in_the_middle(capture: Capture, index: int) -> float | None:
     return float(np.median(z[middle])) if middle.sum() >= 10 * _FEWEST else None
 
 
-def _middle_of(capture: Capture) -> np.ndarray:
-    """[3]: what the whole capture is about: where axes meet, or what the camera in the middle of all looks at."""
+def _capture_middle(capture: Capture) -> np.ndarray:
+    """Return [3], the intersection of the axes, or the point that the camera in the middle of all looks at."""
     centres, axes = capture.centres, capture.world_to_camera[:, 2, :3]
-    if (point := meeting_point(centres, axes)) is not None:
+    if (point := axes_intersection(centres, axes)) is not None:
         return point
     index = int(np.linalg.norm(centres - np.median(centres, 0), axis=1).argmin())
-    if (depth := depth_in_the_middle(capture, index)) is None:
+    if (depth := central_depth(capture, index)) is None:
         raise InputError(
             f"cone: expected photographs of one thing, or points in the middle of {capture.names[index]}: the axes of "
             f"{len(centres)} cameras meet nowhere before them, and there are no such points, so that nothing says at "
@@ -150,12 +183,12 @@ def _middle_of(capture: Capture) -> np.ndarray:
 
 
 def _zero_depth(capture: Capture, index: int, near: np.ndarray, middle: np.ndarray) -> tuple[float, str]:
-    """The depth of the pivot before the centre camera, > 0, and what it is from; near: cameras in the cone."""
+    """Return the depth of the pivot before the centre camera, > 0, and its source; near: cameras in the cone."""
     centres, axes = capture.centres, capture.world_to_camera[:, 2, :3]
     centre, axis = centres[index], axes[index]
-    if (found := depth_in_the_middle(capture, index)) is not None:
+    if (found := central_depth(capture, index)) is not None:
         return found, "at the median depth of the points in the middle of the centre photograph"
-    point = meeting_point(centres[near], axes[near])
+    point = axes_intersection(centres[near], axes[near])
     if point is not None and (depth := float((point - centre) @ axis)) > 0:
         return depth, f"where the axes of {len(near)} photographs in the cone meet"
     if (depth := float((middle - centre) @ axis)) > 0:
@@ -167,20 +200,20 @@ def _zero_depth(capture: Capture, index: int, near: np.ndarray, middle: np.ndarr
 
 
 def _directions(centres: np.ndarray, pivot: np.ndarray) -> np.ndarray:
-    """[C,3] of length 1: from the pivot to the cameras."""
+    """Return [C,3] of length 1, from the pivot to the cameras."""
     away = centres - pivot
     return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
 
 
 def _angles(directions: np.ndarray, index: int) -> np.ndarray:
-    """[C] degrees: of directions from that of `index`; exact near 0 too, where an arc cosine is not."""
+    """Return [C] degrees, angles of directions from that of `index`; exact near 0, unlike an arc cosine."""
     cosines = directions @ directions[index]
     sines = np.linalg.norm(np.cross(directions, directions[index]), axis=1)
     return np.degrees(np.arctan2(sines, cosines))
 
 
 def _most_central(directions: np.ndarray, half_deg: float) -> tuple[int, int]:
-    """The photograph with the most others within this angle, and how many; see place_cone."""
+    """Return the photograph with the most others within this angle, and their number; see place_cone."""
     counts, spreads = [], []
     for index in range(len(directions)):
         angles = _angles(directions, index)
@@ -189,3 +222,162 @@ def _most_central(directions: np.ndarray, half_deg: float) -> tuple[int, int]:
         spreads.append(float(np.square(angles[inside]).mean().round(9)))
     best = min(range(len(counts)), key=lambda index: (-counts[index], spreads[index]))
     return best, counts[best]
+
+
+# --- The panel's rig
+
+
+@dataclass(frozen=True)
+class Display:
+    """The panel that a scene is fitted for, and its place in the capture.
+
+    Attributes:
+        panel: the panel.
+        cone: its cone.
+        rig: in the capture's coordinates, at the panel's resolution, with the cone's angle.
+        messages: the choices, one line each.
+    """
+
+    panel: Panel
+    cone: Cone
+    rig: Rig
+    messages: tuple[str, ...]
+
+    @classmethod
+    def place(cls, capture: Capture, cone: Panel | str | Path | float, centre: str | None = None) -> Display:
+        """Place a panel in a capture.
+
+        Args:
+            capture: the photographs and cameras.
+            cone: a panel, its name or file, or the full angle in degrees, 1..179, of the default panel's cone.
+            centre: name of the centre photograph; None: the most central one.
+
+        Raises:
+            InputError: see place_cone.
+        """
+        panel, panel_message = read_cone(cone)
+        placed = place_cone(capture, panel.cone_deg, centre)
+        quarters, turn_messages = upright_turns(capture, placed.centre)
+        rig = centre_rig(capture, placed, panel, quarters)
+        return cls(panel, placed, rig, (*placed.messages, *turn_messages, panel_message))
+
+    def photo_weights(self, indices: Sequence[int]) -> list[float]:
+        """Return the weights of photographs, by their indices in the capture; the largest is 1."""
+        weights = self.cone.weights()[list(indices)]
+        return (weights / weights.max()).tolist()
+
+    def comments(self) -> list[str]:
+        """Return lines for the header of the scene's file, by which encode shows it with this rig on any panel."""
+        return [framing_comment(self.rig, self.panel)]
+
+
+def rig_path(scene: Path) -> Path:
+    """Return the path of a scene's rig: scene.rig.yaml for scene.ply."""
+    return scene.with_suffix(".rig.yaml")
+
+
+def place_display(
+    capture: Capture, cone: Panel | str | Path | float | None, centre: str | None, score_cone: float | None
+) -> tuple[Display | None, Cone | None, tuple[str, ...]]:
+    """Place the display of a fit, and the cone by which it is scored.
+
+    Args:
+        capture: the photographs and cameras.
+        cone: see Display.place; None: there is no display.
+        centre: name of the centre photograph; None: the most central one.
+        score_cone: full angle in degrees of the cone for scores; None: the display's.
+
+    Returns:
+        The display, the cone for scores, each None if not asked for, and messages.
+
+    Raises:
+        InputError: centre without a cone; see place_cone.
+    """
+    if centre is not None and cone is None and score_cone is None:
+        raise InputError(
+            f"centre: {centre} is the middle of a cone, and there is none: give cone or score_cone as well"
+        )
+    display = None if cone is None else Display.place(capture, cone, centre)
+    judged = None if display is None else display.cone
+    if score_cone is not None:
+        judged = place_cone(capture, score_cone, centre if display is None else display.cone.name)
+    if display is not None:
+        return display, judged, display.messages
+    return None, judged, () if judged is None else judged.messages
+
+
+def read_cone(cone: Panel | str | Path | float) -> tuple[Panel, str]:
+    """Return the panel of a `cone` argument, see Display.place, and a message about it."""
+    expect("cone", cone, Panel, str, Path, int, float, np.integer, np.floating)
+    if isinstance(cone, str) and is_angle(cone):
+        cone = float(cone)
+    if not isinstance(cone, (Panel, str, Path)):
+        panel = replace(Panel.load(DEFAULT_PANEL), cone_deg=real_number("cone", cone, 1.0, 179.0))
+        words = f"cone: the panel is {_describe(panel)}, the default, but for its cone; another: give it as the cone"
+        return panel, words
+    panel = cone if isinstance(cone, Panel) else Panel.load(cone)
+    return panel, f"cone: the panel is {_describe(panel)}"
+
+
+def upright_turns(capture: Capture, centre: int) -> tuple[int, tuple[str, ...]]:
+    """Return the quarter turns clockwise that make the centre photograph upright, 0..3, and messages.
+
+    The Exif orientation of each photograph tells where down is in the scene, and so in the centre photograph. The
+    majority decides; among equals the centre photograph's own.
+    """
+    tags = [photograph.orientation for photograph in capture.photographs]
+    if not any(tag in _STORED_DOWN for tag in tags):
+        return 0, ()
+    stored = np.array([(*_STORED_DOWN.get(tag, _DOWN[0]), 0) for tag in tags])
+    rotations = capture.world_to_camera[:, :3, :3]
+    down = (rotations[centre] @ rotations.swapaxes(1, 2) @ stored[..., None])[:, :2, 0]
+    votes = (down @ np.array(_DOWN).T).argmax(1)
+    counts = np.bincount(votes[np.linalg.norm(down, axis=1) > _LEAST_ACROSS], minlength=len(_DOWN))
+    own = int(votes[centre])
+    quarters = own if counts[own] == counts.max() else int(counts.argmax())
+    how = (
+        "is not turned",
+        "is turned by 90 degrees clockwise",
+        "is turned by 180 degrees",
+        "is turned by 90 degrees counter-clockwise",
+    )[quarters]
+    name = capture.names[centre]
+    return quarters, (
+        f"cone: the rig {how} from {name} as stored (Exif orientation {tags[centre]}), so that "
+        f"{counts[quarters]} of {len(tags)} photographs stand upright",
+    )
+
+
+def centre_rig(capture: Capture, cone: Cone, panel: Panel, quarters: int = 0) -> Rig:
+    """Return the rig with the camera of the centre photograph as its centre; the panel shows all of the photograph.
+
+    Its zero plane goes through the pivot on the camera's axis. Every view shows the pivot at the photograph's principal
+    point. The outermost views see it from half the cone to either side.
+
+    Args:
+        capture: the photographs and cameras.
+        cone: the panel's cone in it.
+        panel: the panel.
+        quarters: quarter turns clockwise of the photograph.
+    """
+    fx, fy, cx, cy = map(float, capture.intrinsics[cone.centre])
+    width, height = map(int, capture.sizes_px[cone.centre])
+    pose = capture.world_to_camera[cone.centre]
+    camera = FileCamera(capture.names[cone.centre], pose, (fx, fy), (cx, cy), width, height).turned(quarters)
+    focal, principal = camera.fitted(panel.width_px, panel.height_px)
+    pose = camera.world_to_camera.copy()
+    pose[:3, :3] = nearest_rotation(pose[:3, :3])
+    return Rig(pose, focal, principal, cone.zero_depth, panel.cone_deg)
+
+
+def _describe(panel: Panel) -> str:
+    return f"{panel.name}, {panel.width_px} x {panel.height_px}, {panel.views} views in {panel.cone_deg:g} degrees"
+
+
+def is_angle(cone: str) -> bool:
+    """Return whether a `cone` argument is a number of degrees, and no panel's name."""
+    try:
+        float(cone)
+    except ValueError:
+        return False
+    return True

@@ -1,4 +1,4 @@
-"""From a capture to a scene: what a fit begins with, its run, and what it leaves."""
+"""A fit from a capture to a scene: its preparation, its run and its result."""
 
 from __future__ import annotations
 
@@ -19,21 +19,18 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.fitting import checkpoint, memory
-from lightfield_gs.fitting.angles import Angles
 from lightfield_gs.fitting.checkpoint import Identity
-from lightfield_gs.fitting.display import Display, placed, rig_path
-from lightfield_gs.fitting.dropout import words_on_dropout
-from lightfield_gs.fitting.evaluate import Scores
-from lightfield_gs.fitting.fields import Fields
-from lightfield_gs.fitting.initial import initial_gaussians
+from lightfield_gs.fitting.cone import Display, place_display, rig_path
+from lightfield_gs.fitting.distributed import Group, join_group
+from lightfield_gs.fitting.evaluate import ConeAngles, Scores
+from lightfield_gs.fitting.initialization import initialize_gaussians
+from lightfield_gs.fitting.optimizer import GaussianState
+from lightfield_gs.fitting.panel_pruning import CONTRIBUTION_CUT, PanelPruning, WindowScores, prune_run
+from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.progress import Progress
-from lightfield_gs.fitting.run import Habits, Run
+from lightfield_gs.fitting.run import Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
-from lightfield_gs.fitting.several import Group, joined
-from lightfield_gs.fitting.shown import CONTRIBUTION_CUT, FrameScores, Shown, pruned
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.fitting.views import Views
-from lightfield_gs.fitting.world import World
 from lightfield_gs.io.atomic import make_folder, remove_left_over
 from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
@@ -42,19 +39,25 @@ from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import Gaussians
 
-_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: rounding to float32 may move one by so much
+_ORIGIN_STEP = 1e-3  # the largest rounding to float32 of a position, as a fraction of the usual Gaussian's size
+_FEW_PHOTOGRAPHS = 12  # up to which dropout gained most in the measurements, and a fit mentions it
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """What a fit made.
+    """The result of a fit.
 
-    gaussians: the scene in the capture's coordinates, float32 on the CPU. settings: as it was fitted. steps: how many
-    were done, fewer than settings.steps where it was stopped. scores: of the photographs held out; None: none were.
-    history: of all evaluations: step, psnr_db, ssim, gaussians. stopped: whether it was asked to end before its time.
-    display: what the scene was fitted for. angles: of the photographs held out, where they are scored by these. shown:
-    what was left out for the display; None: nothing, or the fit was stopped. frame_scores:
-    by the pixels of the photographs held out that the display can show, before and after.
+    Attributes:
+        gaussians: the scene in the capture's coordinates, float32 on the CPU.
+        settings: of the fit.
+        steps: number of steps done, fewer than settings.steps if the fit was stopped.
+        scores: of the held-out photographs; None if there are none.
+        history: of all evaluations: step, psnr_db, ssim, gaussians.
+        stopped: whether `stop` ended the fit.
+        display: the panel that the scene was fitted for.
+        angles: of the held-out photographs, if they are scored by angle.
+        pruning: the result of pruning for the panel; None without a display, or if the fit was stopped.
+        window_scores: by the pixels of held-out photographs that the display can show, before and after pruning.
     """
 
     gaussians: Gaussians
@@ -64,19 +67,26 @@ class FitResult:
     history: list[dict[str, Any]]
     stopped: bool
     display: Display | None = None
-    angles: Angles | None = None
-    shown: Shown | None = None
-    frame_scores: FrameScores | None = None
+    angles: ConeAngles | None = None
+    pruning: PanelPruning | None = None
+    window_scores: WindowScores | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Writes the scene as .ply, .spz or .splat; a .ply has the settings in its header, see Gaussians.save. That
-        of a display has its framing there too, and its rig beside it: scene.rig.yaml for scene.ply."""
+        """Write the scene as .ply, .spz or .splat, see Gaussians.save.
+
+        The header of a .ply holds the settings. The scene of a display has its framing there too, and its rig beside
+        it: scene.rig.yaml for scene.ply.
+
+        Args:
+            path: where to.
+            comments: further lines of the header.
+        """
         if self.display is not None:
             comments = [*comments, *self.display.comments()]
             self.display.rig.to_yaml(rig_path(Path(path)))
-        said = {**asdict(self.settings), "steps_done": self.steps}
+        settings = {**asdict(self.settings), "steps_done": self.steps}
         trained = [ANTIALIASED] if self.settings.antialiased else []
-        self.gaussians.save(path, [fit_comment(said), *trained, *comments])
+        self.gaussians.save(path, [fit_comment(settings), *trained, *comments])
 
 
 def fit(
@@ -103,29 +113,44 @@ def fit(
     stop: Callable[[], bool] = lambda: False,
     **settings: Any,
 ) -> FitResult:
-    """Fits Gaussians to posed photographs of a scene that stands still (Kerbl et al. 2023).
+    """Fit Gaussians to posed photographs of a static scene (Kerbl et al. 2023).
 
-    capture: a folder (COLMAP's sparse/0 or a transforms.json, and the photographs), or what read_capture returned.
-    steps, cap_max (the most Gaussians), density ("mcmc" or "adaptive") and settings: see FitSettings.
-    test_every: k holds out the middle one of every k photographs and scores the scene by them; None: none; "own": those
-    that the capture itself keeps for tests, or of every 8. test_names: those held out instead. device: "auto", "cpu" or
-    "cuda". folder: where checkpoints, scores.json and pictures go; a fit that was stopped goes on from there, to the
-    same bits, unless `fresh`. The other arguments: see Habits.
+    The same capture, settings and device give the same bits. Several processes that torchrun starts must all make the
+    same call. They split the photographs of a step (batch_size), one GPU each. The first one writes and prints; all
+    return the result.
 
-    Where torchrun starts several processes that all call it alike, they share out the photographs of a step
-    (settings.batch_size), one GPU each; the first one writes and talks, and all return the result.
+    Args:
+        capture: a folder (COLMAP's sparse/0 or a transforms.json, and the photographs), or a result of read_capture.
+        steps: how many.
+        cap_max: number of Gaussians at the end, or at most with "adaptive" density.
+        density: "mcmc" or "adaptive".
+        test_every: k holds out the middle one of every k photographs for scores; None holds out none; "own" holds out
+            the capture's own test photographs, or one of every 8.
+        test_names: the photographs to hold out instead.
+        cone: a panel, its name or file, or the angle of the default panel's cone in degrees, 1..179. The fit is then
+            for the views of this panel, see Display, and prunes Gaussians that it does not show.
+        centre: name of the photograph in the middle of the cone; None: the most central one.
+        score_cone: full angle in degrees of the cone in which held-out photographs are scored by angle; None: that of
+            `cone`.
+        contribution_cut: 0..1, of pruning for the panel, see prune_for_panel.
+        device: "auto", "cpu" or "cuda".
+        folder: for checkpoints, scores.json and pictures. A fit that was stopped goes on from there, to the same bits.
+        fresh: start over. For this and the following arguments see RunOptions.
+        checkpoint_every: steps between checkpoints.
+        evaluate_every: steps between evaluations.
+        picture_every: steps between pictures.
+        stop_early: end once evaluations are no better.
+        tensorboard: write scalars for TensorBoard.
+        progress: print lines and a bar.
+        stop: is called between steps; True ends the fit.
+        settings: further fields of FitSettings.
 
-    cone: a panel, its name or file, or degrees, 1..179, in place of the default panel's: the fit is for what that
-    shows, see Display, and leaves out what it does not, within contribution_cut (0..1), see shown_by. centre: the name
-    of the photograph in the middle of the cone; None: the most central one. score_cone: photographs held out are scored
-    by their angle in a cone of this full angle, degrees, without `cone` too; None: in that of `cone`.
-
-    The same capture, settings and device give the same bits. Raises InputError: what is no capture, settings that
-    cannot be, a folder of another fit.
+    Raises:
+        InputError: there is no capture, a setting is outside its range, or the folder is that of another fit.
     """
-    chosen = settings_of(steps=steps, cap_max=cap_max, density=density, **settings)
+    chosen = make_settings(steps=steps, cap_max=cap_max, density=density, **settings)
     where = None if folder is None else checked_path(folder)
-    habits = Habits(
+    options = RunOptions(
         where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
     )
     if device not in DEVICES:
@@ -136,107 +161,136 @@ def fit(
     read = capture if isinstance(capture, Capture) else read_capture(capture)
     train, test = read.split(test_every, None if test_names is None else list(test_names))
     cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
-    with joined(choose_device(device)) as (group, own):
-        run, world, display = _prepared(read, train, test, chosen, habits, own, group, (cone, centre, score_cone))
+    with join_group(choose_device(device)) as (group, own):
+        run, normalization, display = _prepare(
+            read, train, test, chosen, options, own, group, (cone, centre, score_cone)
+        )
         run.go()
-        scene, found, in_frame = run.trainer.fields.gaussians().detach(), None, None
+        scene, pruning, window_scores = run.trainer.state.gaussians().detach(), None, None
         if display is not None and not run.stopped:
-            scene, found, in_frame = pruned(run, world, display, cut)
-        scene = _without_origin(world.back(scene.to("cpu")))
+            scene, pruning, window_scores = prune_run(run, normalization, display, cut)
+        scene = _remove_origin(normalization.restore(scene.to("cpu")))
     return FitResult(
-        scene, chosen, run.trainer.done, run.scores, run.history, run.stopped, display, run.angles, found, in_frame
+        scene,
+        chosen,
+        run.trainer.done,
+        run.scores,
+        run.history,
+        run.stopped,
+        display,
+        run.angles,
+        pruning,
+        window_scores,
     )
 
 
-def _prepared(
+def make_settings(**values: Any) -> FitSettings:
+    """Return FitSettings with these fields; raise InputError for unknown names and values outside their ranges."""
+    known = [setting.name for setting in fields(FitSettings)]
+    for name in values:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
+            raise InputError(f"fit: there is no setting {name}; {hint}")
+    return FitSettings(**values)
+
+
+def _prepare(
     capture: Capture,
     train: list[int],
     test: list[int],
     settings: FitSettings,
-    habits: Habits,
+    options: RunOptions,
     device: str,
     group: Group,
-    asked: tuple[Panel | str | Path | float | None, str | None, float | None],
-) -> tuple[Run, World, Display | None]:
-    """The run before its first step, the coordinates that it is in, and what it is for; says what was chosen. asked:
-    cone, centre and score_cone."""
-    display, judged, said = placed(capture, *asked)
-    shares = None if display is None else display.shares(train)
-    identity = Identity.of(settings, capture, train, shares)
+    cones: tuple[Panel | str | Path | float | None, str | None, float | None],
+) -> tuple[Run, Normalization, Display | None]:
+    """Return the run before its first step, its coordinates and its display; print what was chosen.
+
+    cones: cone, centre and score_cone.
+    """
+    display, judged, messages = place_display(capture, *cones)
+    weights = None if display is None else display.photo_weights(train)
+    identity = Identity.make(settings, capture, train, weights)
     progress = Progress(
-        habits.progress and group.is_first, habits.folder if habits.tensorboard and group.is_first else None
+        options.progress and group.is_first, options.folder if options.tensorboard and group.is_first else None
     )
-    if habits.folder is not None:
-        remove_left_over(make_folder(habits.folder))
-        identity.check_file(habits.folder / checkpoint.FILE, habits.fresh)
+    if options.folder is not None:
+        remove_left_over(make_folder(options.folder))
+        identity.check_file(options.folder / checkpoint.FILE, options.fresh)
     width, height = map(int, capture.sizes_px.max(0))
-    need = memory.needed(settings, len(capture.names), width, height)
-    if on_host := memory.stays_on_host(need, device):
+    need = memory.estimate_memory(settings, len(capture.names), width, height)
+    if on_host := memory.keeps_photos_on_host(need, device):
         progress.say(f"photographs stay in the host's memory: they take {need.photographs / 1e9:.1f} GB")
         need = need._replace(photographs=0)
-    progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
-    world = World.of(capture.centres, capture.extent)
-    load = partial(Views.load, capture, world=world, device=device, masks=settings.masks, on_host=on_host)
-    views, held = load(train, ticks=train), load(test, ticks=test) if test else None
-    held, scored = _with_pixels(views, held, settings.masks)
-    angles = None if judged is None or held is None else judged.angles([test[place] for place in scored])
-    trainer = _begun(capture, views, world, settings, group, shares)
+    progress.say(f"needs about {memory.check_memory(need, device, is_certain=settings.density == 'mcmc')}")
+    normalization = Normalization.from_centres(capture.centres, capture.extent)
+    load = partial(
+        PosedImages.load, capture, normalization=normalization, device=device, masks=settings.masks, on_host=on_host
+    )
+    images, held_out = load(train, progress=train), load(test, progress=test) if test else None
+    held_out, scored = _drop_masked_out(images, held_out, settings.masks)
+    angles = None
+    if judged is not None and held_out is not None:
+        angles = judged.held_out_angles([test[index] for index in scored])
+    points, centres = normalization.points(capture.points), normalization.points(capture.centres)
+    gaussians = initialize_gaussians(points, capture.colours, centres, settings)
+    trainer = Trainer(GaussianState.start(gaussians.to(images.device)), images, settings, group, weights)
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {device}: "
-        f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.cap_max} at most"
+        f"{settings.steps} steps, {trainer.state.count} Gaussians to begin with, {settings.cap_max} at most"
     )
-    if (words := words_on_dropout(settings, len(train))) is not None:
+    if (words := _describe_dropout(settings, len(train))) is not None:
         progress.say(words)
-    for line in said:
+    for line in messages:
         progress.say(line)
-    return Run(trainer, held, identity, habits, progress, angles), world, display
+    return Run(trainer, held_out, identity, options, progress, angles), normalization, display
 
 
-def _with_pixels(views: Views, held: Views | None, masks: Masks) -> tuple[Views | None, list[int]]:
-    """The views held out of which masks leave something to score, None where they leave nothing of any; and their
-    places. Says of which photographs masks leave nothing. Raises InputError where they leave nothing to fit to."""
-    places = [] if held is None else list(range(held.count))
-    fitted, unscored = views.masked_out(), [] if held is None else held.masked_out()
-    empty = [views.names[place] for place in fitted] + [held.names[place] for place in unscored if held is not None]
+def _drop_masked_out(
+    images: PosedImages, held_out: PosedImages | None, masks: Masks
+) -> tuple[PosedImages | None, list[int]]:
+    """Drop held-out photographs of which masks leave nothing to score, and report photographs without pixels.
+
+    Returns:
+        The other held-out photographs, None if there are none, and their indices.
+
+    Raises:
+        InputError: masks leave nothing of any training photograph.
+    """
+    indices = [] if held_out is None else list(range(held_out.count))
+    unfitted, unscored = images.masked_out(), [] if held_out is None else held_out.masked_out()
+    empty = [images.names[i] for i in unfitted] + [held_out.names[i] for i in unscored if held_out is not None]
     if not empty:
-        return held, places
-    which = f"masks leave nothing of {len(empty)} of {views.count + len(places)} photographs"
-    if len(fitted) == views.count:
+        return held_out, indices
+    which = f"masks leave nothing of {len(empty)} of {images.count + len(indices)} photographs"
+    if len(unfitted) == images.count:
         raise InputError(
             f"{which}, and nothing to fit to: expected masks that are white, or photographs that are opaque, where the "
             "scene is: turn black and white round, or take the masks away"
         )
     if masks == "alpha":
         assume(f"{which}, in which the scene is to be transparent all over: {first_names(empty)}")
-        return held, places
+        return held_out, indices
     assume(f"{which}, which count nowhere and are not scored: {first_names(empty)}")
-    places = [place for place in places if place not in unscored]
-    return held.some(places) if held is not None and places else None, places
+    indices = [index for index in indices if index not in unscored]
+    return held_out.select(indices) if held_out is not None and indices else None, indices
 
 
-def settings_of(**given: Any) -> FitSettings:
-    """FitSettings of these fields. Raises InputError for names that it does not have, and for values that cannot be."""
-    known = [field.name for field in fields(FitSettings)]
-    for name in given:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
-            raise InputError(f"fit: there is no setting {name}; {hint}")
-    return FitSettings(**given)
-
-
-def _begun(
-    capture: Capture, views: Views, world: World, settings: FitSettings, group: Group, shares: Sequence[float] | None
-) -> Trainer:
-    """The trainer before its first step."""
-    gaussians = initial_gaussians(
-        world.points(capture.points), capture.colours, world.points(capture.centres), settings
+def _describe_dropout(settings: FitSettings, photographs: int) -> str | None:
+    """Return a line about dropout for a fit to so many photographs, if there is something to say."""
+    if settings.dropout > 0:
+        return f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"
+    if photographs > _FEW_PHOTOGRAPHS:
+        return None
+    return (
+        f"steps leave out no Gaussians: with {photographs} photographs a dropout of 0.2 gains up to 1 dB or loses up "
+        "to 1.5, by the scene; compare the PSNR of photographs held out"
     )
-    return Trainer(Fields.of(gaussians.to(views.device)), views, settings, group, shares)
 
 
-def _without_origin(gaussians: Gaussians) -> Gaussians:
-    """The same from an origin of zero, where float32 is fine enough for that: not every program reads doubles."""
+def _remove_origin(gaussians: Gaussians) -> Gaussians:
+    """Return the scene with an origin of zero if float32 is fine enough: not every program reads doubles."""
     exact = gaussians.means.double().numpy() + gaussians.origin
     if float32_step(np.median(exact, 0)) > _ORIGIN_STEP * typical_size(gaussians.scales.numpy()):
         return gaussians

@@ -1,15 +1,14 @@
-"""The memory that a fit needs, said before it begins, and refused where there is clearly less.
+"""The memory that a fit needs: checked before it begins, and refused where clearly less is free.
 
 With N Gaussians of K harmonics, V photographs of H x W pixels in a step, and C photographs in all, in bytes:
 
-    photographs    C H W 4: colours, and masks where there are any; 5 where masks are the target of alpha;
-                   none where they stay with the host
-    fields         4 N (11 + 3 K) x 3: values and two moments; twice while the density changes
+    photographs    C H W 4: colours and masks; 5 where masks are the target of alpha; none where they stay on the host
+    parameters     4 N (11 + 3 K) x 3: values and two moments; twice while the density changes
     gradients      4 N (11 + 3 K)
     work           V (450 N + 90 H W)
 
-The numbers of work are a step's on one H100: what projecting, sorting and drawing 1 M Gaussians at 1600 x 1066 took
-(471 MB), and the images, their gradients and the derivatives of the loss for each pixel.
+The factors of work are from a step on one H100. Projecting, sorting and drawing 1 M Gaussians at 1600 x 1066 took
+471 MB. For each pixel there are the images, their gradients and the derivatives of the loss.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ REMEDIES = "use a smaller cap_max=, a smaller scale= or a lower sh_degree="
 _NUMBER_BYTES, _SHAPE_NUMBERS, _COPIES = 4, 11, 6  # of means, scales, quaternions and opacity; see above
 _WORK_PER_GAUSSIAN, _WORK_PER_PIXEL = 450, 90
 _MOST_PHOTOGRAPHS = 0.5  # of the free memory of a GPU
-_CLEARLY = 1.1  # the estimate may be so much too high
+_TOLERANCE = 1.1  # the estimate may be too high by this factor
 
 
-class Need(NamedTuple):
-    """Bytes, by what they are for."""
+class MemoryEstimate(NamedTuple):
+    """Bytes by their use."""
 
     photographs: int
-    fields: int
+    parameters: int
     gradients: int
     work: int
 
@@ -44,39 +43,57 @@ class Need(NamedTuple):
         return sum(self)
 
 
-def needed(settings: FitSettings, photographs: int, width_px: int, height_px: int) -> Need:
-    """What a fit with as many Gaussians as its settings allow needs; photographs: fitted and held out."""
+def estimate_memory(settings: FitSettings, photographs: int, width_px: int, height_px: int) -> MemoryEstimate:
+    """Return the memory of a fit with settings.cap_max Gaussians.
+
+    Args:
+        settings: of the fit.
+        photographs: their number, fitted and held out.
+        width_px: of each.
+        height_px: of each.
+    """
     pixels = width_px * height_px
     numbers = _SHAPE_NUMBERS + 3 * SH_COEFFICIENTS[settings.sh_degree]
-    field = _NUMBER_BYTES * settings.cap_max * numbers
+    parameters = _NUMBER_BYTES * settings.cap_max * numbers
     work = settings.batch_size * (_WORK_PER_GAUSSIAN * settings.cap_max + _WORK_PER_PIXEL * pixels)
-    return Need(photographs * pixels * (5 if settings.masks == "alpha" else 4), _COPIES * field, field, work)
+    photos = photographs * pixels * (5 if settings.masks == "alpha" else 4)
+    return MemoryEstimate(photos, _COPIES * parameters, parameters, work)
 
 
-def stays_on_host(need: Need, device: str) -> bool:
-    """Whether the photographs would take so much of a GPU's memory that they are better kept in the host's: a step then
-    copies its own, a tenth of a millisecond for a megapixel."""
+def keeps_photos_on_host(need: MemoryEstimate, device: str) -> bool:
+    """Return whether photographs take so much of a GPU's memory that they are better kept in the host's.
+
+    A step then copies its own, a tenth of a millisecond for a megapixel.
+    """
     free = None if device == "cpu" else free_bytes(device)
     return free is not None and need.photographs > _MOST_PHOTOGRAPHS * free
 
 
-def check(need: Need, device: str, is_certain: bool) -> str:
-    """What is needed, in words. is_certain: whether it will be, and not only may: raises InputError where that is
-    clearly more than the device has free."""
+def check_memory(need: MemoryEstimate, device: str, is_certain: bool) -> str:
+    """Return the needed memory in words.
+
+    Args:
+        need: the estimate.
+        device: of the fit.
+        is_certain: the fit will need it, and not only may.
+
+    Raises:
+        InputError: the need is certain, and clearly less is free.
+    """
     free = free_bytes(device)
     words = (
-        f"{_shown(need.total)} of memory (photographs {_shown(need.photographs)}, Gaussians and moments "
-        f"{_shown(need.fields)}, gradients {_shown(need.gradients)}, work {_shown(need.work)})"
+        f"{_to_words(need.total)} of memory (photographs {_to_words(need.photographs)}, Gaussians and moments "
+        f"{_to_words(need.parameters)}, gradients {_to_words(need.gradients)}, work {_to_words(need.work)})"
     )
     if free is None:
         return words
-    if is_certain and need.total > _CLEARLY * free:
-        raise InputError(f"the fit needs {words}, and {device} has {_shown(free)} free; {REMEDIES}")
-    return f"{words} of {_shown(free)} free"
+    if is_certain and need.total > _TOLERANCE * free:
+        raise InputError(f"the fit needs {words}, and {device} has {_to_words(free)} free; {REMEDIES}")
+    return f"{words} of {_to_words(free)} free"
 
 
 def free_bytes(device: str) -> int | None:
-    """What a device, or the host for "cpu", can still give; None where the system does not tell."""
+    """Return the free memory of a device, or of the host for "cpu"; None where the system does not tell."""
     if device != "cpu":
         return free_memory(torch.device(device))
     try:
@@ -91,5 +108,5 @@ def free_bytes(device: str) -> int | None:
         return None
 
 
-def _shown(count: int) -> str:
+def _to_words(count: int) -> str:
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"

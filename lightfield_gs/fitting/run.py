@@ -1,4 +1,4 @@
-"""A fit from its first step, or a checkpoint's, to its last: what happens between steps, and when."""
+"""A fit from its first step, or from a checkpoint, to its last; scores, pictures and checkpoints between steps."""
 
 from __future__ import annotations
 
@@ -11,30 +11,33 @@ from typing import Any
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting import checkpoint
-from lightfield_gs.fitting.align import aligned
-from lightfield_gs.fitting.angles import Angles
 from lightfield_gs.fitting.checkpoint import Identity
-from lightfield_gs.fitting.evaluate import Scores, evaluated, protocol
-from lightfield_gs.fitting.pictures import write_pictures
-from lightfield_gs.fitting.progress import Progress
+from lightfield_gs.fitting.evaluate import ConeAngles, Scores, align_poses, describe_protocol, evaluate
+from lightfield_gs.fitting.posed_images import PosedImages
+from lightfield_gs.fitting.progress import Progress, write_pictures
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.fitting.views import Views
 from lightfield_gs.io.text_files import write_json
 from lightfield_gs.scene.gaussians import Gaussians
 
-_CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop
-_LEAST_REST_S, _CHECKPOINT_SHARE = 30.0, 0.02  # seconds between checkpoints, and their share of the time
+_CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # seconds and steps between two looks whether to stop
+_LEAST_REST_S, _CHECKPOINT_FRACTION = 30.0, 0.02  # seconds between checkpoints, and their fraction of the time
 _PATIENCE = 3  # evaluations without a better one, after which stop_early ends a fit
 
 
 @dataclass(frozen=True)
-class Habits:
-    """What a fit does beside its steps; none of it changes a bit of the scene.
+class RunOptions:
+    """What a fit does beside its steps; nothing of it changes a bit of the scene.
 
-    folder: for checkpoints, scores and pictures; None: none are written. fresh: a checkpoint that is there is removed.
-    checkpoint_every, evaluate_every, picture_every: steps; None: so that checkpoints take 2 % of the time, evaluations
-    at every tenth of the steps, no pictures. stop_early: the fit ends once three evaluations in a row were no better.
-    tensorboard: scalars in the folder. progress: whether lines and a bar are printed. stop: is asked between steps.
+    Attributes:
+        folder: for checkpoints, scores and pictures; None: nothing is written.
+        fresh: remove a checkpoint in the folder.
+        checkpoint_every: steps between checkpoints; None: they take 2 % of the time.
+        evaluate_every: steps between evaluations; None: a tenth of all steps.
+        picture_every: steps between pictures; None: one at the end.
+        stop_early: end the fit once three evaluations in a row were no better.
+        tensorboard: write scalars in the folder.
+        progress: print lines and a bar.
+        stop: is called between steps; True ends the fit.
     """
 
     folder: Path | None = None
@@ -60,28 +63,43 @@ class Habits:
 
 
 class Run:
-    """A trainer on its way, with the views that are held out from it, if any."""
+    """A trainer on its way, with the held-out photographs, if any.
+
+    Attributes:
+        history: of evaluations: step, psnr_db, ssim, gaussians.
+        scores: of the last evaluation.
+        stopped: whether options.stop ended the fit.
+    """
 
     def __init__(
         self,
         trainer: Trainer,
-        held: Views | None,
+        held_out: PosedImages | None,
         identity: Identity,
-        habits: Habits,
+        options: RunOptions,
         progress: Progress,
-        angles: Angles | None = None,
+        angles: ConeAngles | None = None,
     ):
-        """angles: of the views held out, where they are scored by these as well."""
+        """Keep the parts of the run.
+
+        Args:
+            trainer: the fit.
+            held_out: photographs for scores.
+            identity: of the fit, for checkpoints.
+            options: of the run.
+            progress: shows how far the fit is.
+            angles: of the held-out photographs, if they are scored by angle as well.
+        """
         self.angles = angles
-        self.trainer, self.held, self.habits, self._progress = trainer, held, habits, progress
+        self.trainer, self.held_out, self.options, self._progress = trainer, held_out, options, progress
         self._identity = identity
-        self.history: list[dict[str, Any]] = []  # of evaluations: step, psnr_db, ssim, gaussians
+        self.history: list[dict[str, Any]] = []
         self.scores: Scores | None = None
-        self.stopped = False  # by habits.stop
+        self.stopped = False
         self._saved_at, self._saving_s = time.monotonic(), 0.0
 
     def go(self) -> None:
-        """Does all steps that are left, or as many as it may."""
+        """Do all steps that are left, or as many as the options allow."""
         self._resume()
         trainer, steps, chunk = self.trainer, self.trainer.settings.steps, 1
         self._progress.begin(trainer.done, steps, trainer.settings.batch_size)
@@ -90,119 +108,124 @@ class Run:
                 began = time.monotonic()
                 before = trainer.done
                 trainer.advance(min(self._next_stop(), before + chunk))
-                chunk = self._agreed(_next_chunk(trainer.done - before, time.monotonic() - began))
+                chunk = self._agree(_next_chunk(trainer.done - before, time.monotonic() - began))
                 self._between()
             self._end()
         finally:
             self._progress.close()
 
     def _next_stop(self) -> int:
-        """The next step after which something is due."""
-        habits = self.habits
-        every = [n for n in (habits.checkpoint_every, habits.picture_every, self._evaluate_every) if n is not None]
+        """Return the next step after which something is due."""
+        options = self.options
+        every = [n for n in (options.checkpoint_every, options.picture_every, self._evaluate_every) if n is not None]
         return min((self.trainer.done // n + 1) * n for n in every)
 
     @property
     def _evaluate_every(self) -> int:
-        return self.habits.evaluate_every or max(1, self.trainer.settings.steps // 10)
+        return self.options.evaluate_every or max(1, self.trainer.settings.steps // 10)
 
     def _between(self) -> None:
-        trainer, habits = self.trainer, self.habits
+        trainer, options = self.trainer, self.options
         done = trainer.done
         losses = trainer.counters.losses[max(0, done - 100) : done]
-        self._progress.step(done, float(losses.mean()), trainer.fields.count)
+        self._progress.step(done, float(losses.mean()), trainer.state.count)
         if done % self._evaluate_every == 0 and done < trainer.settings.steps:
             self._evaluate()
-        if habits.picture_every is not None and done % habits.picture_every == 0:
-            self._picture()
+        if options.picture_every is not None and done % options.picture_every == 0:
+            self._write_pictures()
         if self._checkpoint_is_due():
             self._save()
-        self.stopped = bool(self._agreed(1 if habits.stop() else 0))
+        self.stopped = bool(self._agree(1 if options.stop() else 0))
 
-    def _agreed(self, number: int) -> int:
-        """The largest of the processes' numbers: all stop at the same step."""
+    def _agree(self, number: int) -> int:
+        """Return the largest of the processes' numbers: all stop at the same step."""
         return self.trainer.group.largest(number, self.trainer.device)
 
     @property
     def _folder(self) -> Path | None:
-        """Where this process writes."""
-        return self.habits.folder if self.trainer.group.is_first else None
+        """The folder that this process writes to."""
+        return self.options.folder if self.trainer.group.is_first else None
 
     def _end(self) -> None:
-        """What is left for the scene as it is now."""
+        """Score the present scene, and write checkpoint and pictures."""
         if not self.history or self.history[-1]["step"] != self.trainer.done or self.scores is None:
             self._evaluate()
         self._save()
-        self._picture()
+        self._write_pictures()
 
     def say(self, line: str) -> None:
-        """Tells it, unless progress is not to be shown."""
+        """Print a line, unless progress is off."""
         self._progress.say(line)
 
     # --- Scores
 
-    def held_for(self, gaussians: Gaussians) -> Views | None:
-        """The views held out as a scene, coordinates of the fit, is scored by them; None where there are none."""
-        settings = self.trainer.settings
-        return aligned(self.held, gaussians, settings) if self.held is not None and settings.poses else self.held
+    def align_held_out(self, gaussians: Gaussians) -> PosedImages | None:
+        """Return the held-out photographs for scores of a scene in normalised coordinates; None if there are none.
 
-    def scores_of(self, gaussians: Gaussians, held: Views) -> Scores:
-        """Of a scene, coordinates of the fit, by views of held_for."""
+        Their poses are aligned with the scene if the fit refines poses.
+        """
+        held, settings = self.held_out, self.trainer.settings
+        return align_poses(held, gaussians, settings) if held is not None and settings.poses else held
+
+    def score(self, gaussians: Gaussians, images: PosedImages) -> Scores:
+        """Score a scene in normalised coordinates by photographs from align_held_out."""
         settings = self.trainer.settings
-        return evaluated(gaussians, held, settings.steady_background, settings.antialiased)
+        return evaluate(gaussians, images, settings.steady_background, settings.antialiased)
 
     def _evaluate(self) -> None:
         trainer, settings = self.trainer, self.trainer.settings
-        gaussians = trainer.fields.gaussians()
-        if (held := self.held_for(gaussians)) is None:
+        gaussians = trainer.state.gaussians()
+        if (held := self.align_held_out(gaussians)) is None:
             return
-        self.scores = scores = self.scores_of(gaussians, held)
-        row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.fields.count}
+        self.scores = scores = self.score(gaussians, held)
+        row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.state.count}
         del row["views"]
         self.history = [*(old for old in self.history if old["step"] < trainer.done), row]
         self._progress.scores(trainer.done, scores.mean_psnr_db, scores.mean_ssim)
         self._progress.say(
             f"step {trainer.done}: held-out PSNR {scores.mean_psnr_db:.2f} dB, SSIM {scores.mean_ssim:.4f}, "
-            f"{trainer.fields.count} Gaussians" + (", held-out poses aligned" if settings.poses else "")
+            f"{trainer.state.count} Gaussians" + (", held-out poses aligned" if settings.poses else "")
         )
         self.write_scores()
 
     def write_scores(self, **more: Any) -> None:
-        """Writes scores.json in the folder, if there is one, and scores; with what else is to be said."""
+        """Write scores.json, if there are a folder and scores. more: further fields of it."""
         if self._folder is not None and (scores := self.scores) is not None:
             by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
-            words = protocol(self.trainer.settings.poses)
-            said = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
-            said["history"] = self.history
-            write_json(said, self._folder / "scores.json")
+            words = describe_protocol(self.trainer.settings.poses)
+            content = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
+            content["history"] = self.history
+            write_json(content, self._folder / "scores.json")
 
     def _is_no_better(self) -> bool:
-        """Whether the last evaluations say that going on gains nothing, and the fit may end of that. Evaluations at
-        other steps, of a fit that was stopped there, have no say: it ends where it would have without."""
+        """Return whether stop_early ends the fit.
+
+        Evaluations at other steps, of a fit that was stopped there, do not count: it ends where it would have without.
+        """
         scores = [row["psnr_db"] for row in self.history if row["step"] % self._evaluate_every == 0]
-        if not self.habits.stop_early or len(scores) <= _PATIENCE:
+        if not self.options.stop_early or len(scores) <= _PATIENCE:
             return False
         return max(scores[-_PATIENCE:]) <= max(scores[:-_PATIENCE])
 
-    def _picture(self) -> None:
+    def _write_pictures(self) -> None:
         if self._folder is not None:
-            write_pictures(self._folder, self.trainer, self.held or self.trainer.views)
+            write_pictures(self._folder, self.trainer, self.held_out or self.trainer.images)
 
     # --- Checkpoints
 
     def _resume(self) -> None:
-        if self.habits.folder is None:
+        if self.options.folder is None:
             return
-        path = self.habits.folder / checkpoint.FILE
+        path = self.options.folder / checkpoint.FILE
         if path.exists():
             self.history = checkpoint.restore(path, self.trainer, self._identity)
             self._progress.say(f"goes on from {path}, {self.trainer.done} of {self.trainer.settings.steps} steps done")
 
     def _checkpoint_is_due(self) -> bool:
-        every = self.habits.checkpoint_every
+        every = self.options.checkpoint_every
         if every is not None:
             return self.trainer.done % every == 0
-        return time.monotonic() - self._saved_at > max(_LEAST_REST_S, self._saving_s / _CHECKPOINT_SHARE)
+        return time.monotonic() - self._saved_at > max(_LEAST_REST_S, self._saving_s / _CHECKPOINT_FRACTION)
 
     def _save(self) -> None:
         if self._folder is None:
@@ -214,5 +237,5 @@ class Run:
 
 
 def _next_chunk(steps: int, seconds: float) -> int:
-    """How many steps to do next, after so many in so many seconds: as many as take _CHUNK_S."""
+    """Return the number of steps to do next, by the seconds that the last ones took: _CHUNK_S of work."""
     return max(1, min(int(_CHUNK_S * steps / max(seconds, 1e-9)), 2 * steps, _LONGEST_CHUNK))

@@ -45,6 +45,11 @@ FORMER_NAMES = {  # of settings in checkpoints of earlier versions
 }
 
 
+def decay_rate(rate: float, decay: float, step: int, steps: int) -> float:
+    """Return the learning rate at a step: an exponential fall from `rate` to decay * rate over `steps`."""
+    return rate * math.exp(math.log(decay) * step / steps)
+
+
 def _whole(default: int | None, low: int = 0, high: int = _MOST_STEPS) -> Any:
     """Return a field of whole numbers low..high; also None where the default is None."""
     return field(default=default, metadata={"type": int, "range": (low, high)})
@@ -83,7 +88,7 @@ def _checked(setting: Field, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """The settings of a fit. Step numbers are those of a fit of 30,000 steps and scale with `steps`.
+    """The settings of a fit. Numbers of steps are for a fit of 30,000 steps, and scale with `steps`.
 
     Sources: Kerbl et al. 2023 and their program; Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
     Carlo", 2024, for `mcmc`; Ye et al., "AbsGS", 2024, for `absgrad`.
@@ -196,4 +201,4 @@ class FitSettings:
 
     def means_lr_at(self, step: int) -> float:
         """Return the learning rate of means at a step, in extents: an exponential fall from means_lr."""
-        return self.means_lr * math.exp(math.log(self.means_lr_decay) * step / self.steps)
+        return decay_rate(self.means_lr, self.means_lr_decay, step, self.steps)

@@ -105,7 +105,7 @@ def remove_file(path: Path) -> None:
         raise InputError(f"cannot remove {path}: {error.strerror or error}") from error
 
 
-def lock(file: int) -> bool | None:
+def lock(file: int, shared: bool = False) -> bool | None:
     """Lock an open file or folder for as long as it is open in this process.
 
     Returns:
@@ -116,7 +116,7 @@ def lock(file: int) -> bool | None:
     import fcntl
 
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:

@@ -1,4 +1,4 @@
-"""Last stage of the network: raw head outputs become Gaussians in the source camera's axes."""
+"""Last stage of the network: channels of the heads become Gaussians in the source camera's axes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
-# Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. A line of
-# sight outside the mask meets nothing at all, so its Gaussians start below the visible 1/255 and cost nothing.
+# Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. Lines
+# of sight outside the mask meet nothing, so their Gaussians start below the visible 1/255 and cost nothing.
 _LOGITS_FIRST, _LOGITS_BEHIND = (1.0, -6.0), (-1.0, -6.0)
 # Standard deviation of an untrained Gaussian in pixel footprints: neighbours 1 apart close into a surface.
 _BASE_SCALE = 0.75
@@ -24,15 +24,15 @@ _LOG_SCALE_RANGE = (-0.7, 2.5)
 
 
 def parameter_groups(sh_degree: int) -> dict[str, int]:
-    """Channels that the heads predict for each Gaussian, in order."""
+    """Return the channels that the heads predict for each Gaussian, in order."""
     groups = {"depth": 1, "offset": 3, "opacity": 1, "scale": 3, "rotation": 4, "colour": 3}
     return groups | ({"harmonics": 3 * ((sh_degree + 1) ** 2 - 1)} if sh_degree else {})
 
 
 def _mirror_signs(sh_degree: int) -> list[int]:
-    """Of each channel of one layer: -1 where the mirror image of a Gaussian in the plane x = 0 has the other sign."""
+    """Return the sign of each channel of one layer under reflection in the plane x = 0."""
     signs = {"offset": [-1, 1, 1], "rotation": [1, 1, -1, -1]}
-    # A real harmonic goes with sin(|m| phi) where m < 0, else with cos(m phi), and the mirror takes phi to pi - phi.
+    # A real harmonic is proportional to sin(|m| phi) where m < 0, else to cos(m phi); the mirror maps phi to pi - phi.
     signs["harmonics"] = [
         (-1) ** (m if m >= 0 else m + 1)
         for band in range(1, sh_degree + 1)
@@ -45,10 +45,19 @@ def _mirror_signs(sh_degree: int) -> list[int]:
 
 
 def mirrored(raw: Tensor, layers: int, sh_degree: int) -> Tensor:
-    """Raw head outputs [B,C,H,W] for the Gaussians that are the mirror image, left and right, of those of `raw`."""
+    """Reflect raw channels, left and right.
+
+    Args:
+        raw: [B,C,H,W], output of the heads.
+        layers: Gaussians per pixel.
+        sh_degree: degree of the harmonics.
+
+    Returns:
+        [B,C,H,W], whose Gaussians are the mirror image of those of `raw`.
+    """
     signs = _mirror_signs(sh_degree) * layers
     flipped, start, parts = raw.flip(3), 0, []
-    for sign, run in itertools.groupby(signs):  # slices: a tensor of signs would have to be sent to the device
+    for sign, run in itertools.groupby(signs):  # slices: a tensor of signs would be copied to the device
         channels = flipped[:, start : start + len(list(run))]
         start += channels.shape[1]
         parts.append(channels if sign > 0 else -channels)
@@ -61,7 +70,7 @@ def _flat(channels: Tensor) -> Tensor:
 
 
 def _harmonics(constant: Tensor, rest: Tensor | None) -> Tensor:
-    """Coefficients [B,H*W,K,3] from the constant term [B,3,H,W] and the others [B,3(K-1),H,W] (coefficient-major)."""
+    """Combine the constant term [B,3,H,W] and the others [B,3(K-1),H,W] (coefficient-major) to [B,H*W,K,3]."""
     coefficients = _flat(constant)[:, :, None]
     return coefficients if rest is None else torch.cat([coefficients, _flat(rest).unflatten(2, (-1, 3))], dim=2)
 
@@ -69,8 +78,9 @@ def _harmonics(constant: Tensor, rest: Tensor | None) -> Tensor:
 class DeltaComposer(nn.Module):
     """Base Gaussians from the picture plus predicted changes; layers lie one behind the other on each line of sight.
 
-    Depth is linear in disparity 1/z between far and near, since a step in disparity moves a pixel by the same amount at
-    any depth. Offsets and scales count in footprints of the Gaussian's pixel at its depth, colours are input + change.
+    Depth is linear in disparity 1/z between far and near, since a step in disparity moves a pixel by the same amount
+    at any depth. Offsets and scales are in footprints of the Gaussian's pixel at its depth. Colours are input +
+    change.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -81,18 +91,26 @@ class DeltaComposer(nn.Module):
         self.base_logit = math.log(base / (1 - base))
 
     def forward(self, raw: Tensor, pixels: Pixels) -> Gaussians:
-        """raw: [B, layers * sum(groups), H, W] float32; zeros give the base Gaussians. N = layers * H * W."""
+        """Compose the Gaussians.
+
+        Args:
+            raw: [B, layers * sum(groups), H, W] float32; zeros give the base Gaussians.
+            pixels: of the picture, [B,.,H,W].
+
+        Returns:
+            Gaussians with leading B and N = layers * H * W.
+        """
         nearness: Tensor | float = 1.0
         parts: list[tuple[Tensor, ...]] = []
         for index, layer in enumerate(raw.chunk(self.layers, dim=1)):
             values = dict(zip(self.groups, layer.split(list(self.groups.values()), dim=1)))
-            # The share of the disparity range shrinks from layer to layer: each lies behind the one before.
+            # The fraction of the disparity range shrinks from layer to layer: each lies behind the one before.
             nearness = nearness * torch.sigmoid(values["depth"] + (self.base_logit if index == 0 else 0.0))
             parts.append(self._layer(values, 1 / (self.far_disparity + self.disparity_range * nearness), pixels, index))
         return from_tensors(torch.cat(fields, dim=1) for fields in zip(*parts))
 
     def _layer(self, values: dict[str, Tensor], depth: Tensor, pixels: Pixels, index: int) -> tuple[Tensor, ...]:
-        """Means, quaternions, scales, opacities and harmonics of one layer at depth [B,1,H,W]."""
+        """Return means, quaternions, scales, opacities and harmonics of one layer at depth [B,1,H,W]."""
         footprint = pixels.footprint * depth
         reach = footprint if index == 0 else 2 * footprint
         means = torch.cat([pixels.rays * depth, depth], dim=1) + reach * values["offset"]
@@ -113,7 +131,15 @@ class AbsoluteComposer(nn.Module):
         self.near, self.far, self.groups = config.near, config.far, parameter_groups(config.sh_degree)
 
     def forward(self, raw: Tensor, pixels: Pixels) -> Gaussians:
-        """raw: [B, sum(groups), H, W] float32. N = H * W."""
+        """Compose the Gaussians.
+
+        Args:
+            raw: [B, sum(groups), H, W] float32.
+            pixels: of the picture, [B,.,H,W].
+
+        Returns:
+            Gaussians with leading B and N = H * W.
+        """
         values = dict(zip(self.groups, raw.split(list(self.groups.values()), dim=1)))
         depth = self.near + (self.far - self.near) * torch.sigmoid(values["depth"])
         means = torch.cat([pixels.rays * depth, depth], dim=1) + values["offset"]
@@ -127,9 +153,11 @@ class AbsoluteComposer(nn.Module):
         )
 
     def initialise(self, head: nn.Conv2d, block: int) -> None:
-        """Initial weights of the 1x1 head per group, Xavier gain and bias, as published for objects.
+        """Initialise the 1x1 head: Xavier gain and bias of each group, as published for objects.
 
-        block: channels of the head per predicted number (pixels of a patch).
+        Args:
+            head: the convolution.
+            block: channels of the head per predicted number (pixels of a patch).
         """
         settings = {
             "depth": (1.0, 0.0),

@@ -1,4 +1,4 @@
-"""Configuration of the network, read from configs/models/*.yaml and stored in every checkpoint."""
+"""Configuration of the network: read from configs/models/*.yaml, and stored in every checkpoint."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ COMPOSERS = ("delta", "absolute")
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Everything that determines a network.
+    """All choices that determine a network.
 
-    input: "rgb_mask_ray" (colour, mask, ray direction: 6 channels) or "rgb" (colour on white).
-    image_size_px: side of the square input, and of the grid of Gaussians.
-    patch_px: side of the pixel blocks folded into channels before the U-Net and unfolded after it; 2 computes features
-        at half the resolution, for four Gaussians a feature.
-    features: channels between U-Net and heads; 0: as many as the heads predict, as in the original.
-    composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
-    layers: Gaussians per pixel, each layer behind the one before. "absolute" has one.
-    sh_degree: degree of the spherical harmonics, 0..3.
-    near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
-    base_depth: depth of the untrained first layer ("delta" only).
-    photo_focal: focal length assumed for photos, in units of the side of the square round the object.
-    symmetric: predict from the picture and from its mirror image, and take the mean of what both say: then the mirror
-        image of a picture gives the mirror image of its Gaussians, for twice the work of the U-Net.
-    unet: the backbone.
+    Attributes:
+        input: "rgb_mask_ray" (colour, mask, ray direction: 6 channels) or "rgb" (colour on white).
+        image_size_px: side of the square input, and of the grid of Gaussians.
+        patch_px: side of the pixel blocks that are folded into channels before the U-Net and unfolded after it. 2
+            computes features at half the resolution, for four Gaussians a feature.
+        features: channels between U-Net and heads; 0: as many as the heads predict, as in the original.
+        composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
+        layers: Gaussians per pixel, each layer behind the one before; 1 for "absolute".
+        sh_degree: degree of the spherical harmonics, 0..3.
+        near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
+        base_depth: depth of the untrained first layer ("delta" only).
+        photo_focal: focal length assumed for photos, in units of the side of the square round the object.
+        symmetric: average the predictions of the picture and of its mirror image, so that a mirrored picture gives
+            mirrored Gaussians, for twice the work of the U-Net.
+        unet: the backbone.
     """
 
     input: str = "rgb_mask_ray"
@@ -52,7 +53,7 @@ class ModelConfig:
     unet: UNetConfig = UNetConfig()
 
     def __post_init__(self) -> None:
-        """Check every field that a file can get wrong."""
+        """Check the values of all fields. Raises InputError."""
         check_field_types(self, "")
         step = max(self.size_step, 1)
         checks = (
@@ -73,11 +74,11 @@ class ModelConfig:
 
     @property
     def size_step(self) -> int:
-        """Heights and widths of pictures are multiples of this, patch_px * 2^(levels - 1): the U-Net halves them."""
+        """Divisor of heights and widths of pictures, patch_px * 2^(levels - 1), since the U-Net halves them."""
         return self.patch_px << (len(self.unet.multipliers) - 1)
 
     def check_size(self, what: str, size_px: int) -> None:
-        """Raises InputError unless pictures may have this height or width, `what` in the message."""
+        """Raise InputError, beginning with `what`, unless a picture may have this height or width."""
         if size_px % self.size_step:
             raise InputError(f"{what}: expected a multiple of {self.size_step} pixels for this network, got {size_px}")
 
@@ -95,10 +96,10 @@ class ModelConfig:
 
     @classmethod
     def from_yaml(cls, name: str | Path) -> ModelConfig:
-        """Read a file, or a named configuration of configs/models ("default", "original")."""
+        """Read a file, or a named configuration of configs/models ("default", "original"). Raises InputError."""
         path = Path(name) if Path(name).suffix else config_path("models", str(name))
         return cls.from_dict(read_mapping(path, (), [field.name for field in dataclasses.fields(cls)]))
 
     def to_dict(self) -> dict[str, Any]:
-        """The inverse of from_dict."""
+        """Return a dictionary for from_dict."""
         return dataclasses.asdict(self)

@@ -13,9 +13,9 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 
-# Room left round the object's bounding box, as a share of its longer side (on each side).
+# Margin on each side of the object's bounding box, as a fraction of its longer side.
 MARGIN = 0.08
-# A pixel belongs to the object from this opacity on; fainter ones are shadows and the haze of automatic cut-outs.
+# Least opacity of the object; fainter pixels are shadows and the haze of automatic cut-outs.
 _OBJECT_ALPHA = 0.2
 _STRIP_PIXELS = 1 << 20
 Number = TypeVar("Number")
@@ -23,9 +23,11 @@ Number = TypeVar("Number")
 
 @dataclass(frozen=True)
 class Square(Generic[Number]):
-    """A square of whole pixels: left and top edge (may be negative) and side length. It may reach beyond the image.
+    """A square of whole pixels, which may reach beyond the image. For many squares the fields are arrays.
 
-    Many squares may be one Square whose fields are arrays.
+    Attributes:
+        left, top: first column and row; may be negative.
+        side: length.
     """
 
     left: Number
@@ -35,15 +37,26 @@ class Square(Generic[Number]):
     def intrinsics(
         self: Square[int], focal: tuple[float, float], centre: tuple[float, float], size_px: int
     ) -> list[float]:
-        """(fx, fy, cx, cy) in pixels after the square was cut out and resized to size_px."""
+        """Return (fx, fy, cx, cy) in pixels of the cropped and resized square.
+
+        Args:
+            focal: (fx, fy) of the image, pixels.
+            centre: (cx, cy) of the image, pixels.
+            size_px: side of the resized square.
+        """
         scale = size_px / self.side
         return [focal[0] * scale, focal[1] * scale, (centre[0] - self.left) * scale, (centre[1] - self.top) * scale]
 
 
 def object_square(alpha: Tensor, margin: float = MARGIN) -> Square[int]:
-    """The square round the object, centred on its bounding box, with `margin` times its longer side left on each side.
+    """Return the square round the object, centred on its bounding box.
 
-    alpha: [H,W], 0..1 or uint8. Raises InputError when nothing is opaque.
+    Args:
+        alpha: [H,W], 0..1 or uint8.
+        margin: left on each side, as a fraction of the longer side.
+
+    Raises:
+        InputError: when nothing is opaque.
     """
     opaque = alpha >= least_opaque(alpha.dtype)
     check_object(opaque.any())
@@ -53,26 +66,33 @@ def object_square(alpha: Tensor, margin: float = MARGIN) -> Square[int]:
 
 
 def least_opaque(dtype: torch.dtype) -> float:
-    """The alpha from which on a pixel belongs to the object, in 0..1, or of uint8."""
+    """Return the least alpha of a pixel of the object, in 0..1, or of uint8."""
     return _OBJECT_ALPHA if dtype.is_floating_point else round(255 * _OBJECT_ALPHA)
 
 
 def check_object(there_is_one: float | Tensor) -> None:
-    """Raises InputError unless there is an object."""
+    """Raise InputError unless there is an object."""
     if not there_is_one:
         raise InputError("empty mask: expected an object with opaque pixels, every pixel is transparent")
 
 
 def _span(flags: Tensor) -> tuple[int, int]:
-    """Index of the first flag that is set, and one more than that of the last."""
+    """Return the index of the first set flag, and one more than the index of the last."""
     return int(flags.int().argmax()), len(flags) - int(flags.flip(0).int().argmax())
 
 
 def crop_resize(image: Tensor, square: Square[int], size_px: int) -> Tensor:
-    """Cut the square out of image [C,H,W] (zero beyond its edges) and resize it to [C,size_px,size_px], antialiased.
+    """Crop an image to a square, and resize it with antialiasing.
 
-    Colours must be premultiplied by alpha, or the background would bleed into the outline. Returns float32 in the range
-    of the input, which may be uint8.
+    Colours must be premultiplied by alpha, or the background bleeds into the outline.
+
+    Args:
+        image: [C,H,W], float or uint8; 0 beyond its edges.
+        square: the crop.
+        size_px: side of the result.
+
+    Returns:
+        [C,size_px,size_px] float32 in the range of the input.
     """
     height, width = image.shape[1:]
     right, bottom = square.left + square.side, square.top + square.side
@@ -83,10 +103,18 @@ def crop_resize(image: Tensor, square: Square[int], size_px: int) -> Tensor:
 
 
 def crop_resize_premultiplied(image: Tensor, square: Square[int], size_px: int) -> Tensor:
-    """crop_resize of image [H,W,4], uint8 or float32 in 0..1, whose alpha is straight: [4,size_px,size_px], multiplied.
+    """Premultiply, crop and resize an image with straight alpha.
 
-    It is done for a strip of rows at a time, across and then down, which is how the filter goes anyway: a whole photo
-    of 50 megapixels in floating point, once as it is and once multiplied, would take 1.6 GB.
+    The filter runs along rows and then columns, for a strip of rows at a time. In floating point a whole photo of 50
+    megapixels would take 1.6 GB.
+
+    Args:
+        image: [H,W,4], uint8 or float32 in 0..1.
+        square: the crop.
+        size_px: side of the result.
+
+    Returns:
+        [4,size_px,size_px] float32, premultiplied.
     """
     rows = range(max(0, square.top), min(image.shape[0], square.top + square.side))
     each = max(1, _STRIP_PIXELS // square.side)
@@ -101,7 +129,7 @@ def crop_resize_premultiplied(image: Tensor, square: Square[int], size_px: int) 
 
 
 def premultiplied(photo: Tensor) -> Tensor:
-    """float32 [4,H,W], colours times alpha, of a photo [H,W,4], uint8 or float32 in 0..1."""
+    """Return float32 [4,H,W], colours times alpha, of a photo [H,W,4], uint8 or float32 in 0..1."""
     image = photo.permute(2, 0, 1).float()
     if photo.dtype == torch.uint8:
         image = image / 255
@@ -109,16 +137,22 @@ def premultiplied(photo: Tensor) -> Tensor:
 
 
 def _resized(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """image [C,H,W] float32 at another size (height, width), antialiased."""
+    """Resize an image [C,H,W] float32 to (height, width) with antialiasing."""
     if tuple(image.shape[1:]) == size:
         return image
     return F.interpolate(image[None], size=size, mode="bilinear", antialias=True)[0]
 
 
 def crop_on_device(photo: Tensor, sizes_px: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
-    """crop_resize_premultiplied of photo [H,W,4], uint8 or float32, contiguous on CUDA, to the square round its object
-    at each of these sizes, [4,S,S]. First come two numbers [2] that are 0 where its values are not in 0..1, and where
-    there is no object; of such photos the crops mean nothing. All sizes are made by kernels that a graph can hold.
+    """Crop a photo on CUDA without waiting for the device, by kernels that a graph can hold.
+
+    Args:
+        photo: [H,W,4], uint8 or float32, contiguous on CUDA.
+        sizes_px: sides of the crops.
+
+    Returns:
+        Two numbers [2], which are 0 where values are out of 0..1 and where there is no object; then the crops are
+        meaningless. And the crops as of crop_resize_premultiplied, [4,S,S] each.
     """
     height, width = photo.shape[:2]
     found = torch.empty(_core.cuda.FOUND_NUMBERS, dtype=torch.int32, device=photo.device)

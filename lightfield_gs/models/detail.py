@@ -2,11 +2,11 @@
 
 The network's Gaussians are a translucent cloud some pixels deep, whose mean is a good surface and whose picture is
 soft. A sheet lies along that surface: factor x factor texels for each pixel of the network's grid, Gaussians with the
-photo's colours and opacities. The cloud in front of the sheet fades, since the photo shows it already. The cloud behind
-the sheet stays, and shows where other views look past the sheet.
+photo's colours and opacities. The cloud in front of the sheet fades, since the photo shows it already. The cloud
+behind the sheet stays, and shows where other views look past the sheet.
 
-Everything is done on the grid of pixels, without a rasterizer: shapes depend on no values, so that CUDA can capture it
-as a graph, and everything has gradients. For inference models/sheet.py makes the same texels natively.
+Everything is computed on the grid of pixels, without a rasterizer, and has gradients. Shapes depend on no values, so
+that CUDA can capture it as a graph. For inference models/sheet.py makes the same texels natively.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
 _WIDENING = 0.3
-# A texel's blur on the screen, its own and the rasterizer's, as a variance in texels^2, and the least of its own
+# Variance in texels^2 of a displayed texel, with the rasterizer's widening; and the least without it
 _BLUR, _LEAST_BLUR = 0.36, 0.2
-# Optical depth of the sheet, -log of what shines through it: high enough to cover the cloud, low enough that of texels
-# that overlap not only the nearest is seen, whose colour is that of a neighbour half the time
+# Optical depth of the sheet, -log of its transmittance. It is high enough to cover the cloud, and low enough that all
+# overlapping texels are visible: the nearest is a neighbour's half the time
 _OPTICAL_DEPTH, _MOST_OPAQUE = 1.8, 0.98
-_MOST_OF_SHEET = -math.expm1(-_OPTICAL_DEPTH)  # the opacity of the sheet where the object is whole
+_MOST_OF_SHEET = -math.expm1(-_OPTICAL_DEPTH)  # opacity of the sheet where the object is opaque
 _THICKNESS = 0.3  # standard deviation along the normal, texels
-# How much of what blur takes from the photo is put back beforehand, of colours and of outlines
+# Strength of the sharpening against the blur, of colours and of outlines
 _SHARPER_COLOUR, _SHARPER_OUTLINE = 1.0, 2.0
-# Opacities of a photo's pixels up to which they are the haze of a cut-out, and from which on they are the object
+# Opacities of a photo's pixels: at most _HAZE is haze of a cut-out, at least _OBJECT is the object
 _HAZE, _OBJECT = 0.1, 0.3
-# The cloud is averaged over its pixels with this deviation, in pixels: its Gaussians take turns in blocks of pixels
+# Standard deviation in pixels of the cloud's average, since its Gaussians alternate in blocks of pixels
 _AVERAGED = 2.0
-_SOFTNESS = 1.5  # depth over which the cloud before the sheet fades, footprints
-_STEEPEST = 3.0  # footprints of depth from texel to texel up to which the sheet closes
-# Neighbours up to this many footprints nearer or farther are of the same surface; from twice as many on, of another.
+_SOFTNESS = 1.5  # depth over which the cloud in front of the sheet fades, footprints
+_STEEPEST = 3.0  # footprints of depth between texels: steeper gaps of the sheet stay open
+# Depth in footprints between neighbours of one surface; from twice as much on they are of two.
 SAME_SURFACE = 3.0
 
 
@@ -62,43 +62,58 @@ class DetailLevel:
 def with_detail(
     cloud: Gaussians, pixels: Pixels, texels: Pixels, layers: int, factor: int, texel_px: float = 1.0
 ) -> Gaussians:
-    """The sheet, then the network's Gaussians, faded where they lie before it: N = (factor^2 + layers) * H * W.
+    """Add the sheet to the network's Gaussians. Differentiable.
 
-    cloud: [B, layers * H * W, ...] as the network's composer gives it, in the axes of the photo's camera. pixels: those
-    of the network's input, [B,.,H,W]; texels: those of the photo at [B,.,factor * H,factor * W], whose footprint is as
-    much smaller. texel_px: width of a texel in pixels where it will be drawn. Differentiable.
+    Args:
+        cloud: [B, layers * H * W, ...] from the composer, in the axes of the photo's camera.
+        pixels: of the network's input, [B,.,H,W].
+        texels: of the photo, [B,.,factor * H,factor * W], with a smaller footprint in proportion.
+        layers: of the cloud.
+        factor: texels per side of a pixel.
+        texel_px: width of a texel where it is displayed, in pixels.
+
+    Returns:
+        N = (factor^2 + layers) * H * W Gaussians: the sheet, then the cloud, faded in front of the sheet.
     """
     surface, faded = sheet_surface(cloud, pixels, layers)
     disparity, harmonics = surface.disparity, surface.harmonics
-    sheet = _sheet(along_surface(disparity, disparity, pixels.footprint, factor), texels, texel_px)
+    sheet = _sheet(upsample_along_surface(disparity, disparity, pixels.footprint, factor), texels, texel_px)
     if harmonics.shape[1]:
-        rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
+        rest = _flat(upsample_along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
     return from_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, faded.fields().values()))
 
 
 class SheetSurface(NamedTuple):
-    """Where the sheet lies on the network's grid: disparities 1/z [B,1,H,W], and harmonics beyond the first
-    [B,3(K-1),H,W]."""
+    """The surface of the sheet on the network's grid.
+
+    Attributes:
+        disparity: 1/z, [B,1,H,W].
+        harmonics: coefficients beyond the first, [B,3(K-1),H,W].
+    """
 
     disparity: Tensor
     harmonics: Tensor
 
 
 def sheet_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[SheetSurface, Gaussians]:
-    """Where the sheet of with_detail lies, and the cloud under it, faded where it lies before it."""
+    """Return the surface of the sheet of with_detail, and the cloud, faded in front of it.
+
+    Args:
+        cloud, pixels, layers: see with_detail.
+    """
     disparity, harmonics = visible_surface(cloud, pixels, layers)
     opacities = _faded(cloud, disparity, pixels.mask, layers, pixels.footprint)
     return SheetSurface(disparity, harmonics), replace(cloud, opacities=opacities)
 
 
 def surface_look() -> _core.SurfaceLook:
-    """What the native stage of sheet_surface has to know of this file."""
+    """Return the constants of the native stage of sheet_surface."""
     return _core.SurfaceLook(averaged=_AVERAGED, softness=_SOFTNESS)
 
 
 def sheet_look(texel_px: float) -> _core.SheetLook:
-    """What the native stage of the texels has to know of it."""
+    """Return the constants of the native stage of the texels."""
     own, blur = _blurs(texel_px)
     return _core.SheetLook(
         deviation=math.sqrt(own),
@@ -117,11 +132,18 @@ def sheet_look(texel_px: float) -> _core.SheetLook:
 
 
 def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tensor, Tensor]:
-    """What the photo's camera sees of the cloud on average: disparities 1/z [B,1,H,W], and harmonics beyond the first
-    [B,3(K-1),H,W].
+    """Return the average surface of the cloud as the photo's camera sees it.
 
-    Near each pixel a layer is taken for a fog whose density along the line of sight is a normal distribution, so that
-    the optical depth before each Gaussian is known in closed form, and with it how much of it is seen.
+    Near each pixel a layer is taken as a fog whose density along the line of sight is a normal distribution. So the
+    optical depth in front of each Gaussian is known in closed form, and with it the Gaussian's visibility.
+
+    Args:
+        cloud: [B, layers * H * W, ...].
+        pixels: [B,.,H,W].
+        layers: of the cloud.
+
+    Returns:
+        Disparities 1/z [B,1,H,W], and harmonics beyond the first [B,3(K-1),H,W].
     """
     height, width = pixels.mask.shape[2:]
     values = torch.cat([1 / cloud.means[..., 2:], cloud.sh[:, :, 1:].flatten(2)], 2).transpose(1, 2)
@@ -131,18 +153,18 @@ def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tens
     fogs = [_fog(size, grid[:, :1]) for size, grid in zip(sizes, grids)]
     total = torch.zeros_like(torch.cat([grids[0], sizes[0]], 1))
     for size, grid in zip(sizes, grids):
-        # Nearer is of a larger disparity
+        # Nearer means larger disparity
         before = sum(thick * torch.special.ndtr((mean - grid[:, :1]) / spread) for thick, mean, spread in fogs)
-        seen = size * torch.exp(-before)
-        total = total + seen * torch.cat([grid, torch.ones_like(size)], 1)
-    means = blurred(total, _AVERAGED)
+        visibility = size * torch.exp(-before)
+        total = total + visibility * torch.cat([grid, torch.ones_like(size)], 1)
+    means = blur(total, _AVERAGED)
     means = means[:, :-1] / means[:, -1:]
     return means[:, :1], means[:, 1:]
 
 
 def _fog(size: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Optical depth, mean disparity and its standard deviation of a layer near each pixel, [B,1,H,W] each."""
-    thick, first, second = blurred(torch.cat([size, size * disparity, size * disparity.square()], 1), _AVERAGED).split(
+    """Return optical depth, mean disparity and its standard deviation of a layer near each pixel, [B,1,H,W] each."""
+    thick, first, second = blur(torch.cat([size, size * disparity, size * disparity.square()], 1), _AVERAGED).split(
         1, 1
     )
     mean = first / thick
@@ -150,24 +172,24 @@ def _fog(size: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _areas(cloud: Gaussians, pixels: Pixels) -> Tensor:
-    """The integral [B,N] over the photo of each Gaussian of the height 1, in pixels of the network's grid."""
+    """Return the integral [B,N] over the photo of each Gaussian of height 1, in pixels of the network's grid."""
     x, y, z = cloud.means.unbind(2)
     axes = rotations(F.normalize(cloud.quaternions, dim=2)) * cloud.scales[:, :, None]
-    # The slopes x/z and y/z change by these for a standard deviation along each axis of the Gaussian
-    across, down = (axes[:, :, row] - (place / z)[..., None] * axes[:, :, 2] for row, place in ((0, x), (1, y)))
+    # Change of the slopes x/z and y/z for a standard deviation along each axis of the Gaussian
+    across, down = (axes[:, :, row] - (offset / z)[..., None] * axes[:, :, 2] for row, offset in ((0, x), (1, y)))
     determinant = across.square().sum(2) * down.square().sum(2) - (across * down).sum(2).square()
     return 2 * math.pi * determinant.clamp_min(1e-20).sqrt() / (z * pixels.footprint[:, :, 0, 0]).square()
 
 
 def _faded(cloud: Gaussians, disparity: Tensor, cover: Tensor, layers: int, footprint: Tensor) -> Tensor:
-    """Opacities [B,N] of the cloud, those before the sheet fainter, as far as it covers [B,1,H,W] its pixel."""
+    """Return opacities [B,N] of the cloud, reduced in front of the sheet where `cover` [B,1,H,W] is opaque."""
     depth = (1 / disparity).flatten(1).repeat(1, layers)
     behind = (cloud.means[..., 2] / depth - 1) / footprint[:, :, 0, 0]
     return (cloud.opacities * (1 - cover.flatten(1).repeat(1, layers) * torch.sigmoid(-behind / _SOFTNESS))).clamp(0, 1)
 
 
 def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
-    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities [B,1,H,W]."""
+    """Return means, quaternions, scales, opacities and constant harmonics of the texels at disparities [B,1,H,W]."""
     depth = 1 / disparity
     size = texels.footprint * depth
     own, blur = _blurs(texel_px)
@@ -182,26 +204,28 @@ def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, 
 
 
 def _blurs(texel_px: float) -> tuple[float, float]:
-    """Variances in texels^2 of a texel, and of it as it is drawn."""
+    """Return the variances in texels^2 of a texel, and of its projection with the rasterizer's widening."""
     widening = _WIDENING / texel_px**2
     own = max(_BLUR - widening, _LEAST_BLUR)
     return own, own + widening
 
 
 def _opacity(blur: float) -> float:
-    """Of a texel whose pixel is covered in full."""
+    """Return the opacity of a texel whose pixel is fully covered."""
     return min(_OPTICAL_DEPTH / (2 * math.pi * blur), _MOST_OPAQUE)
 
 
 def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
-    """Optical depths of the texels, 1 where the object is whole, and colours, which are about those of the photo when
-    they are blurred with this deviation in texels."""
+    """Sharpen the texels against the blur of their projection, whose standard deviation is in texels.
+
+    Returns:
+        Optical depths, 1 where the object is opaque, and colours, which blurred are about the photo's.
+    """
     mask = texels.mask
-    # What overlaps adds up as optical depth, and only that may be blurred and sharpened: half an opacity takes much
-    # less than half the depth of a whole one. It gets less yet, for what spreads beyond the outline cannot be taken
-    # back there.
+    # Optical depths of overlapping texels add up, and only they may be blurred and sharpened: half an opacity has
+    # much less than half the optical depth. It is reduced further, since spread beyond the outline is not undone.
     depth = -torch.log1p(-_MOST_OF_SHEET * mask) / _OPTICAL_DEPTH * mask
-    soft = blurred(torch.cat([texels.colour * mask, mask, depth], 1), deviation)
+    soft = blur(torch.cat([texels.colour * mask, mask, depth], 1), deviation)
     near = soft[:, :3] / soft[:, 3:4].clamp_min(1e-3)
     colour = texels.colour + _SHARPER_COLOUR * (texels.colour - near)
     outline = (depth + _SHARPER_OUTLINE * (depth - soft[:, 4:])).clamp_min(0)
@@ -210,9 +234,13 @@ def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
 
 
 def _tangents(disparity: Tensor, texels: Pixels) -> tuple[Tensor, Tensor]:
-    """Rotations [B,4,H,W] to the surface's direction of descent, its level direction and its normal; and by how much
-    [B,1,H,W] texels lie farther apart along the first than across the line of sight."""
-    # dz/du in footprints, for z = 1/disparity; of both neighbours the less steep, so that edges stay open
+    """Return the frames of the surface at the texels, and their stretch.
+
+    Returns:
+        Rotations [B,4,H,W] to the surface's direction of descent, its level direction and its normal. And the ratio
+        [B,1,H,W] of the texels' spacing along the first to that across the line of sight.
+    """
+    # dz/du in footprints, z = 1/disparity: the less steep of both neighbours, so that edges stay open
     slopes = []
     for axis in (3, 2):
         ahead = disparity.diff(dim=axis)
@@ -223,7 +251,7 @@ def _tangents(disparity: Tensor, texels: Pixels) -> tuple[Tensor, Tensor]:
     ray = torch.cat([texels.rays, torch.ones_like(disparity)], 1)
     unit = torch.eye(3, dtype=ray.dtype, device=ray.device)[:, None, :, None, None]
     tangent_x, tangent_y = unit[0] + across * ray, unit[1] + down * ray
-    # A surface that is level all over descends to the right: the small number decides, and keeps gradients finite
+    # A level surface descends to the right: the small number decides, and keeps gradients finite
     right = torch.where(across < 0, across - 1e-4, across + 1e-4)
     length = (right.square() + down.square()).sqrt()
     turn_x, turn_y = right.abs() / length, torch.where(across < 0, -down, down) / length
@@ -234,7 +262,7 @@ def _tangents(disparity: Tensor, texels: Pixels) -> tuple[Tensor, Tensor]:
 
 
 def _quaternions(first: Tensor, second: Tensor, third: Tensor) -> Tensor:
-    """[B,4,H,W], w first, of the rotations with these columns [B,3,H,W], which turn by less than 180 degrees."""
+    """Return quaternions [B,4,H,W], w first, of rotations by less than 180 degrees with these columns [B,3,H,W]."""
     w = (1 + first[:, 0] + second[:, 1] + third[:, 2]).clamp_min(1e-6).sqrt() / 2
     x = (second[:, 2] - third[:, 1]) / (4 * w)
     y = (third[:, 0] - first[:, 2]) / (4 * w)
@@ -247,11 +275,16 @@ def _flat(channels: Tensor) -> Tensor:
     return channels.flatten(2).transpose(1, 2)
 
 
-def blurred(channels: Tensor, deviation: float) -> Tensor:
-    """channels [B,C,H,W] convolved with a Gaussian of this standard deviation in pixels, zeros beyond the edges."""
+def blur(channels: Tensor, deviation: float) -> Tensor:
+    """Convolve with a Gaussian, with zeros beyond the edges.
+
+    Args:
+        channels: [B,C,H,W].
+        deviation: standard deviation in pixels.
+    """
     reach = math.ceil(3 * deviation)
-    places = torch.arange(-reach, reach + 1, dtype=channels.dtype, device=channels.device)
-    weights = torch.exp(-0.5 * (places / deviation).square())
+    offsets = torch.arange(-reach, reach + 1, dtype=channels.dtype, device=channels.device)
+    weights = torch.exp(-0.5 * (offsets / deviation).square())
     weights = (weights / weights.sum()).view(1, 1, 1, -1)
     each = channels.flatten(0, 1)[:, None]
     each = F.conv2d(each, weights, padding=(0, reach))
@@ -260,15 +293,23 @@ def blurred(channels: Tensor, deviation: float) -> Tensor:
 
 
 def minmod(one: Tensor, other: Tensor) -> Tensor:
-    """The smaller of two steps where both go the same way, else 0."""
+    """Return the smaller of two steps in one direction, else 0."""
     return torch.where(one * other > 0, torch.where(one.abs() < other.abs(), one, other), 0.0)
 
 
-def along_surface(channels: Tensor, disparity: Tensor, footprint: Tensor, factor: int) -> Tensor:
-    """channels [B,C,H,W] at [B,C,factor*H,factor*W]: bilinear between pixels of one surface.
+def upsample_along_surface(channels: Tensor, disparity: Tensor, footprint: Tensor, factor: int) -> Tensor:
+    """Upsample bilinearly between pixels of one surface.
 
-    disparity [B,1,H,W] and footprint [B,1,1,1] (width of a pixel at depth 1) tell which pixels are of one surface:
-    neighbours whose depths differ by three footprints at most count in full, from six on not at all.
+    Neighbours whose depths differ by at most three footprints count in full, from six on not at all.
+
+    Args:
+        channels: [B,C,H,W].
+        disparity: [B,1,H,W].
+        footprint: [B,1,1,1], width of a pixel at depth 1.
+        factor: of the resolution.
+
+    Returns:
+        [B,C,factor*H,factor*W].
     """
     if factor == 1:
         return channels
@@ -278,31 +319,31 @@ def along_surface(channels: Tensor, disparity: Tensor, footprint: Tensor, factor
     near = {at: (2 - (field[:, -1:] - middle).abs() / SAME_SURFACE).clamp(0, 1) for at, field in around.items()}
     rows = []
     for row in range(factor):
-        # Every texel lies between its own pixel and three others, towards its corner of the pixel
+        # A texel lies between its own pixel and three others, towards its corner of the pixel
         side_y, part_y = _between(row, factor)
         texels = []
         for column in range(factor):
             side_x, part_x = _between(column, factor)
             weights = {
-                (y, x): share_y * share_x * near[y, x]
-                for y, share_y in ((0, 1 - part_y), (side_y, part_y))
-                for x, share_x in ((0, 1 - part_x), (side_x, part_x))
+                (y, x): weight_y * weight_x * near[y, x]
+                for y, weight_y in ((0, 1 - part_y), (side_y, part_y))
+                for x, weight_x in ((0, 1 - part_x), (side_x, part_x))
             }
-            shares = torch.stack(list(weights.values()))
+            stacked = torch.stack(list(weights.values()))
             values = torch.stack([around[at][:, :-1] for at in weights])
-            texels.append((shares * values).sum(0) / shares.sum(0))
+            texels.append((stacked * values).sum(0) / stacked.sum(0))
         rows.append(torch.stack(texels, -1))
     return torch.stack(rows, 3).flatten(4, 5).flatten(2, 3)
 
 
 def _between(index: int, factor: int) -> tuple[int, float]:
-    """For a texel of a pixel: towards which neighbour it lies, -1 or 1, and that neighbour's share."""
-    place = (index + 0.5) / factor - 0.5
-    return (1 if place > 0 else -1), abs(place)
+    """Return the direction of the neighbour nearest to a texel, -1 or 1, and the neighbour's weight."""
+    offset = (index + 0.5) / factor - 0.5
+    return (1 if offset > 0 else -1), abs(offset)
 
 
 def _shifted(fields: Tensor, down: int, right: int) -> Tensor:
-    """fields [B,C,H,W] of the pixels so far down and to the right, 1 at most; beyond the edges those of the edge."""
+    """Return fields [B,C,H,W] shifted by at most one pixel down and to the right; edge pixels repeat."""
     height, width = fields.shape[2:]
     padded = F.pad(fields, (1, 1, 1, 1), mode="replicate")
     return padded[:, :, 1 + down : 1 + down + height, 1 + right : 1 + right + width]

@@ -1,4 +1,4 @@
-"""First stage of the network: what is known of each pixel before anything was predicted."""
+"""First stage of the network: colour, mask and ray of each pixel, before anything is predicted."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Pixels:
-    """What the picture says about each pixel of a grid.
+    """The pixels of a picture.
 
-    rays: [B,2,H,W], x/z and y/z of the line of sight through the pixel's centre (source camera's axes).
-    footprint: [B,1,1,1], width of a pixel at depth 1, in scene units. colour: [B,3,H,W], straight (not premultiplied),
-    mid-grey where nothing is. mask: [B,1,H,W], 0..1.
+    Attributes:
+        rays: [B,2,H,W], x/z and y/z of the line of sight through the pixel's centre (source camera's axes).
+        footprint: [B,1,1,1], width of a pixel at depth 1, in scene units.
+        colour: [B,3,H,W], straight (not premultiplied), mid-grey where the mask is 0.
+        mask: [B,1,H,W], 0..1.
     """
 
     rays: Tensor
@@ -24,7 +26,15 @@ class Pixels:
 
 
 def pixel_rays(intrinsics: Tensor, height: int, width: int) -> Tensor:
-    """Directions (x/z, y/z) through pixel centres, [B,2,H,W]. intrinsics: [B,4] as (fx, fy, cx, cy) in pixels."""
+    """Return directions (x/z, y/z) through pixel centres.
+
+    Args:
+        intrinsics: [B,4], (fx, fy, cx, cy) in pixels.
+        height, width: of the picture, pixels.
+
+    Returns:
+        [B,2,H,W].
+    """
     fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
     columns = torch.arange(width, device=intrinsics.device, dtype=intrinsics.dtype) + 0.5
     rows = torch.arange(height, device=intrinsics.device, dtype=intrinsics.dtype) + 0.5
@@ -34,7 +44,12 @@ def pixel_rays(intrinsics: Tensor, height: int, width: int) -> Tensor:
 
 
 def describe_pixels(images: Tensor, intrinsics: Tensor) -> Pixels:
-    """Unpack premultiplied images [B,4,H,W] (0..1) and intrinsics [B,4] (fx, fy, cx, cy in pixels)."""
+    """Unpack pictures.
+
+    Args:
+        images: [B,4,H,W] in 0..1, premultiplied.
+        intrinsics: [B,4], (fx, fy, cx, cy) in pixels.
+    """
     mask = images[:, 3:]
     # Dividing by at least 1/50 keeps rounding noise in faint pixels from becoming bright colours.
     colour = torch.where(mask > 0.02, (images[:, :3] / mask.clamp_min(0.02)).clamp(0, 1), 0.5)
@@ -43,14 +58,25 @@ def describe_pixels(images: Tensor, intrinsics: Tensor) -> Pixels:
 
 
 def network_input(images: Tensor, pixels: Pixels, kind: str) -> Tensor:
-    """Input channels of the U-Net: "rgb_mask_ray" [B,6,H,W] about zero, or "rgb" [B,3,H,W] on white in 0..1."""
+    """Return the input channels of the U-Net.
+
+    Args:
+        images: [B,4,H,W], premultiplied.
+        pixels: of the same images.
+        kind: "rgb_mask_ray" for [B,6,H,W] about zero, or "rgb" for [B,3,H,W] on white in 0..1.
+    """
     if kind == "rgb":
         return images[:, :3] + 1 - pixels.mask
-    # Premultiplied colour on mid-grey, less mid-grey: zero where nothing is.
+    # Premultiplied colour on mid-grey, minus mid-grey: zero in the background.
     return torch.cat([images[:, :3] - 0.5 * pixels.mask, pixels.mask - 0.5, pixels.rays], dim=1)
 
 
 def mirror_image(images: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
-    """What images [B,4,H,W] and their intrinsics [B,4] are in a mirror that exchanges left and right."""
+    """Reflect images and their cameras, left and right.
+
+    Args:
+        images: [B,4,H,W].
+        intrinsics: [B,4], (fx, fy, cx, cy) in pixels.
+    """
     fx, fy, cx, cy = intrinsics.unbind(-1)
     return images.flip(3), torch.stack([fx, fy, images.shape[3] - cx, cy], dim=-1)

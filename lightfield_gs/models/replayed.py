@@ -1,5 +1,4 @@
-"""The network on photo after photo: on CUDA its launches are a graph, for the host takes longer over them than the
-device."""
+"""SplatterNet for photo after photo, as a CUDA graph."""
 
 from __future__ import annotations
 
@@ -9,10 +8,10 @@ from torch import Tensor
 
 from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.models.detail import DetailLevel
-from lightfield_gs.models.splatter_net import SplatterNet, checked_photo, seen
+from lightfield_gs.models.splatter_net import SplatterNet, checked_photo, visible
 from lightfield_gs.scene.gaussians import Gaussians
 
-_MOST_GRAPHS = 4  # each keeps the memory of what it computes
+_MOST_GRAPHS = 4  # each keeps its memory
 
 
 class ReplayedNet:
@@ -33,11 +32,11 @@ class ReplayedNet:
         photo = checked_photo(rgba)
         cropped, fine = self.net.crops(photo, level)
         if not cropped.is_cuda or not self._is_repeated(level):
-            return self.net.seen_gaussians(cropped, fine, level)
+            return self.net.visible_gaussians(cropped, fine, level)
         with torch.cuda.device(cropped.device):
             if level not in self._graphs:
                 self._graphs[level] = _Graph(self.net, cropped, fine, level)
-            return seen(self._graphs[level].replayed(cropped, fine))
+            return visible(self._graphs[level].replay(cropped, fine))
 
     def _is_repeated(self, level: DetailLevel | None) -> bool:
         if level in self._graphs:
@@ -49,18 +48,18 @@ class ReplayedNet:
 
 
 class _Graph:
-    """SplatterNet.all_gaussians of photos of one level of detail."""
+    """SplatterNet.all_gaussians as a CUDA graph, for photos of one level of detail."""
 
     def __init__(self, net: SplatterNet, cropped: Tensor, fine: Tensor | None, level: DetailLevel | None) -> None:
-        with torch.inference_mode(False), torch.no_grad():  # tensors that can be written to in any mode
+        with torch.inference_mode(False), torch.no_grad():  # tensors that are writable in any mode
             self._cropped, self._fine = cropped.clone(), None if fine is None else fine.clone()
             self._intrinsics = net.photo_intrinsics()
             self._graph, self._gaussians = capture_graph(
-                lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level)
+                lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level), warm_up=True
             )
 
-    def replayed(self, cropped: Tensor, fine: Tensor | None) -> Gaussians:
-        """The Gaussians, which the next call writes over."""
+    def replay(self, cropped: Tensor, fine: Tensor | None) -> Gaussians:
+        """Return the Gaussians, which the next call writes over."""
         self._cropped.copy_(cropped)
         if self._fine is not None and fine is not None:
             self._fine.copy_(fine)

@@ -1,5 +1,6 @@
-"""The sheet of lightfield_gs/models/detail.py for inference: its surface and its texels by two native stages, on the
-CPU or on CUDA. A million texels, made elementwise by PyTorch, would take longer than the network.
+"""The sheet of models/detail.py for inference: its surface and its texels by two native stages, on the CPU or on CUDA.
+
+With PyTorch's elementwise operations a million texels would take longer than the network.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from lightfield_gs.models.detail import DetailLevel, SheetSurface, sheet_look, s
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
-_SCRATCH = 6  # numbers that the stage keeps of each texel
+_SCRATCH = 6  # scratch numbers of the stage for each texel
 
 
 def is_native(photo: Tensor) -> bool:
-    """Whether the native stages can lay this photo over a prediction: it has no gradients, and is of float32."""
+    """Return whether the native stages can lay the sheet for this photo: float32, without gradients."""
     if torch.compiler.is_compiling() or torch.is_grad_enabled() or photo.dtype != torch.float32:
         return False
     return photo.device.type == "cpu" or (photo.is_cuda and hasattr(_core, "cuda"))
@@ -26,20 +27,26 @@ def is_native(photo: Tensor) -> bool:
 def lay_sheet(
     cloud: Gaussians, pixels: Pixels, fine: Tensor, intrinsics: Tensor, layers: int, level: DetailLevel
 ) -> Gaussians:
-    """What with_detail returns, but that texels beside the object, of opacity 0, are not turned along the surface.
+    """Return the Gaussians of with_detail.
 
-    cloud, pixels, layers: those of with_detail. fine: the photo at level.factor times the size of pixels,
-    [B,4,H',W'], premultiplied. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of the network's input. Everything is
-    float32 on one device, for which is_native must hold; nothing waits for it.
+    But texels beside the object, of opacity 0, are not turned along the surface.
+
+    Everything is float32 on one device, for which is_native must hold; nothing waits for it.
+
+    Args:
+        cloud, pixels, layers: see with_detail.
+        fine: the photo at level.factor times the size of pixels, [B,4,H',W'], premultiplied.
+        intrinsics: [B,4], (fx, fy, cx, cy) in pixels of the network's input.
+        level: of detail.
     """
     texels = fine.shape[2] * fine.shape[3]
 
-    def with_room(field: Tensor) -> Tensor:
+    def extended(field: Tensor) -> Tensor:
         both = field.new_empty(len(fine), texels + field.shape[1], *field.shape[2:])
         both[:, texels:] = field
         return both
 
-    gaussians = map_fields(cloud, with_room)
+    gaussians = map_fields(cloud, extended)
     under = map_fields(gaussians, lambda field: field[:, texels:])
     surface = find_surface(under, pixels.mask, intrinsics, layers)
     lay_texels(surface, fine, intrinsics, level, gaussians)
@@ -47,20 +54,26 @@ def lay_sheet(
 
 
 def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int) -> SheetSurface:
-    """The surface of sheet_surface; the opacities of the cloud fade. cloud: each set of the B is contiguous. mask:
-    [B,1,H,W]."""
+    """Return the surface of sheet_surface, and fade the cloud in place.
+
+    Args:
+        cloud: each of its B sets is contiguous.
+        mask: [B,1,H,W].
+        intrinsics: [B,4].
+        layers: of the cloud.
+    """
     batch, _, height, width = mask.shape
     rest, look = 3 * (cloud.sh.shape[2] - 1), surface_look()
     planes = mask.new_empty(3, max(3 * layers, 2 + rest), height, width)
     surface = SheetSurface(*(mask.new_empty(batch, channels, height, width) for channels in (1, rest)))
     each = zip(mask.contiguous(), intrinsics.contiguous(), *surface, *cloud.fields().values())
-    for shown, camera, disparity, harmonics, *fields in each:
+    for mask_row, camera, disparity, harmonics, *fields in each:
         job = _core.Surface(
             height=height,
             width=width,
             layers=layers,
             cloud=_native(fields),
-            mask=shown.data_ptr(),
+            mask=mask_row.data_ptr(),
             intrinsics=camera.data_ptr(),
             look=look,
             planes=planes.data_ptr(),
@@ -74,7 +87,15 @@ def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int
 def lay_texels(
     surface: SheetSurface, fine: Tensor, intrinsics: Tensor, level: DetailLevel, gaussians: Gaussians
 ) -> None:
-    """Writes the texels over a surface to the first H' * W' Gaussians, contiguous [B,N,...]; the rest see lay_sheet."""
+    """Write the texels over a surface to the first H' * W' Gaussians; see lay_sheet.
+
+    Args:
+        surface: of find_surface.
+        fine: [B,4,H',W'], premultiplied.
+        intrinsics: [B,4].
+        level: of detail.
+        gaussians: [B,N,...], contiguous.
+    """
     texels, look = fine.shape[2] * fine.shape[3], sheet_look(level.texel_px)
     surface = SheetSurface(*(channels.contiguous() for channels in surface))
     scratch = fine.new_empty(_SCRATCH * texels)
@@ -96,8 +117,8 @@ def lay_texels(
         _run("sheet", job, fine)
 
 
-def _native(fields: list[Tensor]) -> _core._Stages.Gaussians:
-    """Gaussians [N,...] as the native module takes them."""
+def _native(fields: list[Tensor]) -> _core.float32.Gaussians:
+    """Return Gaussians [N,...] in the native module's form."""
     degree = SH_COEFFICIENTS.index(fields[4].shape[1])
     return _core.float32.Gaussians(len(fields[0]), degree, *(field.data_ptr() for field in fields))
 

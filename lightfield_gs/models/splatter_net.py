@@ -43,7 +43,10 @@ _CONFIG_KEY = "lightfield_gs.model_config"
 
 
 class SplatterNet(nn.Module):
-    """Predicts `layers` Gaussians for every pixel of a square picture of an object. See ModelConfig for the choices."""
+    """Predicts `layers` Gaussians for every pixel of a square picture of an object.
+
+    See ModelConfig for the choices.
+    """
 
     def __init__(self, config: ModelConfig = ModelConfig()) -> None:
         super().__init__()
@@ -66,14 +69,21 @@ class SplatterNet(nn.Module):
     def forward(
         self, images: Tensor, intrinsics: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
     ) -> Gaussians:
-        """Predict the Gaussians of B pictures in the axes of their own cameras (OpenCV: x right, y down, z forward).
+        """Predict the Gaussians of B pictures in the axes of their own cameras (OpenCV). Differentiable.
 
-        images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of
-        those pictures. fine, level: the same pictures at level.factor times their size, [B,4,H',W'], whose colours a
-        sheet over what was predicted then has (models/detail.py); its H' * W' Gaussians come first. Returns Gaussians
-        with leading B, layers * H * W of them beside those, float32. Differentiable. The U-Net obeys autocast and may
-        be of lower precision; heads, composer and sheet are float32 always. Raises InputError unless H and W are
-        multiples of config.size_step.
+        The U-Net obeys autocast and may be of lower precision; heads, composer and sheet are always float32.
+
+        Args:
+            images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1.
+            intrinsics: [B,4], (fx, fy, cx, cy) in pixels of those pictures.
+            fine: the same pictures at level.factor times their size, [B,4,H',W'], for a sheet (models/detail.py).
+            level: of the sheet.
+
+        Returns:
+            Gaussians with leading B, float32: the H' * W' of the sheet, then layers * H * W.
+
+        Raises:
+            InputError: unless H and W are multiples of config.size_step.
         """
         for name, size in zip(("height", "width"), images.shape[-2:]):
             self.config.check_size(f"{name} of the images", size)
@@ -89,21 +99,21 @@ class SplatterNet(nn.Module):
             return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px)
 
     def _predicted(self, images: Tensor, intrinsics: Tensor, pixels: Pixels) -> Tensor:
-        """The composer's raw numbers [B,C,H,W], float32."""
-        shown = network_input(images, pixels, self.config.input)
+        """Return the composer's raw channels [B,C,H,W], float32."""
+        inputs = network_input(images, pixels, self.config.input)
         if not self.config.symmetric:
-            return self._raw(shown)
+            return self._raw(inputs)
         mirror = mirror_image(images, intrinsics)
         there = network_input(mirror[0], describe_pixels(*mirror), self.config.input)
-        own, other = self._raw(torch.cat([shown, there])).chunk(2)
+        own, other = self._raw(torch.cat([inputs, there])).chunk(2)
         return (own + mirrored(other, self.config.layers, self.config.sh_degree)) / 2
 
-    def _raw(self, shown: Tensor) -> Tensor:
-        """What the head says, [B,C,H,W] float32, of what network_input gives."""
-        folded = F.pixel_unshuffle(shown, self.config.patch_px)
+    def _raw(self, inputs: Tensor) -> Tensor:
+        """Run U-Net and heads on network_input: [B,C,H,W] float32."""
+        folded = F.pixel_unshuffle(inputs, self.config.patch_px)
         folded = folded.to(self.unet.stem.weight.dtype, memory_format=torch.channels_last)
         features = self.unet(folded)
-        with torch.autocast(shown.device.type, enabled=False):
+        with torch.autocast(inputs.device.type, enabled=False):
             return F.pixel_shuffle(self.head(features.to(self.head.weight.dtype)), self.config.patch_px)
 
     @torch.no_grad()
@@ -126,17 +136,29 @@ class SplatterNet(nn.Module):
         """
         photo = checked_photo(rgba)
         expect("level", level, DetailLevel, type(None))
-        return self.seen_gaussians(*self.crops(photo, level), level)
+        return self.visible_gaussians(*self.crops(photo, level), level)
 
     def crop_photo(self, photo: Tensor) -> Tensor:
-        """The object of what checked_photo returned as the network takes it, [4,S,S] premultiplied, on its device.
+        """Crop a photo of checked_photo to the object: [4,S,S] premultiplied, on the network's device.
 
-        Raises InputError for values outside 0..1 or an empty mask.
+        Raises:
+            InputError: for values outside 0..1 or an empty mask.
         """
         return self.crops(photo, None)[0]
 
     def crops(self, photo: Tensor, level: DetailLevel | None) -> tuple[Tensor, Tensor | None]:
-        """What crop_photo returns, and the same at level.factor times the size; None without a level."""
+        """Crop a photo for the network, and for the sheet.
+
+        Args:
+            photo: of checked_photo.
+            level: of detail, or None.
+
+        Returns:
+            The crop of crop_photo, [4,S,S], and the same at level.factor times the size; None without a level.
+
+        Raises:
+            InputError: for values outside 0..1 or an empty mask.
+        """
         photo, size = photo.to(self.device), self.config.image_size_px
         if photo.is_cuda and hasattr(_core, "cuda"):
             checks, (cropped, *finer) = crop_on_device(
@@ -151,18 +173,19 @@ class SplatterNet(nn.Module):
         fine = None if level is None else crop.crop_resize_premultiplied(photo, square, level.factor * size)
         return crop.crop_resize_premultiplied(photo, square, size), fine
 
-    def seen_gaussians(
+    def visible_gaussians(
         self, cropped: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
     ) -> Gaussians:
-        """all_gaussians of a cropped photo, but for those too faint to be drawn. Waits for the device."""
-        return seen(self.all_gaussians(cropped, self.photo_intrinsics(), fine, level))
+        """Return all_gaussians of a cropped photo without those too faint to be drawn. Waits for the device."""
+        return visible(self.all_gaussians(cropped, self.photo_intrinsics(), fine, level))
 
     @property
     def device(self) -> torch.device:
+        """The device of the weights."""
         return self.head.weight.device
 
     def photo_intrinsics(self) -> Tensor:
-        """(fx, fy, cx, cy) of the camera that is assumed of a cropped photo, [1,4] in pixels of the crop."""
+        """Return the assumed (fx, fy, cx, cy) of a cropped photo, [1,4] in pixels of the crop."""
         size = self.config.image_size_px
         return torch.tensor([[self.config.photo_focal * size] * 2 + [size / 2] * 2], device=self.device)
 
@@ -170,10 +193,13 @@ class SplatterNet(nn.Module):
     def all_gaussians(
         self, cropped: Tensor, intrinsics: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
     ) -> Gaussians:
-        """All layers * H * W Gaussians of one cropped picture [4,H,W], premultiplied, those that are unseen included.
+        """Return all layers * H * W Gaussians of one cropped picture, invisible ones included.
 
-        intrinsics: [1,4], see forward. fine, level: the same picture at level.factor times the size, for detail; then
-        the Gaussians of its pixels come first.
+        Args:
+            cropped: [4,H,W], premultiplied.
+            intrinsics: [1,4], see forward.
+            fine: the same picture at level.factor times the size; the Gaussians of its pixels come first.
+            level: of detail.
         """
         was_training = self.training
         self.eval()
@@ -182,18 +208,18 @@ class SplatterNet(nn.Module):
         finally:
             self.train(was_training)
         own = batch.quaternions[:, -self.config.layers * cropped.shape[1] * cropped.shape[2] :]
-        own.copy_(F.normalize(own, dim=-1))  # those of texels are of length 1
+        own.copy_(F.normalize(own, dim=-1))  # the texels' have length 1
         return from_tensors(field[0].contiguous() for field in batch.fields().values())
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
-        """Write the weights as float16 safetensors, configuration and notes in the metadata."""
+        """Write the weights as float16 safetensors, with configuration and notes in the metadata."""
         save_weights(checked_path(path), self.config, self.state_dict(), notes or {})
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> SplatterNet:
-        """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
+        """Load a checkpoint of save(), in eval mode, float32. None: the one in the package. Raises InputError."""
         config, weights = read_weights(checked_path(path) if path is not None else PRETRAINED)
-        with torch.device("meta"):  # takes no time for initial values, and no memory if the configuration is damaged
+        with torch.device("meta"):  # no time for initial values, and no memory for a damaged configuration
             net = cls(config)
         wanted = net.state_dict()
         if {name: tensor.shape for name, tensor in weights.items()} != {name: t.shape for name, t in wanted.items()}:
@@ -202,14 +228,17 @@ class SplatterNet(nn.Module):
         return net.eval()
 
 
-def seen(gaussians: Gaussians) -> Gaussians:
-    """Those that are not too faint to be drawn. Waits for the device, once."""
+def visible(gaussians: Gaussians) -> Gaussians:
+    """Drop Gaussians too faint to be drawn. Waits for the device, once."""
     which = (gaussians.opacities >= OPACITY_CUT).nonzero().squeeze(1)
     return from_tensors(field.index_select(0, which) for field in gaussians.fields().values())
 
 
 def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
-    """The photo as a tensor [H,W,4], uint8 or float32, on its device. Raises InputError for other shapes and types."""
+    """Return the photo as a tensor [H,W,4], uint8 or float32, on its device.
+
+    Raises InputError for other shapes and types.
+    """
     photo = to_tensor("photo", rgba)
     if photo.ndim != 3 or photo.shape[2] != 4 or 0 in photo.shape:
         raise InputError(f"photo: expected an array [H,W,4] (RGB and alpha), got {list(photo.shape)}")
@@ -224,20 +253,27 @@ def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
 
 
 def in_range(photo: Tensor) -> Tensor:
-    """Whether all values of what checked_photo returns are in 0..1 (uint8 always are), bool []."""
+    """Return whether all values of a photo of checked_photo are in 0..1, bool []. uint8 always are."""
     if photo.dtype == torch.uint8:
         return torch.ones((), dtype=torch.bool, device=photo.device)
     return ((photo >= 0) & (photo <= 1)).all()
 
 
 def check_values(values_in_range: float | Tensor) -> None:
-    """Raises InputError unless the values of a photo are in range; see in_range."""
+    """Raise InputError unless the values of a photo are in range; see in_range."""
     if not values_in_range:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")
 
 
 def save_weights(path: Path, config: ModelConfig, state: Mapping[str, Tensor], notes: dict[str, str]) -> None:
-    """Write the weights of a network; the file appears complete or not at all. notes: further metadata."""
+    """Write the weights of a network; the file appears complete or not at all.
+
+    Args:
+        path: the checkpoint.
+        config: of the network.
+        state: its state_dict; saved as float16.
+        notes: further metadata.
+    """
     from safetensors.torch import save
 
     weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in state.items()}
@@ -253,7 +289,7 @@ def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-        # Read at once: one by one the open file would never free 64 bytes for each (safetensors 0.8)
+        # Read at once: one by one, safetensors 0.8 leaks 64 bytes for each
         weights = {name: tensor.float() for name, tensor in load(path.read_bytes()).items()}
         config = parse_json(metadata[_CONFIG_KEY])
     except FileNotFoundError:

@@ -1,9 +1,9 @@
 """Residual U-Net: the feature extractor of every network configuration.
 
 The layout is that of Song et al., "Score-Based Generative Modeling through Stochastic Differential Equations", ICLR
-2021 (DDPM++), without noise conditioning: residual blocks that also resample, one skip connection per block, attention
-at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128 channels.
-Group normalisation is that of Wu & He, ECCV 2018.
+2021 (DDPM++), without noise conditioning. It has residual blocks that also resample, one skip connection per block,
+and attention at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128
+channels. Group normalisation is that of Wu & He, ECCV 2018.
 """
 
 from __future__ import annotations
@@ -21,14 +21,21 @@ from lightfield_gs import _core
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 
-MOST = 65536  # of any whole number in a configuration: more is a mistake
+MOST = 65536  # largest whole number in a configuration
 
 
 def group_norm_silu(norm: nn.GroupNorm, features: Tensor) -> Tensor:
-    """silu(norm(features)), features [B,C,H,W].
+    """Return silu(norm(features)).
 
-    Our kernel is for inference in bfloat16 on CUDA with channels last, for which PyTorch takes six kernels, two of them
-    copies to channels first and back. It rounds once, where PyTorch rounds twice.
+    In inference in bfloat16 on CUDA, channels last, one native kernel replaces PyTorch's six, two of which copy to
+    channels first and back. It rounds once, PyTorch twice.
+
+    Args:
+        norm: the group normalisation.
+        features: [B,C,H,W].
+
+    Returns:
+        [B,C,H,W].
     """
     if not _is_ours(norm, features):
         return F.silu(norm(features))
@@ -61,7 +68,7 @@ def _is_ours(norm: nn.GroupNorm, features: Tensor) -> bool:
 
 
 def check_field_types(config: Any, where: str) -> None:
-    """Raises InputError at the first field of a dataclass that has not the type of its default."""
+    """Raise InputError at the first field of a dataclass whose type differs from its default's."""
     for field in dataclasses.fields(config):
         value, default = getattr(config, field.name), field.default
         if isinstance(default, tuple):
@@ -86,13 +93,16 @@ def _is_count(value: Any) -> bool:
 class UNetConfig:
     """Shape and initialisation of a U-Net.
 
-    base_channels: channels at the first level. multipliers: channels of each level in units of base_channels.
-    blocks: residual blocks per level on the way down (one more on the way up).
-    attention_px: side lengths of feature maps (at the network's nominal input size) that get self-attention.
-    heads: attention heads. dropout: probability in [0, 1) inside residual blocks.
-    residual_scale: factor on the sum of the two branches; sqrt(0.5) keeps variances in the original network.
-    zero_init: True starts every residual branch at zero; False uses the original's Xavier-uniform weights (gain 1e-5
-    instead of zero for the second convolution).
+    Attributes:
+        base_channels: channels at the first level.
+        multipliers: channels of each level in units of base_channels.
+        blocks: residual blocks per level on the way down (one more on the way up).
+        attention_px: side lengths of feature maps, at the network's nominal input size, that get self-attention.
+        heads: attention heads.
+        dropout: probability in [0, 1) inside residual blocks.
+        residual_scale: factor on the sum of the two branches; sqrt(0.5) keeps variances in the original network.
+        zero_init: True starts every residual branch at zero. False uses the original's Xavier-uniform weights (gain
+            1e-5 instead of zero for the second convolution).
     """
 
     base_channels: int = 32
@@ -105,7 +115,7 @@ class UNetConfig:
     zero_init: bool = True
 
     def __post_init__(self) -> None:
-        """Check the fields that a file can get wrong."""
+        """Check the values of all fields. Raises InputError."""
         check_field_types(self, "unet.")
         checks = (
             (self.base_channels >= 4, "base_channels", "at least 4"),
@@ -129,13 +139,13 @@ class UNetConfig:
 
 
 def _group_norm(channels: int) -> nn.GroupNorm:
-    """At least four channels per group, at most 32 groups, as many as divide the channels evenly."""
+    """Make a group norm of at most 32 groups, of at least four channels each, that divide the channels evenly."""
     groups = next(count for count in range(min(32, channels // 4), 0, -1) if channels % count == 0)
     return nn.GroupNorm(groups, channels, eps=1e-6)
 
 
 def _convolution(inputs: int, outputs: int, kernel: int, *, gain: float | None = None) -> nn.Conv2d:
-    """Same-size convolution; gain: Xavier-uniform with this gain, None: PyTorch's own initialisation."""
+    """Make a same-size convolution. gain: of the Xavier-uniform weights; None: PyTorch's own initialisation."""
     layer = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2)
     if gain is not None:
         nn.init.xavier_uniform_(layer.weight, gain)
@@ -144,14 +154,14 @@ def _convolution(inputs: int, outputs: int, kernel: int, *, gain: float | None =
 
 
 def _resample(features: Tensor, factor: float) -> Tensor:
-    """Halve by averaging 2x2 pixels, double by repeating them, or leave alone (factor 1/2, 2, 1)."""
+    """Halve by averaging 2x2 pixels, double by repeating them, or keep the size (factor 1/2, 2, 1)."""
     if factor == 0.5:
         return F.avg_pool2d(features, 2)
     return F.interpolate(features, scale_factor=2.0, mode="nearest") if factor == 2 else features
 
 
 class Attention(nn.Module):
-    """Self-attention over all pixels of a feature map, added to it."""
+    """Self-attention over all pixels of a feature map, with a residual connection."""
 
     def __init__(self, channels: int, config: UNetConfig) -> None:
         super().__init__()
@@ -162,6 +172,7 @@ class Attention(nn.Module):
         self.projection = _convolution(channels, channels, 1, gain=0.0 if config.zero_init else 1e-5)
 
     def forward(self, features: Tensor) -> Tensor:
+        """Attend. features: [B,C,H,W], as the result."""
         batch, channels, height, width = features.shape
         packed = self.queries_keys_values(self.norm(features)).flatten(2)
         packed = packed.reshape(batch, 3, self.heads, channels // self.heads, height * width).transpose(3, 4)
@@ -170,7 +181,14 @@ class Attention(nn.Module):
 
 
 class ResidualBlock(nn.Module):
-    """Norm, SiLU, 3x3 convolution, twice, beside a shortcut; may halve or double the resolution."""
+    """Norm, SiLU, 3x3 convolution, twice, beside a shortcut; may halve or double the resolution.
+
+    Args:
+        inputs, outputs: channels.
+        config: of the U-Net.
+        factor: of the resolution, 1/2, 1 or 2.
+        attention: whether self-attention follows.
+    """
 
     def __init__(
         self, inputs: int, outputs: int, config: UNetConfig, *, factor: float = 1, attention: bool = False
@@ -188,6 +206,7 @@ class ResidualBlock(nn.Module):
         self.attention = Attention(outputs, config) if attention else None
 
     def forward(self, features: Tensor) -> Tensor:
+        """Map features [B,inputs,H,W] to [B,outputs,factor * H,factor * W]."""
         branch = self.convolution_1(_resample(group_norm_silu(self.norm_1, features), self.factor))
         branch = self.convolution_2(self.dropout(group_norm_silu(self.norm_2, branch)))
         features = self.shortcut(_resample(features, self.factor))
@@ -199,9 +218,12 @@ class ResidualBlock(nn.Module):
 
 
 class UNet(nn.Module):
-    """Maps [B, inputs, H, W] to [B, outputs, H, W]; H and W must be multiples of 2^(levels - 1).
+    """A U-Net from [B,inputs,H,W] to [B,outputs,H,W].
 
-    size_px: the side length for which attention_px is meant; the weights work at any other size too.
+    Args:
+        inputs, outputs: channels.
+        size_px: the side length that attention_px refers to; the weights work at any other size too.
+        config: its shape.
     """
 
     def __init__(self, inputs: int, outputs: int, size_px: int, config: UNetConfig) -> None:
@@ -234,6 +256,7 @@ class UNet(nn.Module):
         self.output = _convolution(width, outputs, 3, gain=None if config.zero_init else 0.2)
 
     def forward(self, image: Tensor) -> Tensor:
+        """Map an image [B,inputs,H,W] to features [B,outputs,H,W]; H and W are multiples of 2^(levels - 1)."""
         features = self.stem(image)
         skips = [features]
         for block in self.down:

@@ -1,11 +1,12 @@
-"""The lens of a panel, estimated from photographs of bars that it shows, taken from known places.
+"""The lens of a panel, estimated from photographs of bars on it, taken from known viewpoints.
 
-The bars are drawn for a profile `start`: what shows view x of it has the phase x/N. Through the true lens an eye at
-(x_e, y_e, z) sees at a place of the panel, s sub-pixels to the right and r rows below its middle, the phase (mod 1)
+The bars are drawn for a profile `start`: a sub-pixel that shows view x of it has the phase x/N. Take an eye at (x_e,
+y_e, z), and a point of the panel s sub-pixels to the right of and r rows below its middle. Through the true lens the
+eye sees there the phase (mod 1)
     start's D/P_e - D/P_e + 1/2 - (xi (z - L) + xi_e (L + L_g)) / (E (z + L_g)),   D = D_mid + s + 3 r tan(slant)
 with xi = (s + 3 r tan(slant)) p_sub and xi_e = x_e - y_e tan(slant), in mm: from docs/design.md, "What an eye sees",
-for the sub-pixel in the middle of what the lens lights. So the phase is a plane over the panel. Its slopes give
-1/line_number and slant_tan/line_number, its height the phase, by least squares over all places.
+for the sub-pixel in the middle of the light that a lens lets through. So the phase is a plane over the panel. Its
+slopes give 1/line_number and slant_tan/line_number, its height the phase, by least squares over all viewpoints.
 """
 
 from __future__ import annotations
@@ -19,23 +20,37 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.calibration_photos import MOST_CELLS, Fringes, Place, fringes
-from lightfield_gs.panels.lens_change import turns_in_middle, with_lens
+from lightfield_gs.panels.calibration_photos import CONSTANTS, Fringes, Viewpoint, measure_fringes
+from lightfield_gs.panels.lens_change import phase_in_middle, replace_lens
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.panels.simulate import missing_geometry
 
-_LEAST_APART = 0.05  # of the viewing zone, between the places that are farthest apart
-_LEAST_COHERENCE = 0.7  # of what is seen with the plane: 1 where it is one, 0 where it is anything
-_MOST_DISAGREEMENT = 0.05  # of a place with the plane of all, in lens widths
-_ROUNDS = 12
-_MUCH_WORSE = 1.5  # times the misfit of turned or mirrored photographs, from which on these are what was taken
-_LEAST_MISFIT = 1e-5  # below which no difference counts
-# Of width by height, against what the eye should see: as turned panels have it, and from which on it is another shape
-_LEAST_TURNED, _OTHER_SHAPE = 1.15, 1.3
-_SURELY_WORSE = 10.0  # times the misfit, from which on turned photographs need not fit well to be believed
-_TURNS: dict[
-    str, tuple[slice, slice]
-] = {  # what was done to the photographs, and what undoes it on the cells [rows, columns] of the panel
+
+@dataclass(frozen=True)
+class CalibrationFitConstants:
+    """Thresholds of the fit.
+
+    All are chosen by hand and not tuned on photographs; tests/panels/test_calibration_fit.py has simulated photographs
+    that they must accept or refuse.
+    """
+
+    least_apart: float = 0.05  # fraction of the viewing zone between the viewpoints that are farthest apart, at least
+    # coherence of the photographs with the plane, at least: 1 on the plane, 0 for anything
+    least_coherence: float = 0.7
+    most_disagreement: float = 0.05  # lens widths between a viewpoint and the plane of all, at most
+    rounds: int = 12  # Gauss-Newton steps
+    much_worse: float = 1.5  # ratio of misfits from which on turned or mirrored photographs are what was taken
+    surely_worse: float = 10.0  # the same ratio where turned photographs do not fit well either
+    least_misfit: float = 1e-5  # misfit below which no difference counts
+    # ratio of width by height, against the expected one, from which on the panel may be turned
+    turned_ratio: float = 1.15
+    other_shape_ratio: float = 1.3  # the same ratio from which on it is another shape
+
+
+_CONSTANTS = CalibrationFitConstants()
+
+# Changes of photographs, and the slices of cells [rows, columns] that undo them
+_TURNS: dict[str, tuple[slice, slice]] = {
     "mirrored": np.s_[:, ::-1],
     "turned by 180 degrees": np.s_[::-1, ::-1],
     "mirrored top to bottom": np.s_[::-1, :],
@@ -43,9 +58,14 @@ _TURNS: dict[
 
 
 @dataclass(frozen=True)
-class PlaceFit:
-    """How one place agrees with the lens that was found, in views: offset, the mean of what is seen less what was to be
-    seen; spread, the standard deviation of the same over the panel. corners_px [4, 2]: of the panel in its photographs.
+class ViewpointFit:
+    """The agreement of one viewpoint with the lens that was found.
+
+    Attributes:
+        name: Of the viewpoint.
+        offset_views: Mean of the seen less the expected view.
+        spread_views: Standard deviation of the same over the panel, in views.
+        corners_px: [4, 2], of the panel in the photographs.
     """
 
     name: str
@@ -56,14 +76,14 @@ class PlaceFit:
 
 @dataclass(frozen=True)
 class CalibrationFit:
-    """The panel with the lens that was found, and how each place agrees with it."""
+    """The panel with the lens that was found, and the agreement of each viewpoint with it."""
 
     panel: Panel
-    places: tuple[PlaceFit, ...]
+    viewpoints: tuple[ViewpointFit, ...]
 
 
 def most_spread_views(panel: Panel) -> float:
-    """Views, or in lens widths the same of 48, above which the spread of photographs is doubtful."""
+    """Return the spread of good photographs at most, in views: the lens widths of 0.2 of 48 views."""
     return max(0.2, 0.2 / 48 * panel.views)
 
 
@@ -76,89 +96,97 @@ class _Lens:
     turns: float
 
 
-def fit_lens(places: Sequence[Place], start: Panel, one_place: bool = False) -> CalibrationFit:
-    """The lens of the panel that showed `bars(start, ...)` in these photographs.
+def fit_lens(viewpoints: Sequence[Viewpoint], start: Panel, one_viewpoint: bool = False) -> CalibrationFit:
+    """Fit the lens of the panel that showed `bars(start, ...)` in these photographs.
 
-    start: the profile that the pattern was drawn for; its cone_deg, viewing_distance_mm and pixel_pitch_mm are trusted.
-    Needed are two places at least, a twentieth of the viewing zone apart (across the lenses): from one alone, shifts in
-    another order and mirrored photographs cannot be told from another lens. one_place: one will do, on your word.
-    Raises InputError where the photographs do not say what the lens is, or do not agree.
+    Two viewpoints are needed, a twentieth of the viewing zone apart across the lenses. From a single one, shifts in
+    another order and mirrored photographs look like another lens.
+
+    Args:
+        viewpoints: Photographs with the positions of their cameras.
+        start: The profile that the bars were drawn for; its cone_deg, viewing_distance_mm and pixel_pitch_mm are
+            trusted.
+        one_viewpoint: Whether one is enough, unchecked.
+
+    Raises:
+        InputError: The photographs do not determine the lens, or do not agree.
     """
     expect("start", start, Panel)
-    if missing := unknown_of(start):
+    if missing := missing_geometry(start):
         raise InputError(
             f"panel {start.name} lacks {' and '.join(missing)}, without which no eye has a place before it"
         )
-    _check_places(places, start, one_place)
+    _check_viewpoints(viewpoints, start, one_viewpoint)
     lenses = start.line_number / 3
     size = np.array([start.width_px, start.height_px])
-    columns, rows = (int(n) for n in np.ceil(size / max(lenses, size.max() / MOST_CELLS)))
-    seen = [fringes(place, columns, rows) for place in places]
-    for place, one in zip(places, seen):
-        _check_upright(place, one.corners_px, start)
-    fitted = _solved(places, seen, start)
-    mirrored = _solved(places, [Fringes(one.wave.conj(), one.corners_px) for one in seen], start)
-    if len(places) > 1 and _misfit(mirrored[1]) < _misfit(fitted[1]):
+    columns, rows = (int(n) for n in np.ceil(size / max(lenses, size.max() / CONSTANTS.most_cells)))
+    measured = [measure_fringes(viewpoint, columns, rows) for viewpoint in viewpoints]
+    for viewpoint, one in zip(viewpoints, measured):
+        _check_upright(viewpoint, one.corners_px, start)
+    fitted = _solve(viewpoints, measured, start)
+    mirrored = _solve(viewpoints, [Fringes(one.wave.conj(), one.corners_px) for one in measured], start)
+    if len(viewpoints) > 1 and _misfit(mirrored[1]) < _misfit(fitted[1]):
         raise InputError(
             "the photographs fit only with the shifts in the order 0, 2, 1, or mirrored, or with the places on the "
             "other side; give the shifts as 0, 1, 2, and x of the eye to the right, seen from the viewer"
         )
     lens, residuals = fitted
-    _check_turned(places, seen, start, _misfit(residuals))
-    agreed = tuple(_agreement(place, wave, one, start) for place, wave, one in zip(places, residuals, seen))
-    per_lens, turns = lens.per_lens, turns_in_middle(start)
+    _check_turned(viewpoints, measured, start, _misfit(residuals))
+    agreed = tuple(
+        _compare_with_all(viewpoint, wave, one, start) for viewpoint, wave, one in zip(viewpoints, residuals, measured)
+    )
+    per_lens, turns = lens.per_lens, phase_in_middle(start)
     turns += (lens.turns - turns + 0.5) % 1 - 0.5  # lenses are all alike
-    return CalibrationFit(with_lens(start, 1 / per_lens, lens.lean / per_lens, turns), agreed)
+    return CalibrationFit(replace_lens(start, 1 / per_lens, lens.lean / per_lens, turns), agreed)
 
 
-def _check_places(places: Sequence[Place], start: Panel, one_place: bool) -> None:
-    if not places:
+def _check_viewpoints(viewpoints: Sequence[Viewpoint], start: Panel, one_viewpoint: bool) -> None:
+    if not viewpoints:
         raise InputError("no photographs; expected three, of the shifts 0, 1 and 2, from each of two places at least")
     zone = _zone_mm(start)
-    across = [(place.eye_mm[0] - place.eye_mm[1] * start.slant_tan) / zone for place in places]
+    across = [(viewpoint.eye_mm[0] - viewpoint.eye_mm[1] * start.slant_tan) / zone for viewpoint in viewpoints]
     apart = max(abs((a - b + 0.5) % 1 - 0.5) for a in across for b in across)
-    if apart < _LEAST_APART and not one_place:
-        where = "one place" if len(places) == 1 else "places too close across the lenses"
+    if apart < _CONSTANTS.least_apart and not one_viewpoint:
+        where = "one place" if len(viewpoints) == 1 else "places too close across the lenses"
         raise InputError(
             f"the photographs are from {where}, which cannot tell another lens from shifts in another order or a "
-            f"mirrored photograph: add some from {_LEAST_APART * abs(zone):.0f} mm aside at least, or say that one "
-            "place will do (one_place=True)"
+            f"mirrored photograph: add some from {_CONSTANTS.least_apart * abs(zone):.0f} mm aside at least, or "
+            "say that one place will do (one_place=True)"
         )
 
 
-def _check_upright(place: Place, corners_px: np.ndarray, start: Panel) -> None:
-    """Raises InputError where the panel stands upright in the photographs though it is wide, or the other way, and
-    where it has another shape."""
+def _check_upright(viewpoint: Viewpoint, corners_px: np.ndarray, start: Panel) -> None:
+    """Raise InputError where the panel is turned by 90 degrees in the photographs, or has another shape."""
     across, down = np.hypot(*(np.roll(corners_px, -1, 0) - corners_px).T).reshape(2, 2).mean(0)
-    x, y, z = place.eye_mm
+    x, y, z = viewpoint.eye_mm
     expected = start.width_px / start.height_px * math.hypot(y, z) / math.hypot(x, z)  # seen from aside, it is narrower
     got = across / down
     turned = abs(math.log(got * expected))
-    if abs(math.log(got / expected)) > math.log(_LEAST_TURNED) > turned:
+    if abs(math.log(got / expected)) > math.log(_CONSTANTS.turned_ratio) > turned:
         raise InputError(
-            f"{place.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
+            f"{viewpoint.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
             f"{expected:.2f} times its height, got one of {got:.2f} times; the photographs are turned by 90 degrees: "
             "turn them upright, or give the corners as the panel has them"
         )
-    if abs(math.log(got / expected)) > math.log(_OTHER_SHAPE):
+    if abs(math.log(got / expected)) > math.log(_CONSTANTS.other_shape_ratio):
         raise InputError(
-            f"{place.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
+            f"{viewpoint.name}: expected a panel of {start.width_px} x {start.height_px} pixels, its width about "
             f"{expected:.2f} times its height, got one of {got:.2f} times; take it whole, give photographs that are "
             "not squeezed, of the panel of this profile, or the corners as the panel has them"
         )
 
 
-def _check_turned(places: Sequence[Place], seen: Sequence[Fringes], start: Panel, misfit: float) -> None:
-    """Raises InputError where photographs that are turned by 180 degrees or mirrored fit the bars much better."""
+def _check_turned(viewpoints: Sequence[Viewpoint], measured: Sequence[Fringes], start: Panel, misfit: float) -> None:
+    """Raise InputError where photographs fit the bars much better turned by 180 degrees or mirrored."""
     found = {
-        words: _misfit(_solved(places, [Fringes(one.wave[undone], one.corners_px) for one in seen], start)[1])
+        words: _misfit(_solve(viewpoints, [Fringes(one.wave[undone], one.corners_px) for one in measured], start)[1])
         for words, undone in _TURNS.items()
     }
     best = min(found, key=found.__getitem__)
-    least = max(found[best], _LEAST_MISFIT)
+    least = max(found[best], _CONSTANTS.least_misfit)
     # Where photographs are of unlike exposure, or one is blurred, all fit badly, and some turn by chance less
     good = (2 * math.pi * most_spread_views(start) / start.views) ** 2 / 2
-    if misfit > (_MUCH_WORSE if least < good else _SURELY_WORSE) * least:
+    if misfit > (_CONSTANTS.much_worse if least < good else _CONSTANTS.surely_worse) * least:
         raise InputError(
             f"the photographs fit {misfit / least:.3g} times better if they are {best}: have them as the camera sees "
             "the panel, upright and not mirrored, or give the corners as the panel has them"
@@ -166,42 +194,46 @@ def _check_turned(places: Sequence[Place], seen: Sequence[Fringes], start: Panel
 
 
 def _zone_mm(panel: Panel) -> float:
-    """E, the width of the viewing zone; below 0 where views run the other way."""
+    """Return E, the width of the viewing zone; below 0 where views run the other way."""
     zone = 2 * cast(float, panel.viewing_distance_mm) * math.tan(math.radians(panel.cone_deg) / 2)
     return -zone if panel.invert_views else zone
 
 
 def _grid(wave: np.ndarray, panel: Panel) -> tuple[np.ndarray, np.ndarray]:
-    """s, sub-pixels to the right of the panel's middle, and r, rows below it, of the cells: [1, columns], [rows, 1]."""
+    """Return the cells' positions from the panel's middle: s [1, columns], sub-pixels right; r [rows, 1], rows down."""
     rows, columns = wave.shape
     s = ((np.arange(columns) + 0.5) / columns - 0.5) * 3 * panel.width_px
     r = ((np.arange(rows) + 0.5) / rows - 0.5) * panel.height_px
     return s[None], r[:, None]
 
 
-def _expected(place: Place, lens: _Lens, start: Panel, s: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """The phase that the eye should see, by the equation above, [rows, columns]."""
-    (x, y, z), zone = place.eye_mm, _zone_mm(start)
+def _expected_phase(viewpoint: Viewpoint, lens: _Lens, start: Panel, s: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Return the phase that the eye should see, by the equation above, [rows, columns]."""
+    (x, y, z), zone = viewpoint.eye_mm, _zone_mm(start)
     distance, sub_mm = cast(float, start.viewing_distance_mm), cast(float, start.pixel_pitch_mm) / 3
     slant = lens.lean / lens.per_lens
     gap = sub_mm * distance / (zone * lens.per_lens)
     if min(z, distance) + gap <= 0:
-        raise InputError(f"{place.name}: z of the eye must be larger than the lens gap of {abs(gap):.4g} mm, got {z}")
+        raise InputError(
+            f"{viewpoint.name}: z of the eye must be larger than the lens gap of {abs(gap):.4g} mm, got {z}"
+        )
     across_mm = (s + 3 * r * slant) * sub_mm * (z - distance) + (x - y * slant) * (distance + gap)
-    drawn = turns_in_middle(start) + (s + 3 * r * start.slant_tan) / start.line_number
+    drawn = phase_in_middle(start) + (s + 3 * r * start.slant_tan) / start.line_number
     return drawn - (lens.turns + lens.per_lens * s + 3 * lens.lean * r) + 0.5 - across_mm / (zone * (z + gap))
 
 
-def _solved(places: Sequence[Place], seen: Sequence[Fringes], start: Panel) -> tuple[_Lens, list[np.ndarray]]:
-    """The lens that explains the phases best, and the waves e^(2 pi i residual) that it leaves; 0 where none is."""
-    s, r = _grid(seen[0].wave, start)
-    lens = _Lens(1 / start.line_number, start.slant_tan / start.line_number, turns_in_middle(start))
+def _solve(
+    viewpoints: Sequence[Viewpoint], measured: Sequence[Fringes], start: Panel
+) -> tuple[_Lens, list[np.ndarray]]:
+    """Return the lens that explains the phases best, and the waves e^(2 pi i residual) left over; 0 without bars."""
+    s, r = _grid(measured[0].wave, start)
+    lens = _Lens(1 / start.line_number, start.slant_tan / start.line_number, phase_in_middle(start))
 
     def residuals() -> list[np.ndarray]:
-        planes = (_expected(place, lens, start, s, r) for place in places)
-        return [one.wave * np.exp(-2j * np.pi * plane) for one, plane in zip(seen, planes)]
+        planes = (_expected_phase(viewpoint, lens, start, s, r) for viewpoint in viewpoints)
+        return [one.wave * np.exp(-2j * np.pi * plane) for one, plane in zip(measured, planes)]
 
-    across, down = _steepest(residuals())
+    across, down = _strongest_wave(residuals())
     lens = _Lens(
         lens.per_lens - across * s.shape[1] / (3 * start.width_px),
         lens.lean - down * r.shape[0] / (3 * start.height_px),
@@ -209,7 +241,7 @@ def _solved(places: Sequence[Place], seen: Sequence[Fringes], start: Panel) -> t
     )
     height = np.angle(sum(wave.sum() for wave in residuals())) / (2 * np.pi)
     lens = _Lens(lens.per_lens, lens.lean, lens.turns - height)
-    for _ in range(_ROUNDS):
+    for _ in range(_CONSTANTS.rounds):
         left, normal = np.zeros(3), np.zeros((3, 3))
         for wave in residuals():
             cells = wave != 0
@@ -223,8 +255,8 @@ def _solved(places: Sequence[Place], seen: Sequence[Fringes], start: Panel) -> t
     return lens, residuals()
 
 
-def _steepest(waves: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Turns per cell, across and down, of the plane wave that all of these have most of."""
+def _strongest_wave(waves: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Return the turns per cell, across and down, of the strongest plane wave in all of these."""
     rows, columns = waves[0].shape
     shape = (4 * rows, 4 * columns)
     power = sum(np.abs(np.fft.fft2(wave, shape)) ** 2 for wave in waves)
@@ -233,23 +265,23 @@ def _steepest(waves: Sequence[np.ndarray]) -> tuple[float, float]:
 
 
 def _misfit(waves: Sequence[np.ndarray]) -> float:
-    """1 less how much all waves are the constant 1, 0 for a perfect fit."""
+    """Return 0 where all waves are the constant 1, up to 1 where they are anything."""
     return 1 - float(sum(wave.real.sum() for wave in waves) / sum(np.abs(wave).sum() for wave in waves))
 
 
-def _agreement(place: Place, wave: np.ndarray, one: Fringes, start: Panel) -> PlaceFit:
-    """How a place agrees with the lens of all. Raises InputError where it does not."""
+def _compare_with_all(viewpoint: Viewpoint, wave: np.ndarray, one: Fringes, start: Panel) -> ViewpointFit:
+    """Return the agreement of a viewpoint with the lens of all; raise InputError where there is none."""
     mean = wave[wave != 0].mean()
-    if abs(mean) < _LEAST_COHERENCE:
+    if abs(mean) < _CONSTANTS.least_coherence:
         raise InputError(
-            f"{place.name}: what is seen is not the bars of panel {start.name} ({100 * abs(mean):.0f} % agree with a "
-            "plane); show `calibrate pattern phase` of this very profile unscaled, and check the corners"
+            f"{viewpoint.name}: what is seen is not the bars of panel {start.name} ({100 * abs(mean):.0f} % agree "
+            "with a plane); show `calibrate pattern phase` of this very profile unscaled, and check the corners"
         )
     offset = float(np.angle(mean)) / (2 * np.pi)
-    if abs(offset) > _MOST_DISAGREEMENT:
+    if abs(offset) > _CONSTANTS.most_disagreement:
         raise InputError(
-            f"{place.name}: it sees the panel {offset * start.views:+.3g} views off what the others see; check its eye "
-            "(in mm from the panel's middle), and cone_deg and viewing_distance_mm of the profile"
+            f"{viewpoint.name}: it sees the panel {offset * start.views:+.3g} views off what the others see; check "
+            "its eye (in mm from the panel's middle), and cone_deg and viewing_distance_mm of the profile"
         )
     spread = math.sqrt(max(0.0, -2 * math.log(min(1.0, abs(mean))))) / (2 * np.pi)
-    return PlaceFit(place.name, offset * start.views, spread * start.views, one.corners_px)
+    return ViewpointFit(viewpoint.name, offset * start.views, spread * start.views, one.corners_px)

@@ -15,24 +15,41 @@ from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.images import as_floats, read_image
 from lightfield_gs.io.text_files import check_keys, read_mapping
 
-MOST_CELLS = 256  # along the longer side of the panel: bars are far wider
-_MOST_POINTS = 6  # each way, that a cell is the mean of
-_CLIPPED, _DARK, _LEAST_CONTRAST = 0.99, 0.1, 0.1
-_EDGE_POINTS, _EDGE_REACH = 200, 0.06  # places along an edge, and how far from it is looked, in its lengths
-_LEAST_SIDE_PX = 32
-_AT_THE_RIM_PX = 1.0  # of the photographs: a corner that is found so near it stands where the panel is cut off
+
+@dataclass(frozen=True)
+class CalibrationPhotoConstants:
+    """Thresholds of the measurement.
+
+    All are chosen by hand and not tuned on photographs; tests/panels/test_calibration_fit.py has simulated photographs
+    that they must accept or refuse.
+    """
+
+    most_cells: int = 256  # cells along the longer side of the panel, at most: bars are far wider
+    most_points: int = 6  # samples of a cell each way, at most
+    clipped: float = 0.99  # sRGB code from which on a pixel counts as clipped
+    dark: float = 0.1  # light, by the 95th percentile, up to which a cell is too dark
+    least_contrast: float = 0.1  # amplitude of the bars by their mean, at least
+    edge_points: int = 200  # points along an edge
+    edge_reach: float = 0.06  # distance from an edge that is searched, in lengths of the edge
+    least_side_px: int = 32  # length of a side of the panel in the photographs, at least
+    rim_px: float = 1.0  # distance from the rim of the photographs at which a corner is where the panel is cut off
+
+
+CONSTANTS = CalibrationPhotoConstants()
 
 
 @dataclass(frozen=True)
-class Place:
-    """Photographs from one place, all with the same exposure.
+class Viewpoint:
+    """Photographs from one viewpoint, all with the same exposure.
 
-    eye_mm: of the camera, (x, y, z) from the panel's middle: right, up, towards the viewer.
-    photos: [H, W, 3], sRGB codes, uint8, uint16 or float32 in 0..1: three of the grey bars with the shifts 0, 1, 2 in
-        this order; or one of those in red, green and blue.
-    corners_px: upper left, upper right, lower right and lower left of the panel's picture area in the photographs, x
-        right and y down from their upper left corner; None: to be found, which needs dark surroundings.
-    name: for messages.
+    Attributes:
+        eye_mm: Position of the camera, (x, y, z) from the panel's middle: right, up, towards the viewer.
+        photos: [H, W, 3], sRGB codes, uint8, uint16 or float32 in 0..1: three of the grey bars with the shifts 0, 1, 2
+            in this order; or one of the bars in red, green and blue.
+        corners_px: Upper left, upper right, lower right and lower left corner of the panel's picture area in the
+            photographs, x right and y down from their upper left corner; None: to be found, which needs dark
+            surroundings.
+        name: For messages.
     """
 
     eye_mm: tuple[float, float, float]
@@ -60,81 +77,103 @@ class Place:
                 raise InputError(f"{self.name}: expected photographs of one size [H, W, 3], got {list(photo.shape)}")
 
     def light(self) -> tuple[np.ndarray, np.ndarray]:
-        """Light of the three shifts, float32 [H, W, 3], and where none of them is clipped, bool [H, W]."""
+        """Return the light of the three shifts, float32 [H, W, 3], and where none is clipped, bool [H, W]."""
         codes = [as_floats(photo[..., :3]) for photo in self.photos]
-        free = np.all([code.max(2) < _CLIPPED for code in codes], 0)
+        free = np.all([code.max(2) < CONSTANTS.clipped for code in codes], 0)
         light = [decode_srgb(code) for code in codes]
         return (light[0] if len(light) == 1 else np.stack([one.mean(2) for one in light], 2)), free
 
 
 @dataclass(frozen=True)
 class Fringes:
-    """The bars as seen over the panel, in cells.
+    """The bars over the panel, in cells.
 
-    wave: complex [rows, columns], e^(2 pi i phase) where the bars can be seen, else 0; phase is the share x/N of the
-    view in the cell's middle. corners_px: [4, 2], given or found.
+    Attributes:
+        wave: Complex [rows, columns], e^(2 pi i phase) where the bars can be seen, else 0; phase is the fraction x/N of
+            the view in the cell's middle.
+        corners_px: [4, 2], given or found.
     """
 
     wave: np.ndarray
     corners_px: np.ndarray
 
 
-def fringes(place: Place, columns: int, rows: int) -> Fringes:
-    """What the photographs show of the bars. Raises InputError where the panel or its bars cannot be seen."""
-    light, free = place.light()
-    corners = _corners(place, light)
-    middle = _sampled(np.concatenate([light, free[..., None]], 2), corners, columns, rows)
+def measure_fringes(viewpoint: Viewpoint, columns: int, rows: int) -> Fringes:
+    """Measure the bars in the photographs of a viewpoint, in cells [rows, columns] of the panel.
+
+    Raises:
+        InputError: The panel or its bars cannot be seen.
+    """
+    light, free = viewpoint.light()
+    corners = _panel_corners(viewpoint, light)
+    middle = _cell_means(np.concatenate([light, free[..., None]], 2), corners, columns, rows)
     shifts, mean = middle[..., :3], middle[..., :3].mean(2)
     # The sum of cos(a - 2 pi s/3) e^(2 pi i s/3) over s = 0, 1, 2 is 3/2 e^(i a)
     wave = shifts @ np.exp(2j * np.pi * np.arange(3) / 3) * (2 / 3)
-    seen = (middle[..., 3] > 0.999) & (mean > _DARK * np.percentile(mean, 95)) & (np.abs(wave) > _LEAST_CONTRAST * mean)
-    _check_seen(place, seen)
+    seen = (
+        (middle[..., 3] > 0.999)
+        & (mean > CONSTANTS.dark * np.percentile(mean, 95))
+        & (np.abs(wave) > CONSTANTS.least_contrast * mean)
+    )
+    _check_seen(viewpoint, seen)
     return Fringes(np.where(seen, wave / np.maximum(np.abs(wave), 1e-30), 0), corners)
 
 
-def _check_seen(place: Place, seen: np.ndarray) -> None:
-    """Raises InputError where the bars are seen on too little of the panel to tell how they run."""
+def _check_seen(viewpoint: Viewpoint, seen: np.ndarray) -> None:
+    """Raise InputError where too little of the panel shows bars to tell how they run."""
     spread = [np.ptp(np.flatnonzero(seen.any(axis))) / seen.shape[1 - axis] if seen.any() else 0 for axis in (0, 1)]
     if seen.mean() < 0.2 or min(spread) < 0.5:
         raise InputError(
-            f"{place.name}: the bars can be seen on {100 * seen.mean():.0f} % of the panel, {100 * spread[0]:.0f} % of "
-            f"its width and {100 * spread[1]:.0f} % of its height; expected 20, 50 and 50 % at least. Show the shifts "
-            "0, 1 and 2, keep the exposure, clip nothing, darken the room, or check the corners"
+            f"{viewpoint.name}: the bars can be seen on {100 * seen.mean():.0f} % of the panel, "
+            f"{100 * spread[0]:.0f} % of its width and {100 * spread[1]:.0f} % of its height; expected 20, 50 and 50 % "
+            "at least. Show the shifts 0, 1 and 2, keep the exposure, clip nothing, darken the room, or check the "
+            "corners"
         )
 
 
-def _corners(place: Place, light: np.ndarray) -> np.ndarray:
-    """The corners [4, 2], clockwise from the upper left one. Raises InputError where they are no panel's."""
-    if place.corners_px is None:
-        corners = find_corners(light.mean(2), place.name)
+def _panel_corners(viewpoint: Viewpoint, light: np.ndarray) -> np.ndarray:
+    """Return the panel's corners [4, 2], clockwise from the upper left; raise InputError for no such shape."""
+    if viewpoint.corners_px is None:
+        corners = find_corners(light.mean(2), viewpoint.name)
     else:
-        given = [list(corner) if is_row(corner, 2) else [] for corner in place.corners_px]
+        given = [list(corner) if is_row(corner, 2) else [] for corner in viewpoint.corners_px]
         if [len(pair) for pair in given] != [2, 2, 2, 2]:
-            raise InputError(f"{place.name}: corners must be four pairs x, y in pixels, got {shown(place.corners_px)}")
-        corners = np.array([[real_number(f"{place.name}: corner", v, -1e5, 1e5) for v in pair] for pair in given])
+            raise InputError(
+                f"{viewpoint.name}: corners must be four pairs x, y in pixels, got {shown(viewpoint.corners_px)}"
+            )
+        corners = np.array([[real_number(f"{viewpoint.name}: corner", v, -1e5, 1e5) for v in pair] for pair in given])
     sides = np.roll(corners, -1, 0) - corners
     turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
-    if not (turns > 0).all() or np.hypot(*sides.T).min() < _LEAST_SIDE_PX:
+    if not (turns > 0).all() or np.hypot(*sides.T).min() < CONSTANTS.least_side_px:
         raise InputError(
-            f"{place.name}: expected the corners upper left, upper right, lower right, lower left, with sides of "
-            f"{_LEAST_SIDE_PX} px at least, got {shown(corners.round(1).tolist())}"
+            f"{viewpoint.name}: expected the corners upper left, upper right, lower right, lower left, with sides of "
+            f"{CONSTANTS.least_side_px} px at least, got {shown(corners.round(1).tolist())}"
         )
     return corners
 
 
 def find_corners(light: np.ndarray, name: str = "photographs") -> np.ndarray:
-    """Corners [4, 2] in pixels, clockwise from the upper left, of a bright panel in a dark room.
+    """Find the corners of a bright panel in a dark room.
 
-    light: [H, W], the mean over the shifts, for which the bars vanish. Raises InputError where there is no such
-    bright quadrilateral.
+    Args:
+        light: [H, W], the mean over the shifts, in which the bars vanish.
+        name: For messages.
+
+    Returns:
+        [4, 2] in pixels, clockwise from the upper left.
+
+    Raises:
+        InputError: There is no such bright quadrilateral.
     """
+    from scipy.ndimage import uniform_filter
+
     level = 0.5 * np.median(light[light > 0.5 * np.percentile(light, 99)])
-    bright = _smoothed(light) > level
+    bright = uniform_filter(light, 5, mode="nearest") > level  # so that noise has no corners
     y, x = np.nonzero(bright)
     if len(x) < 0.02 * light.size:
         raise InputError(f"{name}: no bright panel was found; give its corners")
-    rough = [np.argmin(x + y), np.argmin(y - x), np.argmax(x + y), np.argmax(y - x)]
-    corners = np.stack([x[rough], y[rough]], 1) + 0.5
+    approximate = [np.argmin(x + y), np.argmin(y - x), np.argmax(x + y), np.argmax(y - x)]
+    corners = np.stack([x[approximate], y[approximate]], 1) + 0.5
     lines = [_edge(light, level, a, b) for a, b in zip(corners, np.roll(corners, -1, 0))]
     if any(line is None for line in lines):
         raise InputError(f"{name}: the edges of the panel were not found; give its corners")
@@ -144,7 +183,7 @@ def find_corners(light: np.ndarray, name: str = "photographs") -> np.ndarray:
     area = 0.5 * abs(np.sum(refined[:, 0] * following[:, 1] - refined[:, 1] * following[:, 0]))
     if not 0.9 < bright.sum() / area < 1.1:
         raise InputError(f"{name}: what is bright is no quadrilateral; darken the room, or give the corners")
-    if (refined < _AT_THE_RIM_PX).any() or (refined > np.array(light.shape[::-1]) - _AT_THE_RIM_PX).any():
+    if (refined < CONSTANTS.rim_px).any() or (refined > np.array(light.shape[::-1]) - CONSTANTS.rim_px).any():
         raise InputError(
             f"{name}: expected the whole panel with darkness around it, got one that the photographs cut off at their "
             "rim; take it whole, or give its corners"
@@ -152,29 +191,21 @@ def find_corners(light: np.ndarray, name: str = "photographs") -> np.ndarray:
     return refined
 
 
-def _smoothed(light: np.ndarray) -> np.ndarray:
-    """Means over 5 x 5 pixels, so that noise has no corners."""
-    for axis, size in enumerate(light.shape):
-        padded = np.pad(light, [(2, 2) if axis == a else (0, 0) for a in (0, 1)], mode="edge")
-        light = np.mean([padded.take(range(k, k + size), axis) for k in range(5)], 0)
-    return light
-
-
 def _edge(light: np.ndarray, level: float, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-    """The line (a, b, c), a x + b y + c = 0, along which the light rises through the level near start..end."""
+    """Return the line (a, b, c), a x + b y + c = 0, where the light rises through the level near start..end."""
     along = end - start
     length = math.hypot(*along)
-    if length < _LEAST_SIDE_PX:
+    if length < CONSTANTS.least_side_px:
         return None
     outwards = np.array([along[1], -along[0]]) / length
-    reach = max(4.0, _EDGE_REACH * length)
+    reach = max(4.0, CONSTANTS.edge_reach * length)
     steps = np.linspace(reach, -reach, int(4 * reach) + 1)  # from outside to inside
-    feet = start + np.linspace(0.08, 0.92, _EDGE_POINTS)[:, None] * along
+    feet = start + np.linspace(0.08, 0.92, CONSTANTS.edge_points)[:, None] * along
     profile = bilinear(light[..., None], feet[:, None] + steps[:, None] * outwards)[..., 0]
     inside = profile > level
     first = inside.argmax(1)
     good = (first > 0) & inside[:, -1]
-    if good.sum() < _EDGE_POINTS // 4:
+    if good.sum() < CONSTANTS.edge_points // 4:
         return None
     row, k = np.flatnonzero(good), first[good]
     before, after = profile[row, k - 1], profile[row, k]
@@ -188,24 +219,27 @@ def _edge(light: np.ndarray, level: float, start: np.ndarray, end: np.ndarray) -
     return np.array([*normal, -normal @ middle])
 
 
-def _sampled(values: np.ndarray, corners: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Means of an image [H, W, C] over the cells of the panel, [rows, columns, C], by the homography of its corners."""
+def _cell_means(values: np.ndarray, corners: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Return means of an image [H, W, C] over the cells of the panel, [rows, columns, C], by a homography."""
     sides = np.roll(corners, -1, 0) - corners
     cell_px = max(np.hypot(*sides[::2].T).max() / columns, np.hypot(*sides[1::2].T).max() / rows)
-    points = min(_MOST_POINTS, max(1, math.ceil(cell_px)))
+    points = min(CONSTANTS.most_points, max(1, math.ceil(cell_px)))
     matrix = homography(corners)
     total = np.zeros((rows, columns, values.shape[2]))
     for down in range(points):
         for across in range(points):
             u = (np.arange(columns) + (across + 0.5) / points) / columns
             v = (np.arange(rows) + (down + 0.5) / points) / rows
-            places = np.stack([*np.meshgrid(u, v), np.ones((rows, columns))], -1) @ matrix.T
-            total += bilinear(values, places[..., :2] / places[..., 2:])
+            positions = np.stack([*np.meshgrid(u, v), np.ones((rows, columns))], -1) @ matrix.T
+            total += bilinear(values, positions[..., :2] / positions[..., 2:])
     return total / points**2
 
 
 def homography(corners: np.ndarray) -> np.ndarray:
-    """The matrix [3, 3] that takes (u, v, 1), u right and v down over the panel in 0..1, to its place in the photo."""
+    """Return the matrix [3, 3] from the panel to the photo.
+
+    It takes (u, v, 1), u right and v down over the panel in 0..1, to homogeneous pixels; corners: [4, 2].
+    """
     rows, right = [], []
     for (u, v), (x, y) in zip(((0, 0), (1, 0), (1, 1), (0, 1)), corners):
         rows += [[u, v, 1, 0, 0, 0, -u * x, -v * x], [0, 0, 0, u, v, 1, -u * y, -v * y]]
@@ -213,41 +247,42 @@ def homography(corners: np.ndarray) -> np.ndarray:
     return np.append(np.linalg.solve(np.array(rows, float), np.array(right, float)), 1).reshape(3, 3)
 
 
-def bilinear(values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Values [H, W, C] at places [..., 2] (x, y), pixel centres at i + 0.5; 0 outside."""
+def bilinear(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return values [H, W, C] interpolated at points [..., 2] (x, y), pixel centres at i + 0.5; 0 outside."""
     height, width = values.shape[:2]
-    x, y = places[..., 0] - 0.5, places[..., 1] - 0.5
+    x, y = points[..., 0] - 0.5, points[..., 1] - 0.5
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)
     out = np.zeros((*x.shape, values.shape[2]))
     for j, across in ((left, left + 1 - x), (left + 1, x - left)):
         for i, down in ((top, top + 1 - y), (top + 1, y - top)):
             inside = (i >= 0) & (i < height) & (j >= 0) & (j < width)
-            share = np.where(inside, across * down, 0)[..., None]
-            out += share * values[np.clip(i, 0, height - 1), np.clip(j, 0, width - 1)]
+            weight = np.where(inside, across * down, 0)[..., None]
+            out += weight * values[np.clip(i, 0, height - 1), np.clip(j, 0, width - 1)]
     return out
 
 
 Corners = Sequence[Sequence[float]]
 
 
-def read_places(path: str | Path) -> list[Place]:
-    """The places of a YAML file (at most 64 KiB), with their photographs, whose names are relative to it:
+def read_viewpoints(path: str | Path) -> list[Viewpoint]:
+    """Read the viewpoints of a YAML file (at most 64 KiB), with their photographs, whose names are relative to it.
 
         places:
           - eye_mm: [0, 0, 600]
             photos: [left-0.jpg, left-1.jpg, left-2.jpg]
             corners_px: [[92, 61], [694, 90], [668, 452], [121, 428]]    # may be left out
 
-    Raises InputError that names the file.
+    Raises:
+        InputError: The file or a photograph cannot be read; the message names the file.
     """
     path = Path(path)
     listed = read_mapping(path, ("places",), ())["places"]
     if not is_row(listed):
         raise InputError(f"{path}: places must be a list, got {shown(listed)}")
-    return [_place(path, number, entry) for number, entry in enumerate(listed)]
+    return [_viewpoint(path, number, entry) for number, entry in enumerate(listed)]
 
 
-def _place(path: Path, number: int, entry: object) -> Place:
+def _viewpoint(path: Path, number: int, entry: object) -> Viewpoint:
     where = f"{path}: places[{number}]"
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected eye_mm, photos and perhaps corners_px, got {shown(entry)}")
@@ -260,22 +295,28 @@ def _place(path: Path, number: int, entry: object) -> Place:
     if corners is not None and not is_row(corners, 4):
         raise InputError(f"{where}: corners_px must be four pairs x, y, got {shown(corners)}")
     with named(where):
-        return load_place([path.parent / photo for photo in photos], tuple(eye), corners)
+        return load_viewpoint([path.parent / photo for photo in photos], tuple(eye), corners)
 
 
-def load_place(
+def load_viewpoint(
     photos: Sequence[str | Path], eye_mm: tuple[float, float, float], corners_px: Corners | None = None
-) -> Place:
-    """A place by the files of its photographs (see Place), which are turned upright and taken for sRGB.
+) -> Viewpoint:
+    """Return a viewpoint by the files of its photographs, which are turned upright and taken for sRGB.
 
-    Raises InputError.
+    Args:
+        photos: Their paths, see Viewpoint.
+        eye_mm: See Viewpoint.
+        corners_px: See Viewpoint.
+
+    Raises:
+        InputError: A photograph cannot be read, or an argument is invalid.
     """
     expect("eye_mm", eye_mm, tuple)
-    pictures = tuple(_colours(read_image(photo, as_stored=True)) for photo in photos)
+    pictures = tuple(_rgb(read_image(photo, as_stored=True)) for photo in photos)
     names = " ".join(Path(photo).name for photo in photos)
-    return Place(eye_mm, pictures, corners_px, name=names[:80])
+    return Viewpoint(eye_mm, pictures, corners_px, name=names[:80])
 
 
-def _colours(pixels: np.ndarray) -> np.ndarray:
-    """[H, W, 3] of an image of any channels."""
+def _rgb(pixels: np.ndarray) -> np.ndarray:
+    """Return [H, W, 3] of an image of any channels."""
     return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, 2)

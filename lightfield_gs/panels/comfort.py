@@ -1,4 +1,4 @@
-"""How deep a scene is on a panel: disparities, what stands before and behind the panel, comfort, sharpness, gaps."""
+"""Depth of a scene on a panel: disparities, distances before and behind the panel, comfort, sharpness, background."""
 
 from __future__ import annotations
 
@@ -21,19 +21,24 @@ _RULE = "the one-degree rule, Lambooij et al. 2009"
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where content of one depth is on the panel; before the panel lengths and angles are negative, behind it positive.
+class PanelDepth:
+    """Content of one depth on the panel. Lengths and angles are negative before the panel, positive behind it.
 
-    depth: view-space z, scene units.
-    edge_px, edge_mm: how far it is displaced in the outermost views against the centre view (there to the right and
-        here to the left), s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2) (1 - 1/N), pixels and mm of the panel.
-    eyes_px, eyes_mm: how much farther right the right eye sees it than the left one, both at the viewing distance L.
-        An eye at x sees the view whose camera has s = Z0 tan(cone/2) x / (L tan(panel's cone/2)).
-    behind_mm: how far behind the panel the eyes see it, L d/(e - d), with d = eyes_mm and e between the eyes; None
-        where that is infinitely far or farther.
-    angle_deg: by how much less the eyes converge than on the panel, 2 atan(e/2L) - 2 atan((e - d)/2L).
-    blur_lenses: how many lenses a point is spread over, 1 within the sharp range (see DepthReport).
     All but depth, edge_px and blur_lenses are None where the panel lacks pixel_pitch_mm or viewing_distance_mm.
+
+    Attributes:
+        depth: View-space z, scene units.
+        edge_px: Displacement in the outermost views against the centre view, s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2)
+            (1 - 1/N), pixels of the panel; to the right in one, to the left in the other.
+        edge_mm: The same in mm.
+        eyes_px: Displacement of the right eye's image against the left eye's, to the right, both at the viewing
+            distance L, pixels. An eye at x sees the view whose camera has s = Z0 tan(cone/2) x / (L tan(panel's
+            cone/2)).
+        eyes_mm: The same in mm.
+        behind_mm: Distance behind the panel at which the eyes see the content, L d/(e - d), with d = eyes_mm and e
+            between the eyes; None where it is infinite or the eyes diverge.
+        angle_deg: Convergence of the eyes on the panel less that on the content, 2 atan(e/2L) - 2 atan((e - d)/2L).
+        blur_lenses: Lenses that a point is spread over, 1 within the sharp range (see DepthReport).
     """
 
     depth: float
@@ -48,26 +53,30 @@ class Place:
 
 @dataclass(frozen=True)
 class DepthReport:
-    """What a rig makes of a scene on a panel; see depth_report.
+    """The depth of a scene on a panel, by a rig; see depth_report.
 
-    zero_depth: view-space z of the panel's plane, scene units.
-    near, far: of what the centre view shows, but for 1 % at either end.
-    comfortable: whether both are within one degree of the panel's plane for the eyes; None: the panel does not say.
-    amount: factor of all disparities (depth_amount) at which that is just so; None: not known, or nothing is deep.
-    sharp_depths: view-space z, from and to, that the panel shows as sharp as its own plane; None: however far.
-    sharp_mm: how far that is before and behind the panel; None: not known, or however far.
-        A lens has P_e sub-pixels, each 1/P_e of the cone wide, and a view is 1/N of the cone: the panel's angular step
-        is the larger of the two, a. It shows one sample of a direction a lens, P_e/3 pixels apart. A plane keeps its
-        detail where it moves by one sample a step at most (Zwicker et al., "Antialiasing for automultiscopic 3D
-        displays", 2006, on the bandwidth of a display): 2 fx tan(cone/2) |1 - Z0/Z| a <= P_e/3. In mm that is a
-        distance D = lens/(2 tan(panel's cone/2) a) to the front and back for a viewer far off, L D/(L +- D) at L.
-        Beyond, a point is spread over, or seen several times within, as many lenses as it moves by.
-    unseen: for the left-most and the right-most view, share of where the scene goes on that shows background, 0..1.
+    A lens has P_e sub-pixels, each 1/P_e of the cone wide, and a view is 1/N of the cone: the panel's angular step a is
+    the larger of the two. A lens shows one sample of a direction; lenses are P_e/3 pixels apart. A plane keeps its
+    detail while it moves by at most one sample a step (Zwicker et al., "Antialiasing for automultiscopic 3D displays",
+    2006, on the bandwidth of a display): 2 fx tan(cone/2) |1 - Z0/Z| a <= P_e/3. In mm that is a distance D = lens/(2
+    tan(panel's cone/2) a) to the front and back for a viewer far off, L D/(L +- D) at L. Beyond, a point is spread
+    over, or seen several times within, as many lenses as it moves by.
+
+    Attributes:
+        zero_depth: View-space z of the panel's plane, scene units.
+        near: The nearest content of the centre view, but for 1 %.
+        far: The farthest content of the centre view, but for 1 %.
+        comfortable: Whether both are within one degree of the panel's plane for the eyes; None: unknown for this panel.
+        amount: Factor of all disparities (Look.depth_amount) at the limit of comfort; None: unknown, or nothing is
+            deep.
+        sharp_depths: View-space z, from and to, that the panel shows as sharp as its own plane; None: however far.
+        sharp_mm: The same before and behind the panel; None: unknown, or however far.
+        unseen: For the left-most and the right-most view, fraction 0..1 of the continuing scene that shows background.
     """
 
     zero_depth: float
-    near: Place
-    far: Place
+    near: PanelDepth
+    far: PanelDepth
     comfortable: bool | None
     amount: float | None
     sharp_depths: tuple[float, float | None]
@@ -75,25 +84,25 @@ class DepthReport:
     unseen: tuple[float, float]
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields, as json.dumps takes them."""
+        """Return the fields as json.dumps takes them."""
         return asdict(self)
 
     def lines(self) -> list[str]:
-        """The report, for the user."""
+        """Return the report as lines of text."""
         return [
             f"depth: {self.near.depth:.4g} to {self.far.depth:.4g} is seen, {self.zero_depth:.4g} lies in the panel",
-            f"near: {_words(self.near)}",
-            f"far: {_words(self.far)}",
+            f"near: {_describe(self.near)}",
+            f"far: {_describe(self.far)}",
             f"comfortable: {self._comfort()}",
             f"sharp: {self._sharp()}",
             "outermost views: {:.1%} (left) and {:.1%} (right) of the scene's place is background".format(*self.unseen),
         ]
 
     def warnings(self) -> list[str]:
-        """What an owner should change, a line each, with the way out."""
+        """Return a line for each problem that an owner should fix, with the remedy."""
         out = []
         if self.comfortable is False:
-            way = "" if self.amount is None else f", {_floored(self.amount)} of what it is at the most"
+            way = "" if self.amount is None else f", {_round_down(self.amount)} of what it is at the most"
             out.append(
                 f"the depth strains the eyes: {self._angles()}; give a smaller depth_amount={way}, or another focus="
             )
@@ -121,19 +130,27 @@ class DepthReport:
 
 
 def depth_report(gaussians: Gaussians, panel: Panel, rig: Rig) -> DepthReport:
-    """How deep a scene [N Gaussians, in the rig's coordinates] is on a panel: see DepthReport.
+    """Measure how deep a scene is on a panel.
 
-    Three small pictures are rendered for it. Raises InputError, also where the centre camera sees nothing.
+    Three small pictures are rendered for it.
+
+    Args:
+        gaussians: One set, in the rig's coordinates.
+        panel: The panel.
+        rig: Its rig.
+
+    Raises:
+        InputError: An argument is invalid, or the centre camera sees nothing.
     """
     expect("panel", panel, Panel)
     expect("rig", rig, Rig)
-    seen = view_coverage(gaussians, panel, rig)
-    near, far = (place_of(depth, panel, rig) for depth in (seen.near, seen.far))
+    coverage = view_coverage(gaussians, panel, rig)
+    near, far = (locate_depth(depth, panel, rig) for depth in (coverage.near, coverage.far))
     comfortable = amount = None
     if near.angle_deg is not None and far.angle_deg is not None:
         comfortable = max(-near.angle_deg, far.angle_deg) <= COMFORT_DEG
         amount = _comfortable_amount((near, far), panel)
-    left_first = seen.unseen if panel.invert_views else seen.unseen[::-1]
+    left_first = coverage.background if panel.invert_views else coverage.background[::-1]
     return DepthReport(
         rig.zero_depth,
         near,
@@ -146,18 +163,18 @@ def depth_report(gaussians: Gaussians, panel: Panel, rig: Rig) -> DepthReport:
     )
 
 
-def place_of(depth: float, panel: Panel, rig: Rig) -> Place:
-    """Where content at this view-space z, > 0, is on the panel."""
+def locate_depth(depth: float, panel: Panel, rig: Rig) -> PanelDepth:
+    """Return the position on the panel of content at this view-space z, > 0."""
     # Displacement in px of a view whose camera stands at the end of the fan, at s = Z0 tan(cone/2)
     end_px = rig.focal_px[0] * _tangent(panel, rig) * (1 - rig.zero_depth / depth)
     edge_px = end_px * (1 - 1 / panel.views)
     blur = max(1.0, 2 * abs(end_px) * _angular_step(panel) / (panel.line_number / 3))
     pitch, distance = panel.pixel_pitch_mm, panel.viewing_distance_mm
     if pitch is None or distance is None:
-        return Place(depth, edge_px, None, None, None, None, None, blur)
+        return PanelDepth(depth, edge_px, None, None, None, None, None, blur)
     eyes_px = end_px * EYE_SEPARATION_MM / (distance * _panel_tangent(panel))
     apart = eyes_px * pitch
-    return Place(
+    return PanelDepth(
         depth,
         edge_px,
         edge_px * pitch,
@@ -170,12 +187,12 @@ def place_of(depth: float, panel: Panel, rig: Rig) -> Place:
 
 
 def _vergence(apart_mm: float, distance_mm: float) -> float:
-    """The angle in radians between the eyes' lines to two places of the panel that are so far apart."""
+    """Return the angle in radians between the eyes' lines to two points of the panel so far apart."""
     return 2 * math.atan((EYE_SEPARATION_MM - apart_mm) / (2 * distance_mm))
 
 
-def _comfortable_amount(places: tuple[Place, Place], panel: Panel) -> float | None:
-    """The factor of the disparities at which the first of these places is at the limit."""
+def _comfortable_amount(places: tuple[PanelDepth, PanelDepth], panel: Panel) -> float | None:
+    """Return the factor of the disparities at which the first of these depths reaches the limit."""
     factors = []
     for place in places:
         if panel.viewing_distance_mm is not None and place.eyes_mm:
@@ -187,7 +204,7 @@ def _comfortable_amount(places: tuple[Place, Place], panel: Panel) -> float | No
 
 
 def sharp_depths(panel: Panel, rig: Rig) -> tuple[float, float | None]:
-    """DepthReport.sharp_depths: Z0/(1 + r) to Z0/(1 - r), r the largest |1 - Z0/Z|."""
+    """Return DepthReport.sharp_depths: Z0/(1 + r) to Z0/(1 - r), r the largest |1 - Z0/Z|."""
     per_step = 2 * rig.focal_px[0] * _tangent(panel, rig) * _angular_step(panel)
     if per_step == 0:
         return 0.0, None
@@ -196,6 +213,7 @@ def sharp_depths(panel: Panel, rig: Rig) -> tuple[float, float | None]:
 
 
 def _sharp_mm(panel: Panel, rig: Rig) -> tuple[float | None, float | None]:
+    """Return DepthReport.sharp_mm."""
     distance, pitch = panel.viewing_distance_mm, panel.pixel_pitch_mm
     if distance is None or pitch is None or _tangent(panel, rig) == 0:
         return None, None
@@ -204,19 +222,22 @@ def _sharp_mm(panel: Panel, rig: Rig) -> tuple[float | None, float | None]:
 
 
 def _angular_step(panel: Panel) -> float:
-    """What the panel tells apart, as a share of its cone."""
+    """Return the panel's angular step as a fraction of its cone."""
     return max(1 / panel.views, 1 / panel.line_number)
 
 
 def _tangent(panel: Panel, rig: Rig) -> float:
+    """Return tan(cone/2) of the rig's fan."""
     return rig.half_width(panel) / rig.zero_depth
 
 
 def _panel_tangent(panel: Panel) -> float:
+    """Return tan(cone/2) of the panel."""
     return math.tan(math.radians(panel.cone_deg) / 2)
 
 
-def _words(place: Place) -> str:
+def _describe(place: PanelDepth) -> str:
+    """Return the line of a report on one depth."""
     edges = f"{abs(place.edge_px):.1f} px"
     if place.edge_mm is None or place.eyes_px is None or place.eyes_mm is None:
         side = "before" if place.edge_px < 0 else "behind"
@@ -229,7 +250,7 @@ def _words(place: Place) -> str:
     )
 
 
-def _floored(amount: float) -> str:
-    """With two digits, and never more than it is."""
+def _round_down(amount: float) -> str:
+    """Return the number with two digits, rounded down."""
     digits = 10.0 ** (math.floor(math.log10(amount)) - 1)
     return f"{math.floor(amount / digits) * digits:.2g}"

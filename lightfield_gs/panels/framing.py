@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -36,19 +36,42 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 
-_FILL = 0.92  # share of the panel's height or width that the content fills
+
+@dataclass(frozen=True)
+class FramingConstants:
+    """Proportions and thresholds of automatic framing.
+
+    All are chosen by hand and not tuned on a data set; tests/panels/test_rig.py and test_subject.py have the scenes
+    that they must frame.
+    """
+
+    fill: float = 0.92  # fraction of the panel's height or width that the content fills
+    field_of_view_deg: tuple[float, float] = (20.0, 50.0)  # limits of the angle that the panel subtends for its viewer
+    unknown_field_of_view_deg: float = 30.0  # angle of a panel without a size or a viewing distance
+    visible: float = 0.7  # visible fraction of the content that is enough
+    worth: float = 0.1  # gain of the visible fraction for which the camera goes nearer
+    # factors of the usual distance that it tries
+    nearer: tuple[float, float, float, float, float, float, float, float, float] = (
+        0.85,
+        0.7,
+        0.6,
+        0.5,
+        0.4,
+        0.3,
+        0.2,
+        0.12,
+        0.06,
+    )
+    # fraction of the scene up to which the rest counts as floaters, which are left out even if a given camera could
+    # show them
+    few: float = 0.1
+
+
+_CONSTANTS = FramingConstants()
+
 _NEAR = _core.NEAR_DEPTH
-_FIELD_OF_VIEW_DEG = (20.0, 50.0)  # the angle that the panel subtends for its viewer is kept within these
-_UNKNOWN_FIELD_OF_VIEW_DEG = 30.0  # of a panel whose size or viewing distance is not known
 _WIDEST_RAD = math.radians(90)  # the widest angle of the panel where no focal length was given
 _WIDEST_TAN = math.tan(_WIDEST_RAD / 2)
-# If the camera sees less than _SEEN of the content past the rest of the scene, it goes nearer, to these shares of its
-# usual distance, as long as that shows _WORTH more of the content.
-_SEEN, _WORTH = 0.7, 0.1
-_NEARER = (0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06)
-# Up to this share of the scene what lies outside its subject is floaters, which are left out even if a given camera
-# could show them.
-_FEW = 0.1
 _NOTHING_IN_FRONT = "no Gaussian lies in front of the camera; give another rig"
 
 
@@ -60,70 +83,89 @@ def frame_scene(
     up: str = DEFAULT_UP,
     notes: list[str] | None = None,
 ) -> Rig:
-    """A rig that shows the whole scene on the panel, or what it is about, where it surrounds that or floats far off.
+    """Return a rig that shows a scene on the panel: the whole scene, or its subject.
 
-    Content is what the visible Gaussians cover, but for the outermost 0.01 % of their opacity on each side, and for up
-    to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's height, or of the width where
-    that is met first; the panel takes 90 degrees at most. The zero plane is at the harmonic mean of near and far, the
-    depths beyond which 5 % of the opacity lies.
-    Where there is next to nothing for a while around the densest part of the scene, or the scene goes on on most sides
-    of a small dense part, or a hull that is closed on all sides has something in it, that is the content
-    (lightfield_gs.panels.subject).
-    Without a camera, one looks at the content from in front, upright by `up`: the axis that points up, one of
-    axes.UP_AXES, or three numbers. With -y, as in OpenCV axes, it looks along +z. It stands so far off that the
-    content's height takes the angle that the panel subtends for its viewer (kept within 20..50 degrees; 30 when not
-    known), or nearer, where something is in between. With a camera, and nothing to be seen near the harmonic mean, the
-    zero plane is at the depth of what is seen in the middle.
-    notes: a list to append to, a line for each thing that was assumed.
-    Raises InputError on a batch, on no Gaussians, or when none lies in front of the camera.
+    Content is the area that the visible Gaussians cover, without the outermost 0.01 % of their opacity on each side,
+    and without up to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's height, or of
+    its width where that is met first; the panel takes 90 degrees at most. The zero plane is at the harmonic mean of
+    near and far, the depths beyond which 5 % of the opacity lies.
+
+    The content is only the subject (lightfield_gs.panels.subject) in three cases: a gap surrounds the densest part of
+    the scene; the scene surrounds a small dense part; or a hull that is closed on all sides has something in it.
+
+    A new camera looks at the content from in front. The content's height takes the angle that the panel subtends for
+    its viewer, kept within 20..50 degrees, or 30 when unknown; the camera goes nearer where something is in between.
+    With a given camera and nothing visible near the harmonic mean, the zero plane is at the depth in the middle of the
+    picture.
+
+    Args:
+        gaussians: One set.
+        panel: The panel.
+        world_to_camera: [4, 4], the camera's pose; None: a new camera.
+        up: The axis that points up for a new camera, one of axes.UP_AXES, or three numbers. With -y, as in OpenCV axes,
+            the camera looks along +z.
+        notes: A list to append a line to for each assumption.
+
+    Raises:
+        InputError: `gaussians` is a batch or empty, or none lies in front of the camera.
     """
     gaussians = _checked(gaussians, panel)
     turn = upright_rotation(up)
     if world_to_camera is not None:
         world_to_camera = Rig(world_to_camera, (1.0, 1.0), (0.0, 0.0), 1.0).world_to_camera  # checks the matrix
     found = _subject(gaussians)
-    content, rest = _parted(gaussians, found)
+    content, rest = _split(gaussians, found)
     if world_to_camera is None:
         rig = _in_front(content, rest, panel, turn)
     else:
         whole = fit_rig(content_extent(gaussians, _tensor(world_to_camera, gaussians)).tolist(), panel, world_to_camera)
-        if found.left_out > _FEW and _is_narrow(whole, panel) or not _is_seen(content, world_to_camera):
+        if found.left_out > _CONSTANTS.few and _is_narrow(whole, panel) or not _is_in_front(content, world_to_camera):
             content, found = gaussians, subject.Subject()
         rig = _with_something_at_zero(_bounded(content, panel, world_to_camera), gaussians, panel)
-    if notes is not None and found.why:
-        notes.append(found.why)
+    if notes is not None and found.reason:
+        notes.append(found.reason)
     return rig
 
 
 def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
-    """The rig of a photo, whose Gaussians are in the axes of its camera: the whole of what it shows, however wide.
+    """Return the rig of a photo's Gaussians, which are in the axes of its camera: it shows all of them, however wide.
 
-    Raises InputError as `frame`.
+    Raises:
+        InputError: As in frame_scene.
     """
     return fit_rig(photo_extent(_checked(gaussians, panel)).tolist(), panel, np.eye(4))
 
 
 def photo_extent(gaussians: Gaussians) -> Tensor:
-    """What `fit` needs to know of a photo's Gaussians, see `extent`; of a million an eighth shows it well enough."""
+    """Return the content_extent of a photo's Gaussians for `fit_rig`; of a million an eighth is enough."""
     return content_extent(hashed_subsample(gaussians))
 
 
-def on_subject(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
-    """The rig with its zero plane in the subject, what is nearest of what is seen in the middle of the picture; as it
-    is where nothing is seen there."""
+def focus_on_subject(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
+    """Return the rig with its zero plane at the nearest subject in the middle; unchanged where nothing is there."""
     found = visibility.subject_depth(gaussians.detach(), panel, rig)
     return rig if found is None else replace(rig, zero_depth=found)
 
 
-def look_from(
+def frame_from_camera(
     gaussians: Gaussians,
     panel: Panel,
     world_to_camera: np.ndarray,
     focal_px: tuple[float, float],
     principal_point_px: tuple[float, float],
 ) -> Rig:
-    """A rig of this centre camera, at the panel's resolution; its zero plane is in the subject: what is nearest of what
-    is seen in the middle of the picture. Raises InputError, also where no Gaussian lies in front of the camera."""
+    """Return a rig of this centre camera, at the panel's resolution, with its zero plane in the subject.
+
+    Args:
+        gaussians: One set.
+        panel: The panel.
+        world_to_camera: [4, 4].
+        focal_px: (fx, fy), pixels of the panel.
+        principal_point_px: (cx, cy), pixels of the panel.
+
+    Raises:
+        InputError: An argument is invalid, or no Gaussian lies in front of the camera.
+    """
     gaussians = _checked(gaussians, panel)
     rig = Rig(world_to_camera, focal_px, principal_point_px, 1.0)
     if (found := visibility.subject_depth(gaussians, panel, rig)) is not None:
@@ -146,39 +188,39 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
 
 
 def _subject(gaussians: Gaussians) -> subject.Subject:
-    """What the scene is about, by panels/subject.py."""
+    """Return the subject of a scene, see panels/subject.py."""
     low, high = content_bounds(subsample(gaussians)).unbind(1)
-    return subject.find(
+    return subject.find_subject(
         gaussians.means, middle_scales(gaussians), content_weights(gaussians), float((high - low).max())
     )
 
 
-def _parted(gaussians: Gaussians, found: subject.Subject) -> tuple[Gaussians, Gaussians | None]:
-    """What is to be framed, and the rest of the scene."""
+def _split(gaussians: Gaussians, found: subject.Subject) -> tuple[Gaussians, Gaussians | None]:
+    """Return the Gaussians to frame, and the rest of the scene."""
     if found.inside is None:
         return gaussians, None
     return select(gaussians, found.inside), select(gaussians, ~found.inside)
 
 
-def _is_seen(gaussians: Gaussians, pose: np.ndarray) -> bool:
-    """Whether any lies in a view of 90 degrees."""
-    return bool(_within(gaussians, pose, _WIDEST_TAN, _WIDEST_TAN).any())
+def _is_in_front(gaussians: Gaussians, pose: np.ndarray) -> bool:
+    """Return whether any Gaussian lies in a view of 90 degrees."""
+    return bool(_in_view(gaussians, pose, _WIDEST_TAN, _WIDEST_TAN).any())
 
 
-def _within(gaussians: Gaussians, pose: np.ndarray, tan_x: float, tan_y: float) -> Tensor:
-    """Which Gaussians lie in front of a camera and within these slopes x/z and y/z to either side, bool [N]."""
+def _in_view(gaussians: Gaussians, pose: np.ndarray, tan_x: float, tan_y: float) -> Tensor:
+    """Return which Gaussians lie in front of a camera, within slopes tan_x of x/z and tan_y of y/z: bool [N]."""
     matrix = _tensor(pose, gaussians)
     x, y, z = (gaussians.means @ matrix[:3, :3].T + matrix[:3, 3]).unbind(1)
     return (z > _NEAR) & (x.abs() <= tan_x * z) & (y.abs() <= tan_y * z)
 
 
 def _bounded(gaussians: Gaussians, panel: Panel, pose: np.ndarray) -> Rig:
-    """The rig that fits the content, the panel's longer side taking 90 degrees at most: what is beyond is left out."""
+    """Return the rig that fits the content within 90 degrees of the longer side; the rest is left out."""
     rig = fit_rig(content_extent(gaussians, _tensor(pose, gaussians)).tolist(), panel, pose)
     if _is_narrow(rig, panel):
         return rig
     widest = max(panel.width_px, panel.height_px) / 2 / _WIDEST_TAN
-    kept = _within(gaussians, pose, panel.width_px / 2 / widest, panel.height_px / 2 / widest)
+    kept = _in_view(gaussians, pose, panel.width_px / 2 / widest, panel.height_px / 2 / widest)
     if bool(kept.any()):
         seen = select(gaussians, kept)
         numbers = content_extent(seen, _tensor(pose, seen)).tolist()
@@ -190,7 +232,7 @@ def _bounded(gaussians: Gaussians, panel: Panel, pose: np.ndarray) -> Rig:
 
 
 def _is_narrow(rig: Rig, panel: Panel) -> bool:
-    """Whether the panel takes 90 degrees at most."""
+    """Return whether the panel takes 90 degrees at most."""
     return all(
         math.atan(centre / focal) + math.atan((size - centre) / focal) <= _WIDEST_RAD
         for centre, focal, size in zip(rig.principal_point_px, rig.focal_px, (panel.width_px, panel.height_px))
@@ -198,7 +240,7 @@ def _is_narrow(rig: Rig, panel: Panel) -> bool:
 
 
 def _with_something_at_zero(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
-    """The rig, its zero plane moved to the subject if it lies in a wide gap between near and far."""
+    """Return the rig with its zero plane moved to the subject if it lies in a wide gap."""
     found = visibility.depth_beside_a_gap(gaussians, panel, rig)
     return rig if found is None else replace(rig, zero_depth=found)
 
@@ -208,38 +250,47 @@ def _tensor(pose: np.ndarray, like: Gaussians) -> Tensor:
 
 
 def fit_rig(extent: Sequence[float], panel: Panel, world_to_camera: np.ndarray) -> Rig:
-    """The rig at this camera that shows the content of this `extent`. Raises InputError when there is none."""
+    """Return the rig of a camera that shows the content of this extent.
+
+    Args:
+        extent: As content_extent returns it.
+        panel: The panel.
+        world_to_camera: [4, 4].
+
+    Raises:
+        InputError: The extent has no weight.
+    """
     left, right, top, bottom, near, far, weight = extent
     if not weight > 0:
         raise InputError(_NOTHING_IN_FRONT)
-    focal = _FILL * min(panel.height_px / max(bottom - top, 1e-9), panel.width_px / max(right - left, 1e-9))
+    focal = _CONSTANTS.fill * min(panel.height_px / max(bottom - top, 1e-9), panel.width_px / max(right - left, 1e-9))
     centre = panel.width_px / 2 - focal * (left + right) / 2, panel.height_px / 2 - focal * (top + bottom) / 2
     return Rig(world_to_camera, (focal, focal), centre, 2 / (1 / near + 1 / far))
 
 
 def _in_front(content: Gaussians, rest: Gaussians | None, panel: Panel, turn: np.ndarray) -> Rig:
-    """The rig of a camera with this rotation [3, 3] (world to camera) before the content, where it sees most of it."""
+    """Return the rig of a camera with rotation `turn` [3, 3] before the content, where most of it is visible."""
     chosen = 1.0 if rest is None else _clear_distance(content, rest, panel, turn)
     return _bounded(content, panel, _camera_in_front(content, panel, turn, chosen))
 
 
 def _clear_distance(content: Gaussians, rest: Gaussians, panel: Panel, turn: np.ndarray) -> float:
-    """The share of its usual distance from where the camera sees enough of the content past the rest of the scene."""
+    """Return the factor of the usual distance from which the camera sees enough of the content."""
     depths = torch.from_numpy(turn[2]).to(content.means)
     before = select(rest, rest.means @ depths < (content.means @ depths).max())
-    few, chosen, best = subsample(content), 1.0, -_WORTH
-    for nearer in (1.0, *_NEARER):
+    few, chosen, best = subsample(content), 1.0, -_CONSTANTS.worth
+    for nearer in (1.0, *_CONSTANTS.nearer):
         rig = _bounded(few, panel, _camera_in_front(few, panel, turn, nearer))
-        seen = visibility.visible_fraction(content, before, panel, rig) * _share_in_frame(few, panel, rig)
-        if seen > best + _WORTH:
+        seen = visibility.visible_fraction(content, before, panel, rig) * _fraction_in_frame(few, panel, rig)
+        if seen > best + _CONSTANTS.worth:
             chosen, best = nearer, seen
-        if best >= _SEEN:
+        if best >= _CONSTANTS.visible:
             break
     return chosen
 
 
-def _share_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
-    """How many of the Gaussians have their centres on the panel, 0..1."""
+def _fraction_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
+    """Return the fraction 0..1 of the Gaussians with their centres on the panel."""
     matrix = _tensor(rig.world_to_camera, gaussians)
     x, y, z = (gaussians.means @ matrix[:3, :3].T + matrix[:3, 3]).unbind(1)
     inside = z > _NEAR
@@ -250,13 +301,13 @@ def _share_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
     return float(inside.double().mean())
 
 
-def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, share: float) -> np.ndarray:
-    """The pose of a camera with this rotation, at this share of its usual distance from the front of the content."""
+def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, factor: float) -> np.ndarray:
+    """Return the pose of a camera with this rotation, at a factor of its usual distance from the content."""
     axes = torch.from_numpy(turn).to(gaussians.means)
     bounds = content_bounds(gaussians, axes).cpu().double().numpy()
     width, height, depth = bounds[:, 1] - bounds[:, 0]
     height = max(height, width * panel.height_px / panel.width_px, 1e-6)
-    distance = share * height / _FILL / 2 / math.tan(_field_of_view_rad(panel) / 2)
+    distance = factor * height / _CONSTANTS.fill / 2 / math.tan(_field_of_view_rad(panel) / 2)
     matrix = np.eye(4)
     matrix[:3, :3] = turn
     # The front of the content, not its middle, must fit, and it must stay clear of the near plane.
@@ -265,11 +316,11 @@ def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, share
 
 
 def _field_of_view_rad(panel: Panel) -> float:
-    """The angle that the panel's height takes for its viewer, kept within what makes a good picture."""
+    """Return the angle that the panel's height takes for its viewer, within the limits of a good picture."""
     if panel.pixel_pitch_mm is None or panel.viewing_distance_mm is None:
-        return math.radians(_UNKNOWN_FIELD_OF_VIEW_DEG)
+        return math.radians(_CONSTANTS.unknown_field_of_view_deg)
     angle = 2 * math.atan(panel.height_px * panel.pixel_pitch_mm / 2 / panel.viewing_distance_mm)
-    return min(max(angle, math.radians(_FIELD_OF_VIEW_DEG[0])), math.radians(_FIELD_OF_VIEW_DEG[1]))
+    return min(max(angle, math.radians(_CONSTANTS.field_of_view_deg[0])), math.radians(_CONSTANTS.field_of_view_deg[1]))
 
 
 _KEY = "lightfield-gs rig:"
@@ -279,14 +330,15 @@ _WAY_OUT = "give up=, camera= or rig=, which go before it"
 
 
 def framing_comment(rig: Rig, panel: Panel) -> str:
-    """The line of a header that keeps the framing; rig: in the file's coordinates."""
+    """Return the line of a header that stores a framing; rig: in the file's coordinates."""
     return f"{_KEY} " + json.dumps({"rig": rig.to_dict(), "width_px": panel.width_px, "height_px": panel.height_px})
 
 
 def stored_framing(comments: Iterable[str], panel: Panel) -> tuple[Rig, str] | None:
-    """The framing that the header keeps, fitted to the panel, and what to say of it; None where there is none.
+    """Return the framing in a header, fitted to the panel, and a description of it; None without one.
 
-    Raises InputError where it cannot be read.
+    Raises:
+        InputError: The framing cannot be read.
     """
     if (stored := _stored(comments)) is None:
         return None
@@ -302,7 +354,11 @@ def stored_framing(comments: Iterable[str], panel: Panel) -> tuple[Rig, str] | N
 
 
 def stored_size(comments: Iterable[str]) -> tuple[int, int] | None:
-    """Width and height of the panel that a stored framing was made for; None where there is none. Raises InputError."""
+    """Return width and height of the panel of a stored framing; None without one.
+
+    Raises:
+        InputError: The framing cannot be read.
+    """
     stored = _stored(comments)
     return None if stored is None else stored[1]
 
@@ -320,9 +376,10 @@ def _stored(comments: Iterable[str]) -> tuple[Rig, tuple[int, int]] | None:
 
 
 def photo_camera(elements: Mapping[str, np.ndarray]) -> FileCamera | None:
-    """The camera of the photo that the Gaussians were made from; None where the file has none.
+    """Return the camera of the photo that the Gaussians were made from; None where the file has none.
 
-    Raises InputError where it is no pinhole camera.
+    Raises:
+        InputError: It is no pinhole camera.
     """
     if not all(name in elements for name in _PHOTO):
         return None

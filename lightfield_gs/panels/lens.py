@@ -1,4 +1,4 @@
-"""The lens of a panel, and what a rig's cameras see through it, as values of the rasterizer."""
+"""The lens of a panel, and the cameras of a rig behind it, as values of the rasterizer."""
 
 from __future__ import annotations
 
@@ -16,10 +16,15 @@ from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
 
 
 class CellTable(NamedTuple):
-    """What the native lens takes, each [PERIOD, PERIOD, 3] by row, column and place k (left to right in D).
+    """Phases and channels of the sub-pixels of a panel with cells, as the native lens takes them.
 
-    phases: 2^-64 lens widths, uint64: beyond those of the stripe k of a lens that begins `shift` (2^-64 lens widths)
-    or `shift_subpixels` later, which is the middle of what the sub-pixels need. channels: int64, image channel at k.
+    Each array is [PERIOD, PERIOD, 3], by row, column and rank k, left to right in D.
+
+    Attributes:
+        phases: uint64, 2^-64 lens widths, beyond the phases of stripe k of a lens that begins `shift` later.
+        channels: int64, the image channel at k.
+        shift: 2^-64 lens widths, the middle of the sub-pixels' shifts.
+        shift_subpixels: The same in sub-pixels.
     """
 
     phases: np.ndarray
@@ -30,7 +35,7 @@ class CellTable(NamedTuple):
 
 @lru_cache(maxsize=64)
 def cell_table(panel: Panel) -> CellTable:
-    """What the native lens takes of a panel with cells."""
+    """Return the cell table of a panel with cells."""
     offsets = subpixel_offsets(panel)
     channels = np.argsort(offsets.astype(np.float64), axis=-1, kind="stable")
     beyond = np.take_along_axis(offsets, channels, -1) - np.arange(3)  # the stripe at the same place
@@ -42,8 +47,15 @@ def cell_table(panel: Panel) -> CellTable:
     return CellTable(phases, channels, whole, float(shift))
 
 
-def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
-    """The lens before cameras at offset_start + offset_step * x, scene units; continuous: at x itself."""
+def panel_lens(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
+    """Return the panel's lens before a row of cameras.
+
+    Args:
+        panel: The panel.
+        continuous: Whether sub-pixels see the view at x itself, not the nearest integer view.
+        offset_start: Offset of the camera of view 0, scene units.
+        offset_step: Offset from view to view, scene units.
+    """
     start, across, down = panel.phase_steps()
     phase, phases, channels = panel.phase, (), ()
     if panel.subpixel_cells:
@@ -68,30 +80,39 @@ def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, o
 
 
 def view_aperture(panel: Panel, rig: Rig, view_filter: float) -> Aperture:
-    """What each camera of a rig averages its picture over for encode's view_filter: a box of that many views."""
+    """Return the aperture of each camera of a rig for encode's view_filter: a box of that many views."""
     step = 2 * rig.half_width(panel) / panel.views
     return Aperture(view_filter * step / math.sqrt(12), float(rig.zero_depth)) if view_filter > 0 else PINHOLE
 
 
 def lenticular_camera(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LenticularCamera:
-    """What the sub-pixels of a panel see of a scene by a rig; continuous: see Lens; view_filter: see encode."""
+    """Return the cameras and the lens by which the sub-pixels of a panel see a scene.
+
+    Args:
+        panel: The panel.
+        rig: Its rig.
+        continuous: See panel_lens.
+        view_filter: See encode.
+    """
     start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
     pose = np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist()
     optics = (float(v) for v in (*rig.focal_px, *rig.principal_point_px))
     limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
-    lens = lens_of(panel, continuous, start, (end - start) / panel.views)
+    lens = panel_lens(panel, continuous, start, (end - start) / panel.views)
     aperture = view_aperture(panel, rig, view_filter).deviation
     return LenticularCamera(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
 
 
-def slow_way(panel: Panel, lattices_on_cuda: bool) -> str | None:
-    """Why `direct` takes longer for a panel with sub-pixel cells; None where it does not.
+def slow_reason(panel: Panel, lattices_on_cuda: bool) -> str | None:
+    """Return why `direct` takes longer for a panel with sub-pixel cells; None where it does not.
 
-    lattices_on_cuda: whether a frame with lattices is to be drawn on CUDA.
+    Args:
+        panel: The panel.
+        lattices_on_cuda: Whether a frame with lattices is drawn on CUDA.
     """
     if not panel.subpixel_cells:
         return None
-    lens = lens_of(panel).native()
+    lens = panel_lens(panel).native()
     if not (lens.stands_in_order() and lens.has_one_order()):
         return (
             f"the sub-pixel cells of panel {panel.name} have no one order along the lens: it is drawn by slower "

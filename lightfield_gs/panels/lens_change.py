@@ -18,17 +18,24 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.text_files import MOST_BYTES, read_json, read_text
-from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values, find_calibration, with_values
+from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values, find_calibration, replace_values
 from lightfield_gs.panels.panel import Panel
 
 
 @dataclass(frozen=True)
 class LensChange:
-    """What is added to the lens of a panel.
+    """Additions to the lens of a panel.
 
-    pitch_percent: of the lenses per inch; slope_percent: of the slope, lenses per inch across the axis kept, as if the
-    sheet of lenses were turned; centre: lens widths. line_number: sub-pixels; slant_tan; phase: sub-pixels.
-    What the middle of the panel shows stays, unless centre or phase are changed: they follow pitch and slope.
+    The phase in the middle of the panel stays, unless centre or phase change.
+
+    Attributes:
+        pitch_percent: Of the lenses per inch.
+        slope_percent: Of the slope, with the lenses per inch across the axis kept, as if the sheet of lenses were
+            turned.
+        centre: Lens widths.
+        line_number: Sub-pixels.
+        slant_tan: Tangent of the slant.
+        phase: Sub-pixels.
     """
 
     pitch_percent: float = 0.0
@@ -39,25 +46,29 @@ class LensChange:
     phase: float = 0.0
 
 
-def middle_of(panel: Panel) -> float:
-    """D of the panel's middle less its phase, in sub-pixels: (3 j + k + 3 i slant_tan) there."""
+def middle_coordinate(panel: Panel) -> float:
+    """Return D of the panel's middle less its phase, in sub-pixels: 3 j + k + 3 i slant_tan there."""
     pixel = 0 if panel.subpixel_cells else 1  # D of a pixel's centre, from its reference
     return 1.5 * (panel.width_px - 1) + pixel + 1.5 * (panel.height_px - 1) * panel.slant_tan
 
 
-def with_lens(panel: Panel, line_number: float, slant_tan: float, turns: float) -> Panel:
-    """The panel with another lens, whose phase in the panel's middle is `turns` lens widths."""
+def replace_lens(panel: Panel, line_number: float, slant_tan: float, turns: float) -> Panel:
+    """Return the panel with another lens, whose phase in the panel's middle is `turns` lens widths."""
     turned = replace(panel, line_number=line_number, slant_tan=slant_tan)
-    return replace(turned, phase=turns * line_number - middle_of(turned))
+    return replace(turned, phase=turns * line_number - middle_coordinate(turned))
 
 
-def turns_in_middle(panel: Panel) -> float:
-    """Phase of the lens in the panel's middle, in lens widths."""
-    return (middle_of(panel) + panel.phase) / panel.line_number
+def phase_in_middle(panel: Panel) -> float:
+    """Return the phase of the lens in the panel's middle, in lens widths."""
+    return (middle_coordinate(panel) + panel.phase) / panel.line_number
 
 
 def changed(panel: Panel, change: LensChange) -> Panel:
-    """The panel with its lens changed. Raises InputError where the lens comes to be none."""
+    """Return the panel with its lens changed.
+
+    Raises:
+        InputError: The change leaves no valid lens.
+    """
     pitch = 1 + real_number("pitch change", change.pitch_percent, -90, 1000) / 100
     slope = 1 + real_number("slope change", change.slope_percent, -90, 1000) / 100
     if change.slope_percent and panel.slant_tan == 0:
@@ -69,7 +80,7 @@ def changed(panel: Panel, change: LensChange) -> Panel:
         turned = replace(panel, line_number=line_number, slant_tan=slant + change.slant_tan)
     except InputError as error:
         raise InputError(f"so large a change leaves no lens: {error}") from None
-    phase = turns_in_middle(panel) * line_number - middle_of(turned)
+    phase = phase_in_middle(panel) * line_number - middle_coordinate(turned)
     return replace(turned, phase=phase + change.phase - change.centre * line_number)
 
 
@@ -77,12 +88,12 @@ _LENS_KEYS = ("line_number", "slant_tan", "phase")
 
 
 def is_looking_glass(source: str | Path) -> bool:
-    """Whether Panel.load reads a profile as a Looking Glass calibration."""
+    """Return whether Panel.load reads a profile as a Looking Glass calibration."""
     return str(source).lower().endswith(".json")
 
 
 def check_profile_path(path: str | Path, source: str | Path) -> Path:
-    """`path`, if the profile `source` can be written there in its own format; raises InputError."""
+    """Return `path` if it can take the profile `source` in its own format; else raise InputError."""
     path = check_output_path(path)
     wanted = (".json",) if is_looking_glass(source) else (".yaml", ".yml")
     if path.suffix.lower() not in wanted:
@@ -92,42 +103,52 @@ def check_profile_path(path: str | Path, source: str | Path) -> Path:
     return path
 
 
-def lens_in_owners_terms(source: str | Path, panel: Panel, serial: str | None = None) -> dict[str, float]:
-    """pitch (lenses per inch), slope and center of a panel's lens, as the Looking Glass calibration `source` has them.
+def looking_glass_lens(source: str | Path, panel: Panel, serial: str | None = None) -> dict[str, float]:
+    """Return pitch (lenses per inch), slope and center of a panel's lens for the Looking Glass calibration `source`.
 
-    Raises InputError.
+    Raises:
+        InputError: The calibration cannot be read, or cannot hold the lens.
     """
     data = find_calibration(read_json(source, LIMIT_BYTES), str(source), serial)
     return calibration_values(data, panel.line_number, panel.slant_tan, panel.phase, str(source))
 
 
 def write_profile(path: str | Path, source: str | Path, panel: Panel, serial: str | None = None) -> None:
-    """Writes the profile `source` with the lens of `panel`: its line_number, slant_tan and phase.
+    """Write the profile `source` with the lens of `panel`: its line_number, slant_tan and phase.
 
-    source: as Panel.load takes it. A Looking Glass .json gets pitch, slope and center instead, in the calibration of
-    `serial`; a .yaml keeps its comments. The file appears whole or not at all. Raises InputError.
+    The file appears whole or not at all. A Looking Glass .json gets pitch, slope and center; a .yaml keeps its
+    comments.
+
+    Args:
+        path: The file to write.
+        source: A profile as Panel.load takes it.
+        panel: The panel with the new lens.
+        serial: The display, where a .json has several.
+
+    Raises:
+        InputError: The profile cannot be written in this form.
     """
     path = check_profile_path(path, source)
     if is_looking_glass(source):
-        values = lens_in_owners_terms(source, panel, serial)
-        data = with_values(read_json(source, LIMIT_BYTES), str(source), serial, values)
+        values = looking_glass_lens(source, panel, serial)
+        data = replace_values(read_json(source, LIMIT_BYTES), str(source), serial, values)
         _write_checked(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n", panel, serial)
     else:
         is_file = Path(source).is_file() or Path(source).suffix.lower() in (".yaml", ".yml")
         text = read_text(source if is_file else config_path("panels", str(source)), MOST_BYTES, "YAML")
         for key in _LENS_KEYS:
-            text = _with_line(text, key, getattr(panel, key))
+            text = _replace_line(text, key, getattr(panel, key))
         _write_checked(path, text, panel, None)
 
 
-def _with_line(text: str, key: str, value: float) -> str:
-    """The YAML with another value on the line of a key, whose comment stays; a line at the end where it has none."""
+def _replace_line(text: str, key: str, value: float) -> str:
+    """Return the YAML with another value for a key, whose comment stays; a key that is missing is added."""
     changed, count = re.subn(rf"(?m)^({key}[ \t]*:[ \t]*)[^\s#]+", lambda match: f"{match[1]}{value!r}", text)
     return changed if count else f"{text.rstrip()}\n{key}: {value!r}\n"
 
 
 def _write_checked(path: Path, text: str, panel: Panel, serial: str | None) -> None:
-    """Writes the text, if it reads as a profile with that lens."""
+    """Write the text, if it reads as a profile with that lens."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
         try:

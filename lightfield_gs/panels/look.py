@@ -1,4 +1,4 @@
-"""How a viewer wants a scene on the panel: what lies in its plane, how deep it is, how large and where."""
+"""A viewer's adjustments of a scene on the panel: focus, depth, cone, zoom and pan."""
 
 from __future__ import annotations
 
@@ -20,22 +20,26 @@ CONES_DEG = (0.0, 179.0)
 
 @dataclass(frozen=True)
 class Look:
-    """Changes of a rig. Without any, it stays as it is. Raises InputError for values out of their ranges.
+    """Changes of a rig; the defaults change nothing.
 
     A point at view-space z = Z is seen in the view with offset s at (docs/design.md, "Where the cameras stand")
         u(s) = fx X/Z + cx + d(s),    d(s) = s fx (1/Z0 - 1/Z),    |s| <= Z0 tan(cone/2)
 
-    focus: view-space z, > 0, in scene units, of what lies in the panel's plane; or (x, y), a point of the picture, 0..1
-        of the panel's width from the left and of its height from the top, as the picture is with zoom and pan: the
-        surface seen there. None: as in the rig. Only Z0 changes, so that the centre view stays the same picture: in the
-        outermost views d = +-fx tan(cone/2) (1 - Z0/Z), which is 0 at the focus.
-    depth_amount: factor a of all disparities, 0 (flat: all views alike) to 2; 1: as in the rig. tan(cone/2), and so all
-        offsets s and all d(s), become a times as large.
-    cone_deg: full angle of the fan seen from the zero plane, 0..179, before depth_amount; None: as in the rig.
-    zoom: factor of the size of the picture about the panel's centre, 0.01..100: focal lengths f become zoom f, and
-        c becomes W/2 + zoom (c - W/2). Disparities grow with the picture.
-    pan: (x, y), where the picture moves after that, to the right and down, in shares of the panel's width and height:
-        c becomes c + pan W.
+    Attributes:
+        focus: View-space z, > 0, scene units, of the panel's plane; or (x, y), a point of the picture, after zoom and
+            pan, 0..1 of the panel's width from the left and of its height from the top: the depth of the surface there.
+            None: as in the rig. Only Z0 changes, so that the centre view stays the same picture. The outermost views
+            have d = +-fx tan(cone/2) (1 - Z0/Z), which is 0 at the focus.
+        depth_amount: Factor a of all disparities, 0 (flat: all views alike) to 2; 1: as in the rig. tan(cone/2), and so
+            all offsets s and all d(s), become a times as large.
+        cone_deg: Full angle of the fan seen from the zero plane, 0..179, before depth_amount; None: as in the rig.
+        zoom: Factor of the size of the picture about the panel's centre, 0.01..100: focal lengths f become zoom f, and
+            c becomes W/2 + zoom (c - W/2). Disparities grow with the picture.
+        pan: (x, y), movement of the picture after that, to the right and down, in widths and heights of the panel: c
+            becomes c + pan W.
+
+    Raises:
+        InputError: A value is out of its range.
     """
 
     focus: float | tuple[float, float] | None = None
@@ -58,10 +62,15 @@ class Look:
         object.__setattr__(self, key, value)
 
     def applied(self, rig: Rig, panel: Panel, gaussians: Gaussians | None = None) -> Rig:
-        """The rig as this look has it; the one given is not altered.
+        """Return a changed copy of the rig.
 
-        gaussians: in the rig's coordinates; needed where the focus is a point of the picture. Raises InputError, also
-        where nothing is to be seen at that point.
+        Args:
+            rig: The rig to change.
+            panel: Its panel.
+            gaussians: In the rig's coordinates; needed where the focus is a point of the picture.
+
+        Raises:
+            InputError: An argument is invalid, or nothing is to be seen at the focus.
         """
         expect("rig", rig, Rig)
         expect("panel", panel, Panel)
@@ -75,7 +84,7 @@ class Look:
         return replace(seen, zero_depth=self._zero_depth(seen, panel, gaussians), cone_deg=self._cone_deg(rig, panel))
 
     def _cone_deg(self, rig: Rig, panel: Panel) -> float | None:
-        """2 atan(a tan(cone/2)); None stays None where nothing changes: the panel's, whatever it is."""
+        """Return 2 atan(a tan(cone/2)); None where nothing changes, so that the panel's cone stays in force."""
         if self.cone_deg is None and self.depth_amount == 1:
             return rig.cone_deg
         own = panel.cone_deg if rig.cone_deg is None else rig.cone_deg

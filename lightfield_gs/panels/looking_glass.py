@@ -46,34 +46,47 @@ _MOST_LISTED = 8
 
 
 @dataclass
-class _Found:
-    """A calibration; serials: what its display is called, none where nothing says it; place: keys that lead to it."""
+class _Calibration:
+    """A calibration in a file.
+
+    Attributes:
+        data: Its values.
+        serials: Names of its display; empty without any.
+        path: Keys that lead to it.
+    """
 
     data: dict[str, Any]
     serials: tuple[str, ...]
-    place: tuple[Any, ...]
+    path: tuple[Any, ...]
 
     @property
     def name(self) -> str:
-        return _short(self.serials[0]) if self.serials else f"{_path(self.place)} (without a serial)"
+        return _short(self.serials[0]) if self.serials else f"{_key_path(self.path)} (without a serial)"
 
 
 def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[str, Any]:
-    """The one calibration in `data`, flat: {"pitch": 47.0, ...}; strings that hold numbers are numbers in it.
+    """Return the one calibration in `data`, flat: {"pitch": 47.0, ...}; strings of numbers become numbers.
 
-    data: a calibration, whose values may be plain or {"value": v}; or mappings and lists of any kind that hold some, of
-    which `serial` chooses one, by the serial of the calibration or the display. where: for messages. Without a cone
-    the result has no viewCone, and the default is assumed. Raises InputError that names the file and the key.
+    Without a cone the result has no viewCone, and the default is assumed.
+
+    Args:
+        data: A calibration, whose values may be plain or {"value": v}; or mappings and lists of any kind that hold
+            some.
+        where: Name of the file, for messages.
+        serial: Of the calibration or of the display, where there are several.
+
+    Raises:
+        InputError: There is no such calibration; the message names the file and the key.
     """
     try:
-        found = _chosen(_distinct(_calibrations(data)), where, serial)
+        found = _choose(_distinct(_calibrations(data)), where, serial)
     except RecursionError:
         raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
-    if found.place:
-        where = f"{where}: {_path(found.place)}"
+    if found.path:
+        where = f"{where}: {_key_path(found.path)}"
     flat = {
         key: _parsed_number(value, key, where) if key in _NUMBERS else value
-        for key, value in _named(found.data, where).items()
+        for key, value in _usual_keys(found.data, where).items()
     }
     if isinstance(flat.get("subpixelCells"), list):
         flat["subpixelCells"] = [
@@ -90,7 +103,7 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
     return flat
 
 
-def _chosen(found: list[_Found], where: str, serial: str | None) -> _Found:
+def _choose(found: list[_Calibration], where: str, serial: str | None) -> _Calibration:
     if not found:
         raise InputError(
             f"{where}: expected a Looking Glass calibration with pitch, slope, center, DPI, screenW and "
@@ -111,73 +124,82 @@ def _chosen(found: list[_Found], where: str, serial: str | None) -> _Found:
     return named[0]
 
 
-def with_values(data: Any, where: str, serial: str | None, values: dict[str, float]) -> Any:
-    """A copy of `data` in which the calibration that find_calibration takes has these values, all else as it was.
+def replace_values(data: Any, where: str, serial: str | None, values: dict[str, float]) -> Any:
+    """Return a copy of `data` with other values in the calibration that find_calibration finds, all else as it was.
 
-    Values stay what they were: plain or {"value": v}, numbers or strings, and JSON within strings stays such. Where
-    the same calibration comes several times, all are changed. Raises InputError as find_calibration does.
+    Values keep their form: plain or {"value": v}, numbers or strings, JSON within strings. Where the same calibration
+    comes several times, all are changed.
+
+    Args:
+        data: See find_calibration.
+        where: See find_calibration.
+        serial: See find_calibration.
+        values: The new values by key.
+
+    Raises:
+        InputError: As find_calibration.
     """
     try:
         found = list(_calibrations(data))
-        chosen = repr(_chosen(_distinct(iter(found)), where, serial).data)
-        places = [one.place for one in found if repr(one.data) == chosen]
+        chosen = repr(_choose(_distinct(iter(found)), where, serial).data)
+        paths = [one.path for one in found if repr(one.data) == chosen]
     except RecursionError:
         raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
-    for place in places:
-        data = _replaced(data, place, values)
+    for path in paths:
+        data = _replace(data, path, values)
     return data
 
 
-def _replaced(node: Any, place: tuple[Any, ...], values: dict[str, float]) -> Any:
+def _replace(node: Any, path: tuple[Any, ...], values: dict[str, float]) -> Any:
     if isinstance(node, str):
-        return json.dumps(_replaced(_parsed(node), place, values))
-    if not place:
-        return {key: _as_before(old, values.get(_usual_name(key))) for key, old in node.items()}
+        return json.dumps(_replace(_parse(node), path, values))
+    if not path:
+        return {key: _in_form(old, values.get(_usual_name(key))) for key, old in node.items()}
     copy = node.copy()
-    copy[place[0]] = _replaced(node[place[0]], place[1:], values)
+    copy[path[0]] = _replace(node[path[0]], path[1:], values)
     return copy
 
 
-def _as_before(old: Any, new: float | None) -> Any:
-    """The new value in the form of the old one; None: the old one."""
+def _in_form(old: Any, new: float | None) -> Any:
+    """Return the new value in the form of the old one; the old one for None."""
     if new is None:
         return old
     if isinstance(old, dict):
-        return {**old, "value": _as_before(old["value"], new)}
+        return {**old, "value": _in_form(old["value"], new)}
     return repr(new) if isinstance(old, str) else new
 
 
-def _distinct(found: Iterator[_Found]) -> list[_Found]:
-    """One for each calibration that is different, with all names that its display has."""
-    out: dict[str, _Found] = {}
+def _distinct(found: Iterator[_Calibration]) -> list[_Calibration]:
+    """Return one of each set of equal calibrations, with all names of its display."""
+    out: dict[str, _Calibration] = {}
     for one in found:
         first = out.setdefault(repr(one.data), one)
         first.serials = tuple(dict.fromkeys((*first.serials, *one.serials)))
     return list(out.values())
 
 
-def _calibrations(data: Any) -> Iterator[_Found]:
-    """All calibrations, in the order of the file."""
+def _calibrations(data: Any) -> Iterator[_Calibration]:
+    """Yield all calibrations, in the order of the file."""
     pending: list[tuple[Any, tuple[Any, ...], tuple[str, ...]]] = [(data, (), ())]
     seen: dict[int, Any] = {}  # by identity, in case one holds itself; kept alive, so that no identity comes twice
     while pending:
-        value, place, serials = pending.pop()
+        value, path, serials = pending.pop()
         if isinstance(value, str):
-            value = _parsed(value)
-        if not isinstance(value, (dict, list)) or len(place) > _DEEPEST:
+            value = _parse(value)
+        if not isinstance(value, (dict, list)) or len(path) > _DEEPEST:
             continue
         if isinstance(value, dict):
-            plain = {key: _plain(part) for key, part in value.items()}
+            plain = {key: _unwrap(part) for key, part in value.items()}
             own = _serials(plain)
             if len(_MARKS & {_usual_name(key) for key in plain}) > 1:
-                yield _Found(plain, (*own, *serials), place)
+                yield _Calibration(plain, (*own, *serials), path)
                 continue
             serials = own or serials
         if id(value) in seen:
             continue
         seen[id(value)] = value
         parts = value.items() if isinstance(value, dict) else enumerate(value)
-        pending += reversed([(part, (*place, key), serials) for key, part in parts])
+        pending += reversed([(part, (*path, key), serials) for key, part in parts])
 
 
 def _serials(mapping: dict[Any, Any]) -> tuple[str, ...]:
@@ -188,17 +210,17 @@ def _serials(mapping: dict[Any, Any]) -> tuple[str, ...]:
     )
 
 
-def _path(place: tuple[Any, ...]) -> str:
-    """For example "devices.0.calibration"."""
-    return ".".join(_short(key) for key in place) or "the whole"
+def _key_path(path: tuple[Any, ...]) -> str:
+    """Return a path of keys, for example "devices.0.calibration"."""
+    return ".".join(_short(key) for key in path) or "the whole"
 
 
 def _short(word: Any) -> str:
     return " ".join(str(word).split())[:40]
 
 
-def _parsed(text: str) -> Any:
-    """What a string holds that is JSON itself; None where it is none."""
+def _parse(text: str) -> Any:
+    """Return the JSON in a string; None where it is none."""
     if not text.lstrip().startswith(("{", "[")):
         return None
     try:
@@ -207,12 +229,12 @@ def _parsed(text: str) -> Any:
         return None
 
 
-def _plain(value: Any) -> Any:
+def _unwrap(value: Any) -> Any:
     return value["value"] if isinstance(value, dict) and "value" in value else value
 
 
-def _named(data: dict[Any, Any], where: str) -> dict[Any, Any]:
-    """The mapping with known keys as they are usually written, or a cellPatternMode would be overlooked."""
+def _usual_keys(data: dict[Any, Any], where: str) -> dict[Any, Any]:
+    """Return the mapping with known keys in their usual spelling, so that cellPatternMode is not overlooked."""
     named = {_usual_name(key): value for key, value in data.items()}
     if len(named) < len(data):
         raise InputError(f"{where}: expected each key once, got some that differ in capitals only")
@@ -224,16 +246,16 @@ def _usual_name(key: Any) -> Any:
 
 
 def _parsed_cell(cell: Any, where: str) -> Any:
-    """A cell with its numbers, which are all that it has; anything else as it is."""
+    """Return a cell with its numbers; anything else as it is."""
     return (
-        {key: _parsed_number(_plain(value), key, where) for key, value in cell.items()}
+        {key: _parsed_number(_unwrap(value), key, where) for key, value in cell.items()}
         if isinstance(cell, dict)
         else cell
     )
 
 
 def _parsed_number(value: Any, key: str, where: str) -> Any:
-    """A string as the number in it; anything else as it is."""
+    """Return the number in a string; anything else as it is."""
     if not isinstance(value, str):
         return value
     text = value.strip()
@@ -249,15 +271,23 @@ LIMIT_BYTES = 1 << 20
 def panel_fields(
     source: str | Path | dict[str, Any] | list[Any], views: int, serial: str | None = None, flip_center: float = 0.0
 ) -> dict[str, Any]:
-    """Fields of Panel from visual.json, or from what holds calibrations otherwise (see find_calibration).
+    """Return fields of Panel from visual.json, or from other data with calibrations (see find_calibration).
 
-    Used are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW, screenH, and
-    optionally viewCone (degrees), flipSubp, flipImageX, invView, subpixelCells and CellPatternMode. The view value of
-    a sub-pixel is N (1 - frac(a)), u and v running right and up over the panel, 0..1 (Looking Glass' own shaders):
+    Used are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW, screenH, and optionally
+    viewCone (degrees), flipSubp, flipImageX, invView, subpixelCells and CellPatternMode. The view value of a sub-pixel
+    is N (1 - frac(a)), u and v running right and up over the panel, 0..1 (Looking Glass' own shaders):
         a = (u + place + v tilt) pitch' - center,  pitch' = pitch W/DPI cos(atan(1/slope)),  tilt = H/(W slope)
     place is c/(3 W) for channel c, 2 - c with flipSubp; of a cell its x/W + y/H tilt. flipImageX turns tilt and c
     round. With P_e = 3 W/pitch' and tan(theta) = -tilt W/H it is D/P_e = a.
-    Raises InputError when the file cannot be read, or a value is missing or makes no sense.
+
+    Args:
+        source: The path, or the parsed content.
+        views: Views of the panel.
+        serial: See find_calibration.
+        flip_center: See Panel.from_looking_glass.
+
+    Raises:
+        InputError: The file cannot be read, or a value is missing or invalid.
     """
     expect("calibration", source, dict, list, str, Path)
     where, given = "Looking Glass calibration", source
@@ -313,10 +343,19 @@ def panel_fields(
 def calibration_values(
     data: dict[str, Any], line_number: float, slant_tan: float, phase: float, where: str
 ) -> dict[str, float]:
-    """pitch, slope and center with which panel_fields makes this lens of the calibration `data` (find_calibration).
+    """Return the pitch, slope and center with which panel_fields makes this lens of a calibration.
 
-    Of the centers, which repeat from lens to lens, the one nearest to that of `data`. Raises InputError where the
-    lenses stand upright, which a slope cannot say.
+    Centers repeat from lens to lens; the result is the nearest one to that of the calibration.
+
+    Args:
+        data: The calibration, see find_calibration.
+        line_number: See Panel.
+        slant_tan: See Panel.
+        phase: See Panel.
+        where: Name of the file, for messages.
+
+    Raises:
+        InputError: The lenses stand upright, which no slope can express.
     """
     if slant_tan == 0:
         raise InputError(f"{where}: slant_tan 0 has no slope; keep the panel in a .yaml")
@@ -333,7 +372,7 @@ def calibration_values(
 
 
 def _cells(data: dict[str, Any], where: str) -> dict[str, Any]:
-    """The fields subpixel_cells and cell_pattern of Panel; none for a panel of stripes."""
+    """Return the fields subpixel_cells and cell_pattern of Panel; none for a panel of stripes."""
     cells = data.get("subpixelCells")
     if cells is not None and not is_row(cells):
         raise InputError(f"{where}: subpixelCells must be a list, got {shown(cells)}")

@@ -52,26 +52,31 @@ def _phase_steps(line_number: float, slant_tan: float, phase: float) -> tuple[in
 
 @dataclass(frozen=True)
 class Panel:
-    """Geometry of a panel and its lens. Raises InputError for values out of their ranges.
+    """Geometry of a panel and its lens.
 
-    width_px, height_px: size in whole pixels, 1..65536.
-    views: number N of views behind a lens, 1..65536.
-    line_number: P_e, width of a lens along a row, in sub-pixels, > 0.
-    slant_tan: tangent of the angle between lens axis and columns; positive leans like "/".
-    phase: D_0, place of the panel's first sub-pixel against the lens edge, in sub-pixels.
-    subpixel_order: "RGB" or "BGR", left to right.
-    invert_views: True on a panel wired the other way: view 0 goes to the left-most eye.
-    cone_deg: full angle that the N views span, in (0, 180).
-    viewing_distance_mm: eye to lens, > 0, or None when not known.
-    pixel_pitch_mm: width (and height) of a pixel, > 0, or None when not known.
-    name: for messages and metadata.
-    subpixel_cells: () for stripes, or for each kind of pixel where red, green and blue lie: three (x, y), right and up,
-        in pixels from the point that `phase` is measured at (Looking Glass: the pixel's centre).
-    cell_pattern: which pixel is of which kind, CellPatternMode of Looking Glass, x the column and y the row: 0 all of
-        kind 0; 1 (x + y) mod 2; 2 x mod 2; 3 (y + 2 (x mod 2)) mod 4; 4 y mod 2.
-    cell_rule: "unity", the patterns above; or "webxr", where 2 is y mod 4 and 4 is x mod 2: published programs
-        disagree.
-    cell_rows: "bottom" or "top", where y counts from.
+    Attributes:
+        width_px: Whole pixels, 1..65536.
+        height_px: Whole pixels, 1..65536.
+        views: Number N of views behind a lens, 1..65536.
+        line_number: P_e, width of a lens along a row, in sub-pixels, > 0.
+        slant_tan: Tangent of the angle between lens axis and columns; positive leans like "/".
+        phase: D_0, position of the panel's first sub-pixel against the lens edge, in sub-pixels.
+        subpixel_order: "RGB" or "BGR", left to right.
+        invert_views: True on a panel wired the other way: view 0 goes to the left-most eye.
+        cone_deg: Full angle that the N views span, in (0, 180).
+        viewing_distance_mm: Eye to lens, > 0, or None when not known.
+        pixel_pitch_mm: Width (and height) of a pixel, > 0, or None when not known.
+        name: For messages and metadata.
+        subpixel_cells: () for stripes, or for each kind of pixel the positions of red, green and blue: three (x, y),
+            right and up, in pixels from the point that `phase` is measured at (Looking Glass: the pixel's centre).
+        cell_pattern: The kind of each pixel, CellPatternMode of Looking Glass, x the column and y the row: 0 all of
+            kind 0; 1 (x + y) mod 2; 2 x mod 2; 3 (y + 2 (x mod 2)) mod 4; 4 y mod 2.
+        cell_rule: "unity", the patterns above; or "webxr", where 2 is y mod 4 and 4 is x mod 2: published programs
+            disagree.
+        cell_rows: "bottom" or "top", the edge that y counts from.
+
+    Raises:
+        InputError: A value is out of its range.
     """
 
     width_px: int
@@ -147,9 +152,14 @@ class Panel:
 
     @staticmethod
     def load(source: str | Path, *, serial: str | None = None) -> Panel:
-        """A panel by name (configs/panels), from a YAML file, or from a Looking Glass calibration in a .json file.
+        """Return a panel by name (configs/panels), from a YAML file, or from a Looking Glass calibration (.json).
 
-        serial: which display, where the file has calibrations of several (see from_looking_glass). Raises InputError.
+        Args:
+            source: The name or the path.
+            serial: The display, where the file has calibrations of several (see from_looking_glass).
+
+        Raises:
+            InputError: The panel cannot be read.
         """
         expect("panel", source, str, Path)
         if str(source).lower().endswith(".json"):
@@ -163,9 +173,10 @@ class Panel:
 
     @staticmethod
     def from_yaml(source: str | Path) -> Panel:
-        """A panel from a YAML file with the fields of this class, or by the name of one in configs/panels.
+        """Return a panel from a YAML file with the fields of this class, or by the name of one in configs/panels.
 
-        Raises InputError when it cannot be read, or names an unknown or missing key.
+        Raises:
+            InputError: The file cannot be read, or has an unknown key, or lacks one.
         """
         expect("panel", source, str, Path)
         text = str(source)
@@ -192,12 +203,28 @@ class Panel:
         cone_deg: float | None = None,
         name: str = "panel",
     ) -> Panel:
-        """A panel from its measures in mm.
+        """Return a panel from its measures in mm.
 
-        lens_pitch_mm is measured across the lens axis; lens_gap_mm is the air-equivalent distance of lens and
-        sub-pixels; a sub-pixel is a third of pixel_pitch_mm wide. Without cone_deg the cone follows from the gap.
-        Source: Shi et al. 2025, P_e = (L + L_g)/L * P_l / (cos(theta) p_sub); the paper omits p_sub.
-        Raises InputError.
+        Source: Shi et al. 2025, P_e = (L + L_g)/L * P_l / (cos(theta) p_sub); the paper omits p_sub, the width of a
+        sub-pixel, a third of pixel_pitch_mm.
+
+        Args:
+            width_px: See Panel.
+            height_px: See Panel.
+            views: See Panel.
+            lens_pitch_mm: P_l, across the lens axis.
+            slant_tan: See Panel.
+            viewing_distance_mm: L, see Panel.
+            lens_gap_mm: L_g, air-equivalent distance of lens and sub-pixels.
+            pixel_pitch_mm: See Panel.
+            phase: See Panel.
+            subpixel_order: See Panel.
+            invert_views: See Panel.
+            cone_deg: See Panel; None: it follows from the gap.
+            name: See Panel.
+
+        Raises:
+            InputError: A value is out of its range.
         """
         pitch, gap, distance, pixel = (
             real_number(f"panel: {key}", value, 1e-6, 1e9)
@@ -235,50 +262,54 @@ class Panel:
         serial: str | None = None,
         flip_center: float = 0.0,
     ) -> Panel:
-        """A panel from a Looking Glass calibration: visual.json, the answer of Looking Glass Bridge, or what is in one.
+        """Return a panel from a Looking Glass calibration: visual.json, or the answer of Looking Glass Bridge.
 
-        Its values may be plain or {"value": v}, and numbers may be strings. serial: of the calibration or the display;
-        needed where there are several. flip_center: lens widths that `center` gains where flipImageX is set; programs
-        disagree whether it is 0 or 0.5. Raises InputError when a value is missing or makes no sense, or says something
-        of the optics that is not known here.
+        Args:
+            source: The path, or the parsed content. Its values may be plain or {"value": v}; numbers may be strings.
+            views: See Panel.
+            serial: Of the calibration or the display; needed where there are several.
+            flip_center: Lens widths that `center` gains where flipImageX is set; programs disagree whether 0 or 0.5.
+
+        Raises:
+            InputError: A value is missing or invalid, or describes optics that are not known here.
         """
         return Panel._of_file(source, panel_fields(source, views, serial, flip_center))
 
     @staticmethod
     def _of_file(source: object, data: dict[str, Any]) -> Panel:
-        """A panel of these fields; what is wrong with them is told with the name of the file that they are from."""
+        """Return a panel of these fields; an error names the file."""
         with named(source) if isinstance(source, (str, Path)) else nullcontext():
             return Panel(**data)
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields that are known, as from_yaml reads them; those of cells where there are any."""
+        """Return the known fields as from_yaml reads them; those of cells only where there are any."""
         stripes = () if self.subpixel_cells else ("subpixel_cells", "cell_pattern", "cell_rule", "cell_rows")
         return {key: value for key, value in asdict(self).items() if value is not None and key not in stripes}
 
     def to_yaml(self, path: str | Path) -> None:
-        """Writes the panel as from_yaml reads it, every digit kept."""
+        """Write the panel as from_yaml reads it, every digit kept."""
         write_mapping(path, self.to_dict())
 
     # Lens phase
 
     def phase_steps(self) -> tuple[int, int, int]:
-        """(s0, sx, sy), integers mod 2^64: the phase of sub-pixel (i, j, k) is s0 + sx (3 j + k) + sy i mod 2^64.
+        """Return (s0, sx, sy), integers mod 2^64: sub-pixel (i, j, k) has the phase s0 + sx (3 j + k) + sy i.
 
-        On a panel with cells s0 + 3 sx j + sy i is the phase of a pixel, and subpixel_phases says what each of
-        its sub-pixels adds.
+        On a panel with cells, s0 + 3 sx j + sy i is the phase of a pixel, and subpixel_phases has the additions of its
+        sub-pixels.
 
-        The unit is 2^-64 lens widths; steps are computed exactly and rounded up. So a sub-pixel that lies exactly on
-        the border of two views (line_number a whole number, say) falls on the upper one, as floor() demands; the sum is
-        less than 2^-45 lens widths too large.
+        The unit is 2^-64 lens widths; steps are computed exactly and rounded up. So a sub-pixel exactly on the border
+        of two views (line_number a whole number, say) falls on the upper one, as floor() demands. The sum is less than
+        2^-45 lens widths too large.
         """
         return _phase_steps(self.line_number, self.slant_tan, self.phase)
 
     def place(self, channel: int) -> int:
-        """Place k, left to right, of image channel 0, 1, 2 (red, green, blue) within its pixel, of stripes."""
+        """Return the rank k, left to right, of image channel 0, 1, 2 (red, green, blue) in a pixel of stripes."""
         return channel if self.subpixel_order == "RGB" else 2 - channel
 
     def phase_rows(self, rows_per_chunk: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
-        """Chunks of rows and their lens phases uint64 [rows, W, 3], indexed by image channel."""
+        """Yield chunks of rows and their lens phases uint64 [rows, W, 3], indexed by image channel."""
         s0, sx, sy = (np.uint64(step) for step in self.phase_steps())
         columns, within = np.arange(self.width_px, dtype=np.uint64), subpixel_phases(self)
         across = sx * (3 * columns[:, None]) + within[:, np.arange(self.width_px) % PERIOD]
@@ -288,26 +319,26 @@ class Panel:
             yield slice(first, first + len(numbers)), down[:, None, None] + across[numbers % PERIOD]
 
     def view_map(self, continuous: bool = False) -> np.ndarray:
-        """The view of every sub-pixel, [H, W, 3] by image channel: n int32 in 0..N-1, or x float64 in [0, N)."""
+        """Return the view of every sub-pixel [H, W, 3], by image channel: n int32 in 0..N-1, or x float64 in [0, N)."""
         out = np.empty((self.height_px, self.width_px, 3), np.float64 if continuous else np.int32)
         for rows, phase in self.phase_rows():
             out[rows] = self.view_position(phase) if continuous else self.view_index(phase)
         return out
 
     def view_index(self, phase: np.ndarray) -> np.ndarray:
-        """Integer views n, int32, of lens phases uint64: the high word of phase * N."""
+        """Return integer views n, int32, of lens phases uint64: the high word of phase * N."""
         views, half = np.uint64(self.views), np.uint64(32)
         low = (phase & np.uint64(0xFFFFFFFF)) * views >> half
         return ((phase >> half) * views + low >> half).astype(np.int32)
 
     def view_position(self, phase: np.ndarray) -> np.ndarray:
-        """Continuous views x in [0, N), float64, of lens phases uint64."""
+        """Return continuous views x in [0, N), float64, of lens phases uint64."""
         # The upper 53 bits convert exactly, so x cannot round up to N.
         return (phase >> np.uint64(11)).astype(np.float64) * (2.0**-53 * self.views)
 
 
 def subpixel_offsets(panel: Panel) -> np.ndarray:
-    """Return D of sub-pixels less that of the first stripe, Fractions [PERIOD, PERIOD, 3] by row, column, channel."""
+    """Return D of sub-pixels less D of the first stripe, Fractions [PERIOD, PERIOD, 3] by row, column, channel."""
     if not panel.subpixel_cells:
         stripes = [Fraction(panel.place(channel)) for channel in range(3)]
         return np.broadcast_to(np.array(stripes, object), (PERIOD, PERIOD, 3))

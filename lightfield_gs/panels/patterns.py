@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -42,12 +43,12 @@ HEIGHT_DOTS = 7  # of a line of text, with a dot of margin on either side
 
 
 def width_dots(characters: int) -> int:
-    """Width of so many characters, with a dot between them and a margin of one dot on either side."""
+    """Return the width of so many characters, with a dot between them and a margin of one dot on either side."""
     return 4 * characters + 1
 
 
 def text_dots(text: str) -> np.ndarray:
-    """Which dots of a text are lit: bool [HEIGHT_DOTS, width_dots(len(text))]; text: of digits, + - . and spaces."""
+    """Return the lit dots of a text of digits, + - . and spaces: bool [HEIGHT_DOTS, width_dots(len(text))]."""
     out = np.zeros((HEIGHT_DOTS, width_dots(len(text))), bool)
     for place, letter in enumerate(text):
         out[1:6, 4 * place + 1 : 4 * place + 4] = _DOTS[letter]
@@ -55,23 +56,45 @@ def text_dots(text: str) -> np.ndarray:
 
 
 def text_pixels(text: str, dot_px: int) -> np.ndarray:
-    """The text with dots of dot_px x dot_px pixels: bool [HEIGHT_DOTS dot_px, width_dots(len(text)) dot_px]."""
+    """Return the text with dots of dot_px x dot_px pixels: bool [HEIGHT_DOTS dot_px, width_dots(len(text)) dot_px]."""
     return text_dots(text).repeat(dot_px, 0).repeat(dot_px, 1)
 
 
 _ROWS_PER_CHUNK = 64
-# A lens lights about one sub-pixel; a number that is right on so many of them covers five sixths of what an eye sees.
-_SUBPIXELS_PER_NUMBER = 1.2
-_NUMBERS_ACROSS = 5
-_LENSES_PER_DOT = 2  # at least, so that a dot of a digit cannot fall between the samples
-_HUE_SPAN = 5 / 6  # from red to magenta, so that the two ends of the cone look different
-BAR_MEAN, BAR_AMPLITUDE = 0.5, 0.45  # of the light of bars: neither black, nor so bright that a camera clips
+
+
+@dataclass(frozen=True)
+class PatternConstants:
+    """Sizes and colours of the patterns, chosen by hand and not tuned."""
+
+    # sub-pixels of one number: a lens lights about one, so that it covers five sixths of what an eye sees
+    subpixels_per_number: float = 1.2
+    numbers_across: int = 5  # numbers in a row of tiles, about
+    lenses_per_dot: int = 2  # width of a dot of a digit, at least, so that it cannot fall between the samples
+    # fraction of the colour circle, red to magenta, so that the two ends of the cone look different
+    hue_span: float = 5 / 6
+    bar_mean: float = 0.5  # mean light of the bars
+    bar_amplitude: float = 0.45  # amplitude of the bars: neither black, nor so bright that a camera clips
+
+    # Bands
+    most_bands: int = 11  # bands by default, at most
+    lenses_per_label_dot: float = 1.5  # width of a dot of a label that every band has space for
+    largest_dot_lenses: int = 4  # width of a dot of a label, at most
+    label_characters: int = 6  # characters of the longest label
+    # fraction of the views on either side of the middle one that are white in the fan of the centre
+    middle_fraction: float = 1 / 8
+    stripe_lenses: int = 8  # period of the stripes of the depth ramp
+    ramp_lenses: float = 6.0  # movement of the stripes over the cone, at the ends
+
+
+_CONSTANTS = PatternConstants()
+
 
 Shade = Callable[[np.ndarray, slice], np.ndarray]
 
 
 def lens_phases(panel: Panel, rows: slice, columns: slice) -> np.ndarray:
-    """Lens phases uint64 [rows, columns, 3], indexed by image channel, as Panel.phase_rows has them of whole rows."""
+    """Return lens phases uint64 [rows, columns, 3], by image channel, as Panel.phase_rows does for whole rows."""
     s0, sx, sy = (np.uint64(step) for step in panel.phase_steps())
     i, j = np.arange(rows.start, rows.stop), np.arange(columns.start, columns.stop)
     start = s0 + sy * i.astype(np.uint64)[:, None] + sx * (3 * j).astype(np.uint64)
@@ -79,9 +102,14 @@ def lens_phases(panel: Panel, rows: slice, columns: slice) -> np.ndarray:
 
 
 def draw(panel: Panel, shade: Shade, rows: slice | None = None, columns: slice | None = None) -> np.ndarray:
-    """uint8 [rows, columns, 3] (default: the whole panel) of what shade(x, part) makes of views x in [0, N).
+    """Draw a shade of the views on the panel, uint8 [rows, columns, 3].
 
-    x: float64 [part, columns, 3]; part: the rows of the panel that it is of. The shade is 0..1, or bool.
+    Args:
+        panel: The panel.
+        shade: Function of views x in [0, N), float64 [part, columns, 3], and of the rows `part` of the panel that they
+            are of; it returns 0..1, or bool.
+        rows: Rows to draw; None: all.
+        columns: Columns to draw; None: all.
     """
     rows, columns = rows or slice(0, panel.height_px), columns or slice(0, panel.width_px)
     out = np.empty((rows.stop - rows.start, columns.stop - columns.start, 3), np.uint8)
@@ -92,18 +120,15 @@ def draw(panel: Panel, shade: Shade, rows: slice | None = None, columns: slice |
     return out
 
 
-def hues(share: np.ndarray) -> np.ndarray:
-    """Of each channel's own hue the part that is this channel, 0..1: [..., 3].
-
-    share: [..., 3], 0 for red, over green and blue to 1 for magenta.
-    """
+def hues(fraction: np.ndarray) -> np.ndarray:
+    """Return the light of each channel in its hue, 0..1 [..., 3]; fraction: [..., 3], 0 for red to 1 for magenta."""
     # A channel is 1 within a sixth of the circle of its primary, and falls linearly over the next sixth
-    turns = share * _HUE_SPAN - np.arange(3) / 3
+    turns = fraction * _CONSTANTS.hue_span - np.arange(3) / 3
     return np.clip(2 - 6 * np.abs(turns - np.round(turns)), 0, 1)
 
 
 def sweep(panel: Panel, hue: bool = True) -> np.ndarray:
-    """Every view in one colour all over: a hue, red (view 0) to magenta (view N - 1), or a grey, black to white.
+    """Draw every view in one colour: a hue, red (view 0) to magenta (view N - 1), or a grey, black to white.
 
     An eye at the viewing distance sees the panel in one colour; another profile makes bands of it.
     """
@@ -111,16 +136,22 @@ def sweep(panel: Panel, hue: bool = True) -> np.ndarray:
     return draw(panel, lambda x, _: hues(np.floor(x) / last) if hue else np.floor(x) / last)
 
 
-def number_of_view(panel: Panel, step: int | None = None) -> np.ndarray:
-    """The number that each view shows in `numbers`, int [N].
+def displayed_numbers(panel: Panel, step: int | None = None) -> np.ndarray:
+    """Return the number that each view shows in `numbers`, int [N].
 
     A lens lights about one sub-pixel, which on many panels spans several views: 10 of 96 where line_number is 9.8.
-    Their numbers would overlay each other, so that neighbours show the number of the one in their middle.
-    step: how many of them, 1..N; None: as many as an eye cannot tell apart (1.2 sub-pixels). Raises InputError.
+    Their numbers would overlay each other, so that neighbours show the number of their middle view.
+
+    Args:
+        panel: The panel.
+        step: Views that share a number, 1..N; None: as many as an eye cannot tell apart (1.2 sub-pixels).
+
+    Raises:
+        InputError: An argument is invalid.
     """
     expect("panel", panel, Panel)
     if step is None:
-        step = min(panel.views, math.ceil(_SUBPIXELS_PER_NUMBER * panel.views / panel.line_number))
+        step = min(panel.views, math.ceil(_CONSTANTS.subpixels_per_number * panel.views / panel.line_number))
     groups = panel.views // whole_number("step", step, 1, panel.views)
     group = np.arange(panel.views) * groups // panel.views
     first, after = (np.searchsorted(group, np.arange(groups), side) for side in ("left", "right"))
@@ -128,11 +159,11 @@ def number_of_view(panel: Panel, step: int | None = None) -> np.ndarray:
 
 
 def numbers(panel: Panel, step: int | None = None) -> np.ndarray:
-    """The picture of each view shows its own number, white on black, large and repeated over the panel.
+    """Draw the number of each view, white on black, large and repeated over the panel.
 
-    Views are numbered as in Panel: 0 for the right-most eye, unless invert_views. step: see number_of_view.
+    Views are numbered as in Panel: 0 for the right-most eye, unless invert_views. step: see displayed_numbers.
     """
-    shown_by_view = number_of_view(panel, step)
+    shown_by_view = displayed_numbers(panel, step)
     different, which = np.unique(shown_by_view, return_inverse=True)
     tiles, (down, across) = _number_tiles(panel, different)
 
@@ -146,8 +177,8 @@ def numbers(panel: Panel, step: int | None = None) -> np.ndarray:
 
 
 def number_picture(panel: Panel, number: int, step: int | None = None) -> np.ndarray:
-    """Where the picture of the views that show this number in `numbers` is white: bool [H, W]."""
-    different = np.unique(number_of_view(panel, step))
+    """Return the white pixels, bool [H, W], of the picture with this number in `numbers`."""
+    different = np.unique(displayed_numbers(panel, step))
     tiles, (down, across) = _number_tiles(panel, different)
     tile = tiles[np.searchsorted(different, number)]
     return tile[np.ix_(down[0], across[0])] & down[1][:, None] & across[1]
@@ -157,19 +188,19 @@ _Tiling = tuple[np.ndarray, np.ndarray]  # for each row (column): the dot of the
 
 
 def _number_tiles(panel: Panel, different: np.ndarray) -> tuple[np.ndarray, tuple[_Tiling, _Tiling]]:
-    """A tile for each number, bool [count, h, w] in dots, and how tiles lie along rows and columns."""
+    """Return a tile for each number, bool [count, h, w] in dots, and the tiling of rows and columns."""
     digits = len(str(different.max()))
     size, dots = (panel.height_px, panel.width_px), (HEIGHT_DOTS, width_dots(digits))
     largest = max(1, min(full // part for full, part in zip(size, dots)))
-    least = math.ceil(_LENSES_PER_DOT * panel.line_number / 3)
-    dot_px = min(largest, max(least, size[1] // (_NUMBERS_ACROSS * dots[1])))
+    least = math.ceil(_CONSTANTS.lenses_per_dot * panel.line_number / 3)
+    dot_px = min(largest, max(least, size[1] // (_CONSTANTS.numbers_across * dots[1])))
     tiles = np.stack([text_dots(str(number).rjust(digits)) for number in different])
     down, across = (_tiling(full, part, dot_px) for full, part in zip(size, dots))
     return tiles, (down, across)
 
 
 def _tiling(size_px: int, tile_dots: int, dot_px: int) -> _Tiling:
-    """Whole tiles in the middle of so many pixels, one even where it is cut."""
+    """Return whole tiles in the middle of so many pixels, or one that is cut."""
     tile_px = tile_dots * dot_px
     covered = max(1, size_px // tile_px) * tile_px
     place = np.arange(size_px) + (covered - size_px) // 2
@@ -177,46 +208,58 @@ def _tiling(size_px: int, tile_dots: int, dot_px: int) -> _Tiling:
 
 
 def single(panel: Panel, first: int, last: int | None = None) -> np.ndarray:
-    """View `first` white (views first..last, both included), all others black. Raises InputError."""
+    """Draw view `first` white (views first..last, both included), all others black.
+
+    Raises:
+        InputError: There is no such view.
+    """
     first = whole_number("view", first, 0, panel.views - 1)
     last = first if last is None else whole_number("last view", last, first, panel.views - 1)
     return draw(panel, lambda x, _: (x >= first) & (x < last + 1))
 
 
 def bars(panel: Panel, shift: int | None = None) -> np.ndarray:
-    """Light that is a cosine of the view: 0.5 + 0.45 cos(2 pi (x/N - shift/3)), coded as sRGB. For calibration_fit.
+    """Draw light that is a cosine of the view, for calibration_fit: 0.5 + 0.45 cos(2 pi (x/N - shift/3)), as sRGB.
 
-    shift: 0, 1 or 2, in grey; None: red has shift 0, green 1 and blue 2, all in one image. Raises InputError.
+    Args:
+        panel: The panel.
+        shift: 0, 1 or 2, in grey; None: red has shift 0, green 1 and blue 2, all in one image.
+
+    Raises:
+        InputError: An argument is invalid.
     """
     shifts = np.arange(3) if shift is None else whole_number("shift", shift, 0, 2)
     turn = 2 * math.pi
 
     def shade(x: np.ndarray, _: slice) -> np.ndarray:
-        return encode_srgb(BAR_MEAN + BAR_AMPLITUDE * np.cos(turn * (x / panel.views - shifts / 3)))
+        return encode_srgb(
+            _CONSTANTS.bar_mean + _CONSTANTS.bar_amplitude * np.cos(turn * (x / panel.views - shifts / 3))
+        )
 
     return draw(panel, shade)
 
 
 Fan = Literal["pitch", "slope", "centre"]
 _SPANS: dict[Fan, float] = {"pitch": 0.5, "slope": 2.5, "centre": 0.5}
-_MOST_BANDS = 11
-_LENSES_PER_LABEL_DOT = 1.5  # for which there is room in every band
-_LARGEST_DOT_LENSES = 4
-_LABEL_CHARACTERS = 6
-_MIDDLE_SHARE = 1 / 8  # of the views on either side of the middle one that are white in the fan of the centre
-_STRIPE_LENSES = 8  # period of the stripes of the depth ramp
 _MOST_PX = 1e5
-_RAMP_LENSES = 6.0  # how far they move over the cone, at the ends
 
 
 def fan(panel: Panel, parameter: Fan, span: float | None = None, bands: int | None = None) -> np.ndarray:
-    """uint8 [H, W, 3] in bands, each drawn for the panel with `parameter` changed by the number it is labelled with.
+    """Draw bands, each for the panel with one parameter changed by the number on its label: uint8 [H, W, 3].
 
-    pitch: rows of the hues of `sweep`, changed by -span..span percent (default 0.5): of an eye at the viewing distance
-    the right one has one colour from left to right. slope: the same in columns (default 2.5 percent), even from top to
-    bottom. centre: rows that are white in the middle quarter of the views, changed by lens widths (default 0.5, that
-    is all of them): straight in front the right one is the brightest. The panel's middle stays where it is, as in
-    LensChange. bands: an odd number, 3..99; None: as many as leave room for labels, at most 11. Raises InputError.
+    The panel's middle stays in phase, as in LensChange.
+
+    Args:
+        panel: The panel.
+        parameter: "pitch": rows of the hues of `sweep`, changed by -span..span percent; for an eye at the viewing
+            distance the right one has one colour from left to right. "slope": the same in columns; the right one is
+            even from top to bottom. "centre": rows that are white in the middle quarter of the views, moved by lens
+            widths; straight in front the right one is the brightest.
+        span: Largest change; None: 0.5 percent for pitch, 2.5 for slope, 0.5 lens widths (all of them) for centre.
+        bands: An odd number, 3..99; None: as many as leave space for labels, at most 11.
+
+    Raises:
+        InputError: An argument is invalid.
     """
     if parameter not in _SPANS:
         raise InputError(f"fan: expected one of {', '.join(_SPANS)}, got {parameter!r}")
@@ -230,8 +273,8 @@ def fan(panel: Panel, parameter: Fan, span: float | None = None, bands: int | No
         rows, columns = slice(0, panel.height_px), slice(int(first), int(last))
         if not upright:
             rows, columns = columns, slice(0, panel.width_px)
-        out[rows, columns] = draw(band, lambda x, _: _content(parameter, x / panel.views), rows, columns)
-        _label(out[rows, columns], _written(float(value), span), panel)
+        out[rows, columns] = draw(band, lambda x, _: _band_shade(parameter, x / panel.views), rows, columns)
+        _label(out[rows, columns], _format_signed(float(value), span), panel)
     return out
 
 
@@ -241,22 +284,32 @@ def _change(parameter: Fan, value: float) -> LensChange:
     return LensChange(pitch_percent=value) if parameter == "pitch" else LensChange(slope_percent=value)
 
 
-def _content(parameter: Fan, share: np.ndarray) -> np.ndarray:
-    return np.abs(share - 0.5) < _MIDDLE_SHARE if parameter == "centre" else hues(share)
+def _band_shade(parameter: Fan, fraction: np.ndarray) -> np.ndarray:
+    return np.abs(fraction - 0.5) < _CONSTANTS.middle_fraction if parameter == "centre" else hues(fraction)
 
 
 def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = None) -> np.ndarray:
-    """uint8 [H, W, 3]: upright stripes in rows of different depth, each labelled with its disparity.
+    """Draw upright stripes in rows of different depth, each labelled with its disparity: uint8 [H, W, 3].
 
-    That is how far the stripes of the right-most view lie to the left of those of the left-most, in pixels: positive
-    in front of the panel, 0 in it, negative behind it. The rows whose stripes are sharp say how much depth the panel
-    shows. most_px: at the top row, its negative at the bottom; None: 6 lens widths. bands: see fan. Raises InputError.
+    The disparity is the distance in pixels by which the stripes of the right-most view lie to the left of those of the
+    left-most: positive in front of the panel, 0 in it, negative behind it. The rows with sharp stripes show the depth
+    that the panel can show.
+
+    Args:
+        panel: The panel.
+        most_px: Disparity of the top row, its negative at the bottom; None: 6 lens widths.
+        bands: See fan.
+
+    Raises:
+        InputError: An argument is invalid.
     """
     lens_px = panel.line_number / 3
-    most = real_number("most_px", min(_RAMP_LENSES * lens_px, _MOST_PX) if most_px is None else most_px, 0, _MOST_PX)
+    most = real_number(
+        "most_px", min(_CONSTANTS.ramp_lenses * lens_px, _MOST_PX) if most_px is None else most_px, 0, _MOST_PX
+    )
     count = _band_count(panel, bands, False)
     borders = np.linspace(0, panel.height_px, count + 1).round().astype(int)
-    period, to_right = _STRIPE_LENSES * lens_px, -1 if panel.invert_views else 1
+    period, to_right = _CONSTANTS.stripe_lenses * lens_px, -1 if panel.invert_views else 1
     out = np.empty((panel.height_px, panel.width_px, 3), np.uint8)
     columns = np.arange(panel.width_px)[:, None] + 0.5
     for disparity, first, last in zip(np.linspace(most, -most, count), borders, borders[1:]):
@@ -266,19 +319,19 @@ def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = N
             return np.mod(place / period, 1) < 0.5
 
         out[first:last] = draw(panel, shade, slice(int(first), int(last)))
-        _label(out[first:last], _written(float(disparity), most), panel)
+        _label(out[first:last], _format_signed(float(disparity), most), panel)
     return out
 
 
-def _written(value: float, largest: float) -> str:
-    """The number with its sign, to three digits of the largest one, without an exponent."""
+def _format_signed(value: float, largest: float) -> str:
+    """Return the number with its sign, to three digits of the largest one, without an exponent."""
     decimals = max(0, 2 - math.floor(math.log10(largest))) if largest > 0 else 0
     text = f"{value:+.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def _dot_px(panel: Panel) -> int:
-    return math.ceil(_LENSES_PER_LABEL_DOT * panel.line_number / 3)
+def _label_dot_px(panel: Panel) -> int:
+    return math.ceil(_CONSTANTS.lenses_per_label_dot * panel.line_number / 3)
 
 
 def _band_count(panel: Panel, bands: int | None, upright: bool) -> int:
@@ -287,15 +340,17 @@ def _band_count(panel: Panel, bands: int | None, upright: bool) -> int:
         if count % 2 == 0:
             raise InputError(f"bands: expected an odd number, so that one is unchanged, got {count}")
         return count
-    room = panel.width_px // width_dots(_LABEL_CHARACTERS) if upright else panel.height_px // HEIGHT_DOTS
-    fitting = min(_MOST_BANDS, room // _dot_px(panel))
+    fitting_dots = (
+        panel.width_px // width_dots(_CONSTANTS.label_characters) if upright else panel.height_px // HEIGHT_DOTS
+    )
+    fitting = min(_CONSTANTS.most_bands, fitting_dots // _label_dot_px(panel))
     return max(3, fitting - (fitting + 1) % 2)
 
 
 def _label(band: np.ndarray, text: str, panel: Panel) -> None:
-    """Writes into the band's upper left corner, the same for all views, as large as fits up to 4 lenses a dot."""
-    room = min(band.shape[0] // HEIGHT_DOTS, band.shape[1] // width_dots(len(text)))
-    mask = text_pixels(text, max(1, min(room, math.ceil(_LARGEST_DOT_LENSES * panel.line_number / 3))))[
-        : band.shape[0], : band.shape[1]
-    ]
+    """Write a text into the band's upper left corner, the same for all views, as large as fits up to 4 lenses a dot."""
+    fitting_dots = min(band.shape[0] // HEIGHT_DOTS, band.shape[1] // width_dots(len(text)))
+    mask = text_pixels(
+        text, max(1, min(fitting_dots, math.ceil(_CONSTANTS.largest_dot_lenses * panel.line_number / 3)))
+    )[: band.shape[0], : band.shape[1]]
     band[: mask.shape[0], : mask.shape[1]] = 255 * mask[..., None]

@@ -24,11 +24,19 @@ _LIKE_A_SUFFIX = re.compile(r"_qs\d", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class QuiltLayout:
-    """How a quilt is divided. Raises InputError for values out of their ranges.
+    """The tiles of a quilt.
 
-    columns, rows: of tiles, whole, 1 or more. aspect: width by height of a view as it is seen, 0.01..100; the pixels of
-    a tile need not be square. width_px, height_px: of the whole quilt, or None where not known. What is left at the
-    right and at the top where they do not divide belongs to no tile.
+    Pixels at the right and at the top that do not divide belong to no tile.
+
+    Attributes:
+        columns: Columns of tiles, 1 or more.
+        rows: Rows of tiles, 1 or more.
+        aspect: Width by height of a view as it is seen, 0.01..100; the pixels of a tile need not be square.
+        width_px: Width of the whole quilt, or None where not known.
+        height_px: Height of the whole quilt, or None where not known.
+
+    Raises:
+        InputError: A value is out of its range.
     """
 
     columns: int
@@ -58,32 +66,38 @@ class QuiltLayout:
 
     @property
     def suffix(self) -> str:
-        """For example "_qs8x6a0.75"."""
+        """Return the suffix of a file name, for example "_qs8x6a0.75"."""
         return f"_qs{self.columns}x{self.rows}a{self.aspect:.5g}"
 
     def tile_px(self) -> tuple[int, int]:
-        """Width and height of a tile, pixels of the quilt. Raises InputError where the quilt's size is not known."""
+        """Return width and height of a tile in pixels; raise InputError where the quilt's size is unknown."""
         if self.width_px is None or self.height_px is None:
             raise InputError("quilt: its size in pixels is not known; give one")
         return self.width_px // self.columns, self.height_px // self.rows
 
     def left_over_px(self) -> tuple[int, int]:
-        """Pixels at the right and at the top that belong to no tile."""
+        """Return the pixels at the right and at the top that belong to no tile."""
         width, height = self.tile_px()
         return (self.width_px or 0) - width * self.columns, (self.height_px or 0) - height * self.rows
 
     def tile(self, view: int, top_first: bool = False) -> tuple[slice, slice]:
-        """Rows and columns of the pixels of a view, which counts from the left-most camera. top_first: rows of views
-        go on downwards from the top edge."""
+        """Return rows and columns of the pixels of a view.
+
+        Args:
+            view: Counts from the left-most camera.
+            top_first: Whether rows of views go downwards from the top edge.
+        """
         (width, height), whole = self.tile_px(), self.height_px or 0
         onwards, along = divmod(view, self.columns)
         bottom = (onwards + 1) * height if top_first else whole - onwards * height
         return slice(bottom - height, bottom), slice(along * width, (along + 1) * width)
 
     def panel(self, cone_deg: float, like: Panel | None = None) -> Panel:
-        """A panel whose views are those of the quilt, as high as a tile and of the views' aspect, for framing.
+        """Return a panel with the views of the quilt, as high as a tile and of the views' aspect, for framing.
 
-        cone_deg: full angle of the fan. like: the panel that says how large the picture is and from where it is seen.
+        Args:
+            cone_deg: Full angle of the fan.
+            like: The panel with the size and the viewing distance of the picture.
         """
         _, height = self.tile_px()
         width = max(1, round(height * self.aspect))
@@ -103,7 +117,7 @@ class QuiltLayout:
         )
 
     def fitted(self, panel: Panel, rig: Rig) -> tuple[Panel, Rig]:
-        """What `panel` returned and a rig for it, at the pixels of a tile, which need not be square."""
+        """Return the panel of `panel` and a rig for it, at the pixels of a tile, which need not be square."""
         width, height = self.tile_px()
         across, down = width / panel.width_px, height / panel.height_px
         (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
@@ -123,27 +137,31 @@ QUILT_PRESETS = {
 }
 
 
-_MOST_SIDE_PX = 8192  # of the quilt of a panel, where tiles of the panel's own size would make it larger
-_LEFT_OVER = 0.01  # of a quilt's width and height, less of which may belong to no tile
-_LEAST_SHARE = 0.5  # of the resolution that a square quilt would have, below which other numbers of views are taken
+_MOST_SIDE_PX = 8192  # of a panel's quilt; tiles are reduced to fit
+_LEFT_OVER = 0.01  # fraction of a quilt's width and height that may belong to no tile, in excess of whole pixels
+_LEAST_RESOLUTION = 0.5  # of a square quilt's, below which another number of views is taken; chosen by hand
 
 
-def layout_of_panel(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayout:
-    """A quilt with the views of a panel, or so many columns and rows of `tiles`: each of the panel's size, or smaller
-    where the quilt would then be wider or higher than 8192 pixels; as square as the number of views allows.
+def panel_quilt(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayout:
+    """Return a quilt with the views of a panel, as square as the number of views allows.
 
-    A quilt has columns x rows views. Where the panel's number allows but narrow strips (a prime one, 1 x N), whose
-    tiles would have less than half the resolution, the quilt has the next number of views that does better: displays
-    and `weave` take quilts of any number and mix neighbouring views. That is told (Assumption).
+    Each tile has the panel's size, reduced where the quilt would be wider or higher than 8192 pixels. A quilt has
+    columns x rows views. A prime number of views allows only narrow strips, 1 x N. Where such tiles have less than half
+    the resolution, the quilt has the next number of views that does better: displays and `weave` take quilts of any
+    number and mix neighbouring views. An Assumption tells so.
+
+    Args:
+        panel: The panel.
+        tiles: Columns and rows of tiles; None: as above.
     """
     if tiles is not None:
-        return _with_tiles(panel, *tiles)
-    best = _squarest(panel, panel.views)
+        return _layout(panel, *tiles)
+    best = _squarest_layout(panel, panel.views)
     found, views = best, panel.views
-    least = _LEAST_SHARE * min(1.0, _MOST_SIDE_PX / math.sqrt(panel.views * panel.width_px * panel.height_px))
+    least = _LEAST_RESOLUTION * min(1.0, _MOST_SIDE_PX / math.sqrt(panel.views * panel.width_px * panel.height_px))
     while _scale(panel, found.columns, found.rows) < least and views < MAX_VIEWS:
         views += 1
-        found = _squarest(panel, views)
+        found = _squarest_layout(panel, views)
     if views > panel.views:
         assume(
             f"a quilt of {found.columns} x {found.rows} = {views} views for the {panel.views} of panel {panel.name}, "
@@ -153,14 +171,15 @@ def layout_of_panel(panel: Panel, tiles: tuple[int, int] | None = None) -> Quilt
     return found
 
 
-def _squarest(panel: Panel, views: int) -> QuiltLayout:
-    """The layout of so many views that is the most square."""
+def _squarest_layout(panel: Panel, views: int) -> QuiltLayout:
+    """Return the most square layout of so many views."""
     width, height = panel.width_px, panel.height_px
     ways = [(count, views // count) for count in range(1, views + 1) if views % count == 0]
-    return _with_tiles(panel, *min(ways, key=lambda way: abs(math.log(way[0] * width / (way[1] * height)))))
+    return _layout(panel, *min(ways, key=lambda way: abs(math.log(way[0] * width / (way[1] * height)))))
 
 
-def _with_tiles(panel: Panel, columns: int, rows: int) -> QuiltLayout:
+def _layout(panel: Panel, columns: int, rows: int) -> QuiltLayout:
+    """Return a layout of so many tiles, as large as fit."""
     scale = _scale(panel, columns, rows)
     size = [
         count * max(1, math.floor(scale * side)) for count, side in ((columns, panel.width_px), (rows, panel.height_px))
@@ -169,12 +188,16 @@ def _with_tiles(panel: Panel, columns: int, rows: int) -> QuiltLayout:
 
 
 def _scale(panel: Panel, columns: int, rows: int) -> float:
-    """How large tiles can be, against the panel."""
+    """Return the size of the largest tiles relative to the panel."""
     return min(1.0, _MOST_SIDE_PX / (columns * panel.width_px), _MOST_SIDE_PX / (rows * panel.height_px))
 
 
 def stated_layout(path: str | Path) -> QuiltLayout | None:
-    """What the name of a quilt says of it; None where it says nothing. Raises InputError where it cannot be read."""
+    """Return the layout in the name of a quilt; None where the name has none.
+
+    Raises:
+        InputError: The name cannot be read.
+    """
     stem = _stem(Path(path))
     if (found := _SUFFIX.search(stem)) is None:
         if _LIKE_A_SUFFIX.search(stem):
@@ -190,9 +213,10 @@ def stated_layout(path: str | Path) -> QuiltLayout | None:
 
 
 def with_suffix(path: str | Path, layout: QuiltLayout) -> Path:
-    """The path with the suffix of the layout before its extension (.png where it has none), unless it has one.
+    """Return the path with the suffix of the layout before its extension (.png by default), unless it has one.
 
-    Raises InputError where it has that of another layout.
+    Raises:
+        InputError: The path has the suffix of another layout.
     """
     path = Path(path)
     stated = stated_layout(path)
@@ -208,12 +232,12 @@ def with_suffix(path: str | Path, layout: QuiltLayout) -> Path:
 
 
 def _stem(path: Path) -> str:
-    """The name without its extension; of NAME_qs8x6a0.75 all of it: .75 is the aspect's."""
+    """Return the name without its extension; all of NAME_qs8x6a0.75, because .75 belongs to the aspect."""
     return path.name if path.suffix[1:].isdecimal() else path.stem
 
 
 def check_divides(layout: QuiltLayout, where: str) -> None:
-    """Raises InputError where the tiles leave more of the quilt over than whole pixels make them, as in presets."""
+    """Raise InputError where the tiles leave more than the odd pixels of the presets over."""
     width, height = layout.tile_px()
     size = layout.width_px or 0, layout.height_px or 0
     if all(left < max(1, _LEFT_OVER * side) for left, side in zip(layout.left_over_px(), size)):

@@ -1,4 +1,4 @@
-"""The off-axis fan of cameras behind a panel's views (Shi et al. 2025; the same plane z = zero_depth for all views)."""
+"""The off-axis fan of cameras behind a panel's views (Shi et al. 2025), with the plane z = zero_depth shared by all."""
 
 from __future__ import annotations
 
@@ -18,19 +18,25 @@ from lightfield_gs.panels.panel import Panel
 if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras
 
-_MARGIN = 0.15  # share of the image beyond each edge that the limits allow: the "frustum + 30 %" of Gaussian splatting
+_MARGIN = 0.15  # fraction of the image beyond each edge within the limits: the "frustum + 30 %" of Gaussian splatting
 
 
 @dataclass(eq=False)
 class Rig:
     """The centre camera of the fan; the cameras of the views stand beside it on its x-axis, with its rotation.
 
-    world_to_camera: [4, 4] float64, [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
-    focal_px: (fx, fy), > 0, at the panel's resolution.
-    principal_point_px: (cx, cy) at the panel's resolution, from the outer corner of the first pixel.
-    zero_depth: view-space z, > 0, of the plane that shows no parallax (the panel itself), scene units.
-    cone_deg: full angle of the fan seen from the zero plane, in [0, 180), 0 being a flat picture; None: the panel's.
-    Raises InputError when made with values that make no sense.
+    lightfield_gs.frame_scene makes a rig that shows a scene on a panel.
+
+    Attributes:
+        world_to_camera: [4, 4] float64, [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
+        focal_px: (fx, fy), > 0, at the panel's resolution.
+        principal_point_px: (cx, cy) at the panel's resolution, from the outer corner of the first pixel.
+        zero_depth: View-space z, > 0, scene units, of the plane without parallax: the panel itself.
+        cone_deg: Full angle of the fan seen from the zero plane, in [0, 180), 0 being a flat picture; None: the
+            panel's.
+
+    Raises:
+        InputError: A value is out of its range.
     """
 
     world_to_camera: np.ndarray
@@ -51,14 +57,18 @@ class Rig:
 
     @staticmethod
     def from_yaml(path: str | Path) -> Rig:
-        """A rig from a YAML file with the fields of this class (cone_deg may be missing). Raises InputError."""
+        """Return a rig from a YAML file with the fields of this class; cone_deg may be missing.
+
+        Raises:
+            InputError: The file cannot be read.
+        """
         required = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth")
         data = read_mapping(path, required, ("cone_deg",))
         with named(path):
             return Rig(**data)
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields as from_yaml reads them."""
+        """Return the fields as from_yaml reads them."""
         fields = {
             "world_to_camera": self.world_to_camera.tolist(),
             "focal_px": list(self.focal_px),
@@ -68,14 +78,14 @@ class Rig:
         return fields if self.cone_deg is None else {**fields, "cone_deg": self.cone_deg}
 
     def to_yaml(self, path: str | Path) -> None:
-        """Writes the rig as from_yaml reads it, every digit kept, atomically."""
+        """Write the rig as from_yaml reads it, every digit kept, atomically."""
         write_mapping(path, self.to_dict())
 
     def relative_to(self, origin: Sequence[float]) -> Rig:
-        """The same cameras for coordinates that are given from `origin`, three numbers in scene units.
+        """Return the same cameras for coordinates relative to `origin`, three numbers in scene units.
 
-        rig.relative_to(gaussians.origin) is the rig for Gaussians with an origin of one in their file's coordinates;
-        with the origin negated it goes back. Double precision.
+        rig.relative_to(gaussians.origin) turns a rig in a file's coordinates into the rig of its Gaussians with that
+        origin; the negated origin goes back. Double precision.
         """
         if not any(origin):
             return self
@@ -86,28 +96,28 @@ class Rig:
     # The fan
 
     def half_width(self, panel: Panel) -> float:
-        """Largest offset of the fan's cameras, zero_depth * tan(cone / 2), scene units."""
+        """Return the largest offset of the fan's cameras, zero_depth * tan(cone / 2), scene units."""
         cone_deg = panel.cone_deg if self.cone_deg is None else self.cone_deg
         return self.zero_depth * math.tan(math.radians(cone_deg) / 2)
 
     def offset(self, x: float | np.ndarray, panel: Panel) -> float | np.ndarray:
-        """Offset s of view x in [0, N], scene units to the right of the centre camera.
+        """Return the offset s of view x in [0, N], scene units to the right of the centre camera.
 
-        s(x) = 2 Z0 tan(cone/2) (1/2 - x/N): view 0 goes to the right-most eye; mirrored by panel.invert_views.
-        An integer view n is at x = n + 1/2.
+        s(x) = 2 Z0 tan(cone/2) (1/2 - x/N): view 0 goes to the right-most eye; mirrored by panel.invert_views. An
+        integer view n is at x = n + 1/2.
         """
         sign = -1.0 if panel.invert_views else 1.0
         return sign * 2 * self.half_width(panel) * (0.5 - x / panel.views)
 
     def offset_range(self, panel: Panel) -> tuple[float, float]:
-        """(smallest, largest) offset over x in [0, N]."""
+        """Return the smallest and the largest offset over x in [0, N]."""
         return -self.half_width(panel), self.half_width(panel)
 
     def jacobian_limits(self, panel: Panel) -> tuple[float, float, float, float]:
-        """(lo_x, hi_x, lo_y, hi_y), the limits of X/Z and Y/Z in the projection's Jacobian, centre camera.
+        """Return (lo_x, hi_x, lo_y, hi_y), the limits of X/Z and Y/Z in the projection's Jacobian, centre camera.
 
-        The panel's frustum and 15 % of the image beyond each edge, widened in x by the fan's largest offset over
-        zero_depth, so that all views share one set of limits.
+        They are the panel's frustum and 15 % of the image beyond each edge, widened in x by the fan's largest offset
+        over zero_depth, so that all views share one set of limits.
         """
         (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
         width, height = panel.width_px, panel.height_px
@@ -120,9 +130,14 @@ class Rig:
         )
 
     def cameras(self, panel: Panel, views: Sequence[int] | None = None) -> Cameras:
-        """The cameras of the integer views given (all N when None), float64, in that order: at x = n + 1/2.
+        """Return the cameras of integer views, float64, in their order: at x = n + 1/2.
 
-        Raises InputError on a view outside 0..N-1.
+        Args:
+            panel: The panel.
+            views: Integers in 0..N-1; None: all N.
+
+        Raises:
+            InputError: A view is outside 0..N-1.
         """
         expect("panel", panel, Panel)
         if views is None:
@@ -135,10 +150,17 @@ class Rig:
         return self.cameras_at(panel, numbers + 0.5)
 
     def cameras_at(self, panel: Panel, x: Sequence[float] | np.ndarray) -> Cameras:
-        """The cameras at these view coordinates x in [0, N], float64, in that order.
+        """Return the cameras at view coordinates, float64, in their order.
 
-        Same rotation; translation t_x - s and principal point cx + fx s / Z0, so that z = zero_depth has no parallax.
-        Raises InputError.
+        They share the rotation; translation t_x - s and principal point cx + fx s / Z0 leave z = zero_depth without
+        parallax.
+
+        Args:
+            panel: The panel.
+            x: View coordinates in [0, N].
+
+        Raises:
+            InputError: A coordinate is outside 0..N.
         """
         import torch
 
@@ -167,7 +189,7 @@ class Rig:
 
 
 def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
-    """The same view of the scene on a panel of another width; a panel is never enlarged."""
+    """Return the same view of the scene on a panel of another width; a panel is never enlarged."""
     scale = min(1.0, width_px / panel.width_px)
     width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
     scales = width / panel.width_px, height / panel.height_px
@@ -177,7 +199,7 @@ def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
 
 
 def _float64(values: Any) -> np.ndarray | None:
-    """A copy of `values` as a float64 array; None where they are no real numbers."""
+    """Return a copy of `values` as a float64 array; None where they are no real numbers."""
     try:
         array = np.asarray(values)
         return None if array.dtype.kind in "cSU" else np.array(array, np.float64)
@@ -186,7 +208,7 @@ def _float64(values: Any) -> np.ndarray | None:
 
 
 def _rigid(given: Any) -> np.ndarray:
-    """What was given as float64 [4, 4] with a proper rotation; raises InputError."""
+    """Return a matrix as float64 [4, 4] with a proper rotation; raise InputError for any other."""
     matrix = _float64(given)
     if matrix is None or matrix.shape != (4, 4):
         came = shown(given) if matrix is None else f"shape {list(matrix.shape)}"

@@ -1,4 +1,4 @@
-"""What an eye sees through the lenses of a panel."""
+"""The picture that an eye sees through the lenses of a panel."""
 
 from __future__ import annotations
 
@@ -24,11 +24,15 @@ _MOST_SUBPIXELS, _MOST_LIGHT = 1e4, 1e12
 
 @dataclass(frozen=True)
 class Psf:
-    """A measured spread of light, its crosstalk included.
+    """A measured spread of light, with its crosstalk: the brightness of the sub-pixels beside the one behind the lens.
 
-    offsets: 2..4096 places in sub-pixels along a row, ascending: how far another sub-pixel lies to the right of the one
-    that, seen by the eye, is exactly behind the lens. light: how brightly the eye sees it, >= 0, in any unit; between
-    the offsets it is interpolated linearly, and there is none beyond them. Raises InputError.
+    Attributes:
+        offsets: 2..4096 offsets in sub-pixels along a row, ascending: distance to the right of the sub-pixel that, seen
+            by the eye, is exactly behind the lens.
+        light: Brightness at each offset, >= 0, in any unit; linear between the offsets, 0 beyond them.
+
+    Raises:
+        InputError: A value is out of its range.
     """
 
     offsets: tuple[float, ...]
@@ -49,8 +53,13 @@ class Psf:
 
     @staticmethod
     def load(path: str | Path) -> Psf:
-        """From a text file with an offset and its light in each line, a comma or blanks between them; lines that begin
-        with # are comments. Raises InputError."""
+        """Return a spread of light from a text file.
+
+        Each line has an offset and its light, a comma or blanks between them; lines that begin with # are comments.
+
+        Raises:
+            InputError: The file cannot be read.
+        """
         lines = read_text(path, _MOST_BYTES, "text of a spread of light").splitlines()
         rows = [(number, line.strip()) for number, line in enumerate(lines, 1)]
         with named(path):
@@ -58,11 +67,14 @@ class Psf:
             return Psf(tuple(offset for offset, _ in pairs), tuple(light for _, light in pairs))
 
     def seen(self, offsets: np.ndarray, lens: float) -> np.ndarray:
-        """Light of sub-pixels at these offsets from the middle of their lenses, float32; lens: its width in sub-pixels.
+        """Return the light of sub-pixels, float32, relative to the largest.
 
-        Sub-pixels of other lenses that the table reaches send their light through this one, and seen by the eye they
-        lie at the same place of their own lens: their light is added. Divided by the largest light, so that a table
-        of any unit serves.
+        The light of sub-pixels of other lenses within the table is added: the eye sees them at the same point of their
+        own lens.
+
+        Args:
+            offsets: Of the sub-pixels from the middle of their lenses.
+            lens: Width of a lens in sub-pixels.
         """
         total = np.zeros(offsets.shape)
         low = math.ceil((self.offsets[0] - lens / 2) / lens)
@@ -73,7 +85,7 @@ class Psf:
 
 
 def _pair(number: int, line: str) -> tuple[float, float]:
-    """The two numbers of a line."""
+    """Return the two numbers of a line."""
     words: Sequence[str] = line.replace(",", " ").replace(";", " ").split()
     try:
         offset, light = (float(word) for word in words)
@@ -96,22 +108,26 @@ def simulate(
     threads: int | None = None,
     psf: Psf | None = None,
 ) -> np.ndarray:
-    """The picture that one eye perceives: float32 [round(3 H / P_e), round(3 W / P_e), 3], one sample a lens.
+    """Return the picture that one eye perceives: float32 [round(3 H / P_e), round(3 W / P_e), 3], one sample a lens.
 
-    image: the light-field image [H, W, 3 or 4] of this panel, uint8, uint16 or float (alpha is ignored).
-    eye_mm: place (x, y, z) of the eye in mm from the panel's centre: x right, y up, z > 0 towards the viewer.
-    spread_subpixels: full width at half maximum of what a lens lights, > 0; more than 1 is crosstalk.
-    threads: number of threads; None: one a core.
-    psf: a measured spread of light in place of the Gaussian.
-
-    The eye reaches the sub-pixel at xi = X - Y tan(theta) through the place a on its lens
-    (docs/design.md, "What an eye sees"):
+    The eye reaches the sub-pixel at xi = X - Y tan(theta) through the point a on its lens (docs/design.md, "What an eye
+    sees"):
         a = D_mid/P_e + (xi z + xi_eye L_g) / ((z + L_g) p_h),   L_g = P_e p_sub L/E,   p_h = P_e p_sub L/(L + L_g)
-    E = 2 L tan(cone/2). It is lit by a Gaussian of frac(a) - 1/2, or by the psf of P_e (frac(a) - 1/2) sub-pixels, and
-    what is perceived is the mean of the sub-pixels around, weighted by their light. At z = L the eye sees the view
-    N (1/2 - xi_eye/E) everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so that
-    right eyes still see the cameras to the right. Raises InputError; also where the panel lacks viewing_distance_mm or
-    pixel_pitch_mm.
+    E = 2 L tan(cone/2). The sub-pixel is lit by a Gaussian of frac(a) - 1/2, or by the psf of P_e (frac(a) - 1/2)
+    sub-pixels. The eye perceives the mean of the sub-pixels around, weighted by their light. At z = L the eye sees the
+    view N (1/2 - xi_eye/E) everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so
+    that right eyes still see the cameras to the right.
+
+    Args:
+        image: The light-field image [H, W, 3 or 4] of this panel, uint8, uint16 or float; alpha is ignored.
+        panel: The panel, with viewing_distance_mm and pixel_pitch_mm.
+        eye_mm: (x, y, z) of the eye in mm from the panel's centre: x right, y up, z > 0 towards the viewer.
+        spread_subpixels: Full width at half maximum of the light of a lens, > 0; more than 1 is crosstalk.
+        threads: Number of threads; None: one a core.
+        psf: A measured spread of light in place of the Gaussian.
+
+    Raises:
+        InputError: An argument is invalid, or the panel lacks a measure.
     """
     _check(image, panel)
     x, y, z = _eye(eye_mm)
@@ -165,19 +181,19 @@ def simulate(
 
 
 def _turns_along(panel: Panel, channel: int, shift: float, slope: float, middle: float) -> np.ndarray:
-    """Where on its lens the eye sees each sub-pixel of a channel, without its row's part: float32 [PERIOD, W], 0..1."""
+    """Return the lens coordinate of each sub-pixel of a channel, without its row's part: float32 [PERIOD, W], 0..1."""
     columns = np.arange(panel.width_px)
     within = subpixel_offsets(panel)[..., channel].astype(np.float64)[:, columns % PERIOD]
     return _fractions(slope * (3 * columns + within + panel.phase - middle) + shift)
 
 
 def _fractions(numbers: np.ndarray) -> np.ndarray:
-    """The fractional parts, as float32: small numbers, for which that is precise enough."""
+    """Return fractional parts as float32: small numbers, for which that is precise enough."""
     return (numbers - np.floor(numbers)).astype(np.float32)
 
 
 def _light(turns: np.ndarray, sigma: float) -> np.ndarray:
-    """How brightly the eye sees sub-pixels at these places on their lenses, in lens widths. Overwrites `turns`."""
+    """Return the brightness of sub-pixels at these points of their lenses, in lens widths; overwrite `turns`."""
     turns -= np.floor(turns)
     turns -= np.float32(0.5)
     turns *= np.float32(1 / (sigma * math.sqrt(2)))
@@ -189,7 +205,7 @@ def _light(turns: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _measured_light(turns: np.ndarray, psf: Psf, lens: float) -> np.ndarray:
-    """The same by a measured spread of light; lens: its width in sub-pixels."""
+    """Return the same by a measured spread of light; lens: its width in sub-pixels."""
     light = psf.seen((turns - np.floor(turns) - 0.5) * lens, lens)
     light += np.float32(1e-20)
     return light
@@ -203,13 +219,34 @@ def simulate_eyes(
     threads: int | None = None,
     psf: Psf | None = None,
 ) -> np.ndarray:
-    """What each of K eyes sees: float32 [K, h, w, 3]; the arguments are those of `simulate`. Raises InputError."""
+    """Return the pictures of K eyes: float32 [K, h, w, 3].
+
+    Args:
+        image: See simulate.
+        panel: See simulate.
+        eyes_mm: [K, 3], see simulate.
+        spread_subpixels: See simulate.
+        threads: See simulate.
+        psf: See simulate.
+
+    Raises:
+        InputError: As simulate.
+    """
     return np.stack([simulate(image, panel, eye, spread_subpixels, threads, psf) for eye in eyes_mm])
 
 
-def row_of_eyes(panel: Panel, from_mm: float, to_mm: float, count: int) -> np.ndarray:
-    """Places [count, 3] in mm of eyes side by side at the panel's viewing distance, at its middle's height, from
-    from_mm to to_mm right of its middle. Raises InputError, also where the panel lacks a viewing distance."""
+def eye_row(panel: Panel, from_mm: float, to_mm: float, count: int) -> np.ndarray:
+    """Return eyes [count, 3] in mm, side by side at the viewing distance and the height of the panel's middle.
+
+    Args:
+        panel: The panel.
+        from_mm: Position of the first eye, to the right of the middle.
+        to_mm: Position of the last eye.
+        count: Number of eyes.
+
+    Raises:
+        InputError: An argument is invalid, or the panel has no viewing distance.
+    """
     count = whole_number("eyes: how many", count, 1, _MOST_EYES)
     ends = (real_number("eyes: from, to (mm)", value, -1e7, 1e7) for value in (from_mm, to_mm))
     if panel.viewing_distance_mm is None:
@@ -221,29 +258,33 @@ def row_of_eyes(panel: Panel, from_mm: float, to_mm: float, count: int) -> np.nd
 
 
 def zone_width_mm(panel: Panel) -> float:
-    """Width at the viewing distance, in mm, of the zone in which an eye sees each view once. Raises InputError."""
+    """Return the width of the viewing zone at the viewing distance, in mm: an eye in it sees each view once.
+
+    Raises:
+        InputError: The panel has no viewing distance.
+    """
     if panel.viewing_distance_mm is None:
         raise InputError(f"panel {panel.name} lacks viewing_distance_mm; eyes cannot be placed without")
     return 2 * panel.viewing_distance_mm * math.tan(math.radians(panel.cone_deg) / 2)
 
 
 def _cells(size_px: int, lens_subpixels: float) -> np.ndarray:
-    """Borders in pixels of cells about one lens wide."""
+    """Return the borders in pixels of cells about one lens wide."""
     count = min(size_px, max(1, round(3 * size_px / lens_subpixels)))
     return np.linspace(0, size_px, count + 1).round().astype(np.int64)
 
 
 def _sums(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Sums of `values` (whose first row is rows[0]) over cells."""
+    """Return the sums over cells of `values`, whose first row is rows[0]."""
     borders = rows - rows[0]
     joined = np.stack([values[a:b].sum(0) for a, b in zip(borders, borders[1:])])  # four times as fast as reduceat
     return np.add.reduceat(joined, columns[:-1], 1)
 
 
 def _blurred(cells: np.ndarray, rows: slice) -> np.ndarray:
-    """These rows of cells, each cell joined with its neighbours by the weights 1 2 1 both ways.
+    """Return these rows of cells, each joined with its neighbours by the weights 1 2 1 both ways.
 
-    Light and its weight are joined alike, so the sub-pixels around that the eye sees best decide.
+    Light and its weight are joined alike, so that the sub-pixels that the eye sees best decide.
     """
     first, last = max(0, rows.start - 1), rows.stop + 1
     around = cells[first:last]
@@ -262,15 +303,15 @@ def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def unknown_of(panel: Panel) -> list[str]:
-    """The fields that a panel lacks and without which no eye can be placed before it."""
+def missing_geometry(panel: Panel) -> list[str]:
+    """Return the names of the fields that a panel lacks to place an eye before it."""
     return [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
 
 
 def _check(image: np.ndarray, panel: Panel) -> None:
     expect("image", image, np.ndarray)
     expect("panel", panel, Panel)
-    if missing := unknown_of(panel):
+    if missing := missing_geometry(panel):
         raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
     if image.ndim != 3 or image.shape[2] not in (3, 4):
         raise InputError(f"image: expected [H, W, 3], got {list(image.shape)}")

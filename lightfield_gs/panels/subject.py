@@ -1,7 +1,6 @@
-"""What a scene is about, where that is not all of it: far floaters, a sky, a room around an object, a capture that
-reaches far beyond what it was made of.
+"""The subject of a scene where it is not the whole scene: far floaters, a sky, a room around an object, a wide capture.
 
-Everything here is decided by the Gaussians that count as content (see reach.py), on a sample of a few thousand of them.
+The Gaussians that count as content decide (see extent.py), by a sample of a few thousand of them.
 """
 
 from __future__ import annotations
@@ -14,176 +13,209 @@ from torch import Tensor
 
 from lightfield_gs.base.harmonics import spiral
 
-# The densest place of the scene
-_SAMPLE = 4096  # Gaussians that are looked at
-_PLACES = 128  # of these, where the densest place may be
-_DENSE_SHARE = 0.1  # the densest place is the smallest ball that holds this share of the opacity
 
-# A gap around the densest place, where a subject ends
-_GAP = 2.5  # outer radius of a gap in inner ones
-_IN_GAP = 0.02  # what may lie in a gap, as a share of what lies inside it
-_CUT = math.sqrt(_GAP)  # where a gap is divided, in inner radii
-_SMALLER = 4.0  # extent of the whole scene in inner radii, from which on the subject would be shown too small
-# What lies beyond a gap is part of the subject, such as the end of a pole, if this share of the second moment of its
-# directions is along one axis.
-_TOWARDS_ONE_SIDE = 0.85
+@dataclass(frozen=True)
+class SubjectConstants:
+    """Thresholds of the subject.
 
-# A dense place that the scene surrounds
-_SMALL_BALL = 0.05  # its radius in extents of the scene, up to which it is so dense that it is what was captured
-_NEIGHBOURHOOD = 3.0  # how far what belongs to it reaches, in its radii
-_AROUND = 0.4  # share of all directions in which there must be more of the scene for it to be surrounded
-_BINS = 192  # directions that are told apart
+    All are chosen by hand and not tuned on a data set; tests/panels/test_subject.py has the scenes that they must tell
+    apart.
+    """
 
-# A shell that is closed on most sides, such as a room
-_HULL_DIRECTIONS = 1024  # in which its convex hull is measured
-_SHELL, _INSIDE = 0.9, 0.7  # gauges of what is the shell, from here on, and what is inside, up to here; see _Hull.gauge
-# The least shares for a shell: of the surface in it, of the directions that it closes, of what counts inside it
-_SHELL_SHARE, _CLOSED, _INSIDE_SHARE = 0.8, 0.8, 0.01
-_SUPPORT, _STRAY = 0.995, 1.2  # the hull reaches at most _STRAY times as far out as _SUPPORT of the surface does
+    # The densest place of the scene
+    sample: int = 4096  # Gaussians that are looked at
+    centres: int = 128  # of these, the centres that are tried for the densest ball
+    dense_fraction: float = 0.1  # the densest place is the smallest ball that holds this fraction of the opacity
+
+    # A gap around the densest place, where a subject ends
+    gap_ratio: float = 2.5  # outer radius of a gap by its inner one
+    in_gap: float = 0.02  # largest weight in a gap, as a fraction of the weight inside it
+    # extent of the scene in inner radii from which on the whole would show its subject too small
+    small_ratio: float = 4.0
+    # fraction of the second moment of directions along one axis from which on the rest is part of the subject, such
+    # as the end of a pole
+    one_sided: float = 0.85
+
+    # A dense place that the scene surrounds
+    small_ball: float = 0.05  # radius of the ball, in extents of the scene, up to which it is the captured object
+    neighbourhood: float = 3.0  # reach of the subject, in radii of the ball
+    around: float = 0.4  # fraction of all directions with more of the scene from which on it surrounds the ball
+    direction_bins: int = 192  # directions that are told apart
+
+    # A shell that is closed on most sides, such as a room
+    hull_directions: int = 1024  # directions in which the convex hull is measured
+    shell_gauge: float = 0.9  # gauge from which on a Gaussian is part of the shell, see _Hull.gauge
+    inside_gauge: float = 0.7  # gauge up to which a Gaussian is inside
+    shell_fraction: float = 0.8  # least fraction of the surface in the shell
+    closed_fraction: float = 0.8  # least fraction of directions that the shell closes
+    inside_fraction: float = 0.01  # least fraction of the weight inside the shell
+    support_quantile: float = 0.995  # quantile of the surface's distances that the hull is measured by
+    stray_ratio: float = 1.2  # distance by that quantile beyond which the hull leaves surface out
+
+
+_CONSTANTS = SubjectConstants()
 
 
 @dataclass(frozen=True)
 class Subject:
-    """The Gaussians that a scene is about, and why not all.
+    """The Gaussians of a scene's subject, and the reason why they are not all.
 
-    inside: bool [N], which these are; None: all. why: what was found, in one line; empty: nothing that matters.
-    left_out: share 0..1 of the opacity of the content that is not among them.
+    Attributes:
+        inside: bool [N], which Gaussians these are; None: all.
+        reason: The finding, in one line; empty where the subject is the whole scene.
+        left_out: Fraction 0..1 of the content's opacity that is left out.
     """
 
     inside: Tensor | None = None
-    why: str = ""
+    reason: str = ""
     left_out: float = 0.0
 
 
-def find(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -> Subject:
-    """The subject among Gaussians of these means [N, 3], sizes [N] and weights [N] (0: does not count).
+def find_subject(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -> Subject:
+    """Find the subject among Gaussians.
 
-    extent: the largest side of what would be framed otherwise, scene units.
+    Args:
+        means: [N, 3], scene units.
+        sizes: [N], a standard deviation of each, scene units.
+        weights: [N], 0 for a Gaussian that does not count.
+        extent: The largest side of the whole content, scene units.
     """
     sample = _sample(weights)
     points, sides, weight = (values[sample].cpu().double() for values in (means, sizes, weights))
     place, radius = _densest(points, weight)
     distances = (points - place).norm(dim=1)
     cut = _cut(points - place, distances, weight, radius)
-    if cut is not None and _SMALLER * cut <= _CUT * extent:
+    if cut is not None and _CONSTANTS.small_ratio * cut <= math.sqrt(_CONSTANTS.gap_ratio) * extent:
         share = float(weight[distances > cut].sum() / weight.sum())
         return Subject(
             _within(means, place, cut),
             f"{share:.1%} of the scene lies far around its dense part and was left out of the framing",
             share,
         )
-    if radius <= _SMALL_BALL * extent and _surrounds(points - place, distances > 2 * _NEIGHBOURHOOD * radius):
-        far = distances > _NEIGHBOURHOOD * radius
+    if radius <= _CONSTANTS.small_ball * extent and _surrounds(
+        points - place, distances > 2 * _CONSTANTS.neighbourhood * radius
+    ):
+        far = distances > _CONSTANTS.neighbourhood * radius
         return Subject(
-            _within(means, place, _NEIGHBOURHOOD * radius),
+            _within(means, place, _CONSTANTS.neighbourhood * radius),
             "the scene surrounds its densest part, which was framed from within the scene",
             float(weight[far].sum() / weight.sum()),
         )
-    return _in_a_shell(means, sides, points, weight)
+    return _find_in_shell(means, sides, points, weight)
 
 
 def _within(means: Tensor, place: Tensor, radius: float) -> Tensor:
+    """Return which means [N, 3] lie in a ball, bool [N]."""
     return (means.double() - place.to(means.device)).norm(dim=1) <= radius
 
 
 def _sample(weights: Tensor) -> Tensor:
-    """Indices [M] of Gaussians that count, evenly among all."""
+    """Return the indices [M] of a sample, evenly among all Gaussians that count."""
     counting = weights.nonzero()[:, 0]
-    if len(counting) <= _SAMPLE:
+    if len(counting) <= _CONSTANTS.sample:
         return counting
-    return counting[torch.arange(_SAMPLE, device=counting.device) * len(counting) // _SAMPLE]
+    return counting[torch.arange(_CONSTANTS.sample, device=counting.device) * len(counting) // _CONSTANTS.sample]
 
 
 def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
-    """Middle [3] and radius of the smallest ball that is centred on one of _PLACES of the points [M, 3] and holds
-    _DENSE_SHARE of the weights [M]."""
+    """Return centre [3] and radius of the smallest ball with the dense fraction of the weights.
+
+    Args:
+        points: [M, 3], of which some are tried as centres.
+        weights: [M].
+    """
     places = points[
-        torch.arange(min(_PLACES, len(points)), device=points.device) * len(points) // min(_PLACES, len(points))
+        torch.arange(min(_CONSTANTS.centres, len(points)), device=points.device)
+        * len(points)
+        // min(_CONSTANTS.centres, len(points))
     ]
     distances, order = torch.cdist(places, points).sort(1)
     sums = weights[order].cumsum(1)
-    index = torch.searchsorted(sums, _DENSE_SHARE * sums[:, -1:])
+    index = torch.searchsorted(sums, _CONSTANTS.dense_fraction * sums[:, -1:])
     radii = distances.gather(1, index)[:, 0]
     best = int(radii.argmin())
     return places[best], float(radii[best])
 
 
 def _cut(offsets: Tensor, distances: Tensor, weights: Tensor, least: float) -> float | None:
-    """The smallest radius from which on there is next to nothing for a while, and then more on several sides."""
+    """Return the radius of a gap around the densest place with more beyond it on several sides; None without one."""
     ordered, order = distances.sort()
     sums = weights[order].cumsum(0)
-    beyond = torch.searchsorted(ordered, _GAP * ordered, right=True) - 1
-    empty = (sums[beyond] - sums <= _IN_GAP * sums) & (ordered >= least) & (ordered > 0)
+    beyond = torch.searchsorted(ordered, _CONSTANTS.gap_ratio * ordered, right=True) - 1
+    empty = (sums[beyond] - sums <= _CONSTANTS.in_gap * sums) & (ordered >= least) & (ordered > 0)
     radius = 0.0
     for index in empty.nonzero()[:, 0].tolist():
-        if ordered[index] <= _GAP * radius:  # this is still the last gap
+        if ordered[index] <= _CONSTANTS.gap_ratio * radius:  # this is still the last gap
             continue
         radius = float(ordered[index])
         directions = torch.nn.functional.normalize(offsets[distances > radius], dim=1)
         if len(directions) == 0:
             return None
-        if float(torch.linalg.eigvalsh(directions.T @ directions / len(directions))[-1]) <= _TOWARDS_ONE_SIDE:
-            return _CUT * radius
+        if float(torch.linalg.eigvalsh(directions.T @ directions / len(directions))[-1]) <= _CONSTANTS.one_sided:
+            return math.sqrt(_CONSTANTS.gap_ratio) * radius
     return None
 
 
 def _surrounds(offsets: Tensor, far: Tensor) -> bool:
-    """Whether those that are far, bool [M], lie in many directions."""
-    return _share_of_directions(offsets[far]) >= _AROUND
+    """Return whether the far ones, bool [M], lie in many directions."""
+    return _direction_fraction(offsets[far]) >= _CONSTANTS.around
 
 
-def _share_of_directions(offsets: Tensor) -> float:
-    """Share 0..1 of all directions in which there is one of the offsets [M, 3]."""
+def _direction_fraction(offsets: Tensor) -> float:
+    """Return the fraction 0..1 of all directions with one of the offsets [M, 3] in them."""
     if len(offsets) == 0:
         return 0.0
-    bins = _directions(_BINS).to(offsets)
-    return len((offsets @ bins.T).argmax(1).unique()) / _BINS
+    bins = _directions(_CONSTANTS.direction_bins).to(offsets)
+    return len((offsets @ bins.T).argmax(1).unique()) / _CONSTANTS.direction_bins
 
 
-def _in_a_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -> Subject:
-    """What is inside a room: a convex hull that is closed on most sides and holds most of the surface."""
+def _find_in_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -> Subject:
+    """Return what is inside a room: a convex hull, closed on most sides, with most of the surface in it."""
     hull = _Hull(points, sizes.square() * weights)
     gauge = hull.gauge(points)
-    shell, inside = gauge > _SHELL, gauge < _INSIDE
+    shell, inside = gauge > _CONSTANTS.shell_gauge, gauge < _CONSTANTS.inside_gauge
     if (
-        hull.areas[shell].sum() < _SHELL_SHARE * hull.areas.sum()
-        or _share_of_directions(hull.whitened(points[shell])) < _CLOSED
+        hull.areas[shell].sum() < _CONSTANTS.shell_fraction * hull.areas.sum()
+        or _direction_fraction(hull.whitened(points[shell])) < _CONSTANTS.closed_fraction
     ):
         return Subject()
     kept = float(weights[inside].sum() / weights.sum())
-    if kept < _INSIDE_SHARE:
-        return Subject(why="the scene is a shell, closed on most sides with nothing inside: it was framed from outside")
+    if kept < _CONSTANTS.inside_fraction:
+        return Subject(
+            reason="the scene is a shell, closed on most sides with nothing inside: it was framed from outside"
+        )
     return Subject(
-        torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _INSIDE,
+        torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _CONSTANTS.inside_gauge,
         "the scene is closed on most sides, like a room: what is inside was framed, from inside",
         1 - kept,
     )
 
 
 class _Hull:
-    """The convex hull of a surface: how far it reaches in many directions, stretched to be as wide as deep."""
+    """The convex hull of a surface: its reach in many directions, stretched to be as wide as deep."""
 
     def __init__(self, points: Tensor, areas: Tensor):
         self.areas, self.middle = areas, (areas[:, None] * points).sum(0) / areas.sum()
         offsets = points - self.middle
         spread, axes = torch.linalg.eigh((areas[:, None] * offsets).T @ offsets / areas.sum())
         self.stretch = axes / spread.clamp_min(1e-9 * float(spread[-1])).sqrt()
-        self.bins = _directions(_HULL_DIRECTIONS).to(points)
+        self.bins = _directions(_CONSTANTS.hull_directions).to(points)
         whitened = self.whitened(points)
         far, order = whitened.norm(dim=1).sort()
         sums = areas[order].cumsum(0)
-        usual = far[torch.searchsorted(sums, _SUPPORT * sums[-1:]).clamp_max(len(points) - 1)]
-        kept = whitened[~(whitened.norm(dim=1) > _STRAY * usual)]
+        usual = far[torch.searchsorted(sums, _CONSTANTS.support_quantile * sums[-1:]).clamp_max(len(points) - 1)]
+        kept = whitened[~(whitened.norm(dim=1) > _CONSTANTS.stray_ratio * usual)]
         self.supports = (self.bins @ kept.T).amax(1).clamp_min(1e-9)
 
     def whitened(self, points: Tensor) -> Tensor:
+        """Return points [N, 3] in the stretched coordinates of the hull."""
         return (points.to(self.middle) - self.middle) @ self.stretch
 
     def gauge(self, points: Tensor) -> Tensor:
-        """[N]: 0 in the middle to 1 on the hull (Minkowski's functional)."""
+        """Return Minkowski's functional [N]: 0 in the middle to 1 on the hull."""
         return (self.whitened(points) @ self.bins.T / self.supports).amax(1)
 
 
 def _directions(count: int) -> Tensor:
-    """Unit vectors [count, 3] spread evenly over the sphere."""
+    """Return unit vectors [count, 3] spread evenly over the sphere."""
     return torch.from_numpy(spiral(count))

@@ -1,4 +1,4 @@
-"""What the cameras of a rig see: depths of the subject and of points, and background past the scene."""
+"""Rendered measurements of a rig: depths of the subject and of points, visible fractions, background past the scene."""
 
 from __future__ import annotations
 
@@ -21,58 +21,91 @@ from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 _SIZE_PX = 256  # width of the picture that is looked at, so large that thin things do not blend with what is behind
-_SHARE_SIZE_PX = 128  # width of the picture where it only matters how much of the content shows
-_OPAQUE = 0.5  # alpha from which on a pixel shows a surface
-_LEAST_SEEN = 0.01  # share of the picture that must show surfaces
-_MIDDLE = 0.2  # standard deviation of the weight of the middle, in shorter sides of the picture
-_NEAREST_SHARE = 0.1  # share of what is seen in the middle that is nearer than the front of the subject
-_SUBJECT = 1.5  # how far a subject reaches, in depths of its front
-_DEPTH_TAIL = 0.01  # share of what is seen that is left out at either end of the depths
-_DEEP = 2.5  # far depth in near ones, up to which the picture shows one object and no more
-_NEAR_ZERO = 1.3  # a depth is near the zero plane if their ratio is at most this, either way
-_IN_GAP = 0.06  # share of what is seen that may lie in a gap: at edges near and far blend
+_FRACTION_SIZE_PX = 128  # width of the picture where it only matters how much of the content shows
+
+
+@dataclass(frozen=True)
+class VisibilityConstants:
+    """Thresholds of what a camera sees.
+
+    All are chosen by hand and not tuned on a data set; tests/panels has the scenes that they must tell apart.
+    """
+
+    opaque: float = 0.5  # alpha from which on a pixel shows a surface
+    depth_tail: float = 0.01  # fraction of the surfaces left out at either end of the depths
+
+    # The subject in the middle of the picture
+    least_surface: float = 0.01  # least fraction of the picture with surfaces
+    middle: float = 0.2  # standard deviation of the weight of the middle, in shorter sides of the picture
+    front_fraction: float = 0.1  # fraction of the weight that is nearer than the front of the subject
+    subject_depth: float = 1.5  # depth of the back of a subject by the depth of its front
+    deep: float = 2.5  # far depth by the near one up to which the picture shows one object and no more
+    near_zero: float = 1.3  # largest ratio, either way, of a depth near the zero plane to the zero depth
+    in_gap: float = 0.06  # largest fraction of the surfaces in a gap: near and far blend at edges
+
+    # The depth at a point
+    patch: float = 0.01  # side of the square around the point, in shorter sides of the panel
+    least_patch_px: float = 2.0  # side of the square at least, pixels of the panel
+    patch_samples: int = 16  # samples of the square, each way
+    # least fraction of the square that a surface fills: thin things count before what is behind
+    surface_fraction: float = 0.25
+
+    # Views past the scene
+    holes: float = 0.01  # largest fraction of the centre view that is background where a scene fills it
+    much_background: float = 0.02  # fraction of an outermost view, as background, that nobody overlooks
+
+
+_CONSTANTS = VisibilityConstants()
 
 
 def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
-    """Depth of the nearest of what the centre camera sees in the middle of its picture; None where it sees nothing."""
+    """Return the depth of the nearest subject in the middle of the centre camera's picture, scene units.
+
+    Returns:
+        View-space z; None where the camera sees nothing.
+    """
     seen = _disparities(gaussians, panel, rig)
-    return None if seen is None else _nearest_in_the_middle(*seen)
+    return None if seen is None else _subject_front(*seen)
 
 
 def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
-    """`subject_depth` where what is seen is deep and nothing of it is near the zero plane; None elsewhere."""
+    """Return `subject_depth` if the visible scene is deep and empty near the zero plane, else None."""
     seen = _disparities(gaussians, panel, rig)
     if seen is None:
         return None
     disparities, _ = seen
-    far, near = torch.quantile(disparities, torch.tensor([_DEPTH_TAIL, 1 - _DEPTH_TAIL]).to(disparities)).tolist()
-    around = (disparities * rig.zero_depth).log().abs() <= math.log(_NEAR_ZERO)
-    if near < _DEEP * far or float(around.double().mean()) > _IN_GAP:
+    far, near = torch.quantile(
+        disparities, torch.tensor([_CONSTANTS.depth_tail, 1 - _CONSTANTS.depth_tail]).to(disparities)
+    ).tolist()
+    around = (disparities * rig.zero_depth).log().abs() <= math.log(_CONSTANTS.near_zero)
+    if near < _CONSTANTS.deep * far or float(around.double().mean()) > _CONSTANTS.in_gap:
         return None
-    return _nearest_in_the_middle(*seen)
+    return _subject_front(*seen)
 
 
-def _nearest_in_the_middle(disparities: Tensor, weights: Tensor) -> float:
-    """Depth of the middle one among those that are hardly farther than the nearest."""
-    front = _nearest(disparities, weights, _NEAREST_SHARE)
-    subject = disparities >= front / _SUBJECT
+def _subject_front(disparities: Tensor, weights: Tensor) -> float:
+    """Return the median depth of the surfaces that are hardly farther than the nearest."""
+    front = _nearest(disparities, weights, _CONSTANTS.front_fraction)
+    subject = disparities >= front / _CONSTANTS.subject_depth
     return 1 / _nearest(disparities[subject], weights[subject], 0.5)
 
 
-def _nearest(disparities: Tensor, weights: Tensor, share: float) -> float:
-    """The disparity that this share of the weights is nearer than."""
+def _nearest(disparities: Tensor, weights: Tensor, fraction: float) -> float:
+    """Return the disparity above which this fraction of the weights lies."""
     ordered, order = disparities.sort(descending=True)
     sums = weights[order].double().cumsum(0)
-    return float(ordered[torch.searchsorted(sums, share * sums[-1:]).clamp_max(len(ordered) - 1)])
+    return float(ordered[torch.searchsorted(sums, fraction * sums[-1:]).clamp_max(len(ordered) - 1)])
 
 
 def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
-    """How much of the content, as it would be seen alone, the cameras see past the rest of the scene, 0..1: the least
-    of the outermost two and the one in the middle."""
+    """Return the fraction 0..1 of the content that the cameras see past the rest of the scene.
+
+    It is the least of the outermost two cameras and the centre one, against the content alone.
+    """
     both = from_tensors(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values()))
     white = torch.zeros(both.count, 1, 3).to(both.means)
     white[: content.count], white[content.count :] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT
-    small_panel, small_rig = reduced(panel, rig, _SHARE_SIZE_PX)
+    small_panel, small_rig = reduced(panel, rig, _FRACTION_SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
     with torch.no_grad():
         alone = cast(Tensor, render(degree_zero(content), cameras.select([0]), alpha=True).alpha).sum((1, 2))
@@ -81,23 +114,23 @@ def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig
 
 
 def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, Tensor] | None:
-    """1 / depth [M] of the surfaces in a small picture, and weights [M], more in its middle."""
+    """Return 1 / depth [M] of the surfaces in a small picture, and weights [M], larger in its middle."""
     small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2])
     with torch.no_grad():
         images = render(degree_zero(gaussians), cameras, alpha=True, depth=True)
     alpha, depth = cast(Tensor, images.alpha)[0], cast(Tensor, images.depth)[0]
-    surface = (alpha >= _OPAQUE) & (depth > 0)
-    if float(surface.double().mean()) < _LEAST_SEEN:
+    surface = (alpha >= _CONSTANTS.opaque) & (depth > 0)
+    if float(surface.double().mean()) < _CONSTANTS.least_surface:
         return None
     rows, columns = (torch.arange(size, device=depth.device) + 0.5 - size / 2 for size in depth.shape)
     squares = rows[:, None] ** 2 + columns**2
-    weights = torch.exp(-squares / 2 / (_MIDDLE * min(depth.shape)) ** 2).to(depth)
+    weights = torch.exp(-squares / 2 / (_CONSTANTS.middle * min(depth.shape)) ** 2).to(depth)
     return 1 / depth[surface], weights[surface]
 
 
 def check_single(gaussians: Gaussians) -> None:
-    """Raises InputError on what is no set of Gaussians, or a batch of them."""
+    """Raise InputError unless `gaussians` is one set of Gaussians."""
     expect("gaussians", gaussians, Gaussians)
     gaussians.validate_layout()
     if gaussians.is_batched:
@@ -105,24 +138,25 @@ def check_single(gaussians: Gaussians) -> None:
 
 
 def degree_zero(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians without what depends on the direction: only the shape matters here."""
+    """Return the Gaussians with the first harmonic only: depths need no colour."""
     return replace(gaussians, sh=gaussians.sh[..., :1, :])
 
 
-_PATCH = 0.01  # side of the square around the point that is looked at, in shorter sides of the panel
-_LEAST_PATCH_PX = 2.0  # of the panel: a smaller square would see less than a pixel does
-_SAMPLES = 16  # of the square, each way
-_OPAQUE = 0.5  # alpha from which on a sample shows a surface
-_SURFACE_SHARE = 0.25  # share of the square that a surface fills at least: thin things count before what is behind
-
-
 def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, float]) -> float:
-    """View-space z, in scene units, of the nearest opaque surface that the centre camera sees at a point.
+    """Return the view-space z, scene units, of the nearest opaque surface that the centre camera sees at a point.
 
-    point: (x, y) of its picture, 0..1 each, of the panel's width from the left and of its height from the top.
-    The surface is the nearest depth by which a quarter of a small square around the point (1 % of the panel's shorter
-    side) is opaque, alpha 0.5 or more, if only the Gaussians up to it are drawn: neither what is behind nor haze before
-    it moves it, as they would a mean depth. Raises InputError, also where there is no such surface.
+    It is the nearest depth by which a quarter of a small square around the point (1 % of the panel's shorter side) is
+    opaque, alpha 0.5 or more, if only the Gaussians up to it are drawn. Neither the background nor haze in front moves
+    it, as they would a mean depth.
+
+    Args:
+        gaussians: One set, in the rig's coordinates.
+        panel: The panel.
+        rig: Its rig.
+        point: (x, y) of the picture, 0..1 each, of the panel's width from the left and of its height from the top.
+
+    Raises:
+        InputError: No opaque surface is at the point.
     """
     check_single(gaussians)
     if not is_row(point, 2):
@@ -133,118 +167,130 @@ def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, f
 
 
 def _surface(gaussians: Gaussians, camera: Cameras, name: str) -> float:
-    """Depth of the nearest opaque surface before this camera; name: of the point, for the complaint."""
+    """Return the depth of the nearest opaque surface before the camera; name: of the point, for the error."""
     images = render(gaussians, camera, alpha=True, radii=True)
     alpha, radii = cast(Tensor, images.alpha), cast(Tensor, images.radii)
-    if _opaque_share(alpha) < _SURFACE_SHARE:
+    if _opaque_fraction(alpha) < _CONSTANTS.surface_fraction:
         raise InputError(
-            f"focus: nothing opaque is at {name} of the picture (alpha {float(alpha.mean()):.2g}, expected {_OPAQUE:g} "
-            "or more); give another point (x,y: of the width from the left, of the height from the top), or a depth"
+            f"focus: nothing opaque is at {name} of the picture (alpha {float(alpha.mean()):.2g}, expected "
+            f"{_CONSTANTS.opaque:g} or more); give another point (x,y: of the width from the left, of the height from "
+            "the top), or a depth"
         )
-    drawn = select(gaussians, radii[0] > 0)
-    pose = camera.world_to_camera[0].to(drawn.means)
-    depths, order = (drawn.means @ pose[2, :3] + pose[2, 3]).sort()
+    visible = select(gaussians, radii[0] > 0)
+    pose = camera.world_to_camera[0].to(visible.means)
+    depths, order = (visible.means @ pose[2, :3] + pose[2, 3]).sort()
     few, enough = 0, len(order)  # so many of the nearest are too few, and enough, to make a surface
     while enough - few > 1:
         middle = (few + enough) // 2
-        alpha = cast(Tensor, render(select(drawn, order[:middle]), camera, alpha=True).alpha)
-        few, enough = (few, middle) if _opaque_share(alpha) >= _SURFACE_SHARE else (middle, enough)
+        alpha = cast(Tensor, render(select(visible, order[:middle]), camera, alpha=True).alpha)
+        few, enough = (few, middle) if _opaque_fraction(alpha) >= _CONSTANTS.surface_fraction else (middle, enough)
     return float(depths[enough - 1])
 
 
-def _opaque_share(alpha: torch.Tensor) -> float:
-    return float((alpha >= _OPAQUE).double().mean())
+def _opaque_fraction(alpha: torch.Tensor) -> float:
+    return float((alpha >= _CONSTANTS.opaque).double().mean())
 
 
 def _patch(panel: Panel, rig: Rig, x: float, y: float) -> Cameras:
-    """The centre camera, of whose picture only a small square around the point is left."""
+    """Return the centre camera, cropped to a small square around the point."""
     centre = rig.cameras_at(panel, [panel.views / 2])
-    side = max(_LEAST_PATCH_PX, _PATCH * min(panel.width_px, panel.height_px))
-    scale = _SAMPLES / side
+    side = max(_CONSTANTS.least_patch_px, _CONSTANTS.patch * min(panel.width_px, panel.height_px))
+    scale = _CONSTANTS.patch_samples / side
     corner = torch.tensor([x * panel.width_px - side / 2, y * panel.height_px - side / 2], dtype=torch.float64)
     principal_point = torch.tensor([rig.principal_point_px], dtype=torch.float64)
     return Cameras(
         centre.world_to_camera,
         centre.focal_px * scale,
         (principal_point - corner) * scale,
-        _SAMPLES,
-        _SAMPLES,
+        _CONSTANTS.patch_samples,
+        _CONSTANTS.patch_samples,
         jacobian_limits=centre.jacobian_limits,
     )
 
 
-_SIZE_PX = 256  # width of the pictures that are compared
-_OPAQUE = 0.5  # alpha from which on a pixel shows a surface; half the largest where none is so opaque
-_DEPTH_TAIL = 0.01  # share of the pixels that is left out at either end of the depths
-_HOLES = 0.01  # share of the centre view that may be background where a scene fills it
-_MUCH_UNSEEN = 0.02  # share of an outermost view that nobody overlooks
-
-
 @dataclass(frozen=True)
 class ViewCoverage:
-    """near, far: view-space z, scene units, that 1 % of the surfaces in the centre view are nearer and farther than.
-    unseen: for views 0 and N-1, how much of where the scene goes on they show as background, 0..1.
+    """Depths in the centre view, and background in the outermost views.
+
+    Attributes:
+        near: View-space z, scene units, that 1 % of the surfaces in the centre view are nearer than.
+        far: View-space z that 1 % of them are farther than.
+        background: For views 0 and N-1, the fraction 0..1 of the continuing scene that shows background.
     """
 
     near: float
     far: float
-    unseen: tuple[float, float]
+    background: tuple[float, float]
 
 
 def view_coverage(gaussians: Gaussians, panel: Panel, rig: Rig) -> ViewCoverage:
-    """What is seen by the cameras of the rig, of pictures 256 pixels wide. gaussians: in the rig's coordinates.
+    """Measure depths and background of a rig's views, in pictures 256 pixels wide.
 
-    Neighbouring pixels of a row whose surfaces the centre view sees, and which stand apart in an outermost view, have
-    surface between them: the scene goes on there, as it does beyond the edge of the picture behind a pixel at the edge.
-    What is transparent there is what was never seen, of a photo for example.
-    Raises InputError where nothing is seen.
+    Take two neighbouring pixels of a row that show surfaces in the centre view and stand apart in an outermost view.
+    The scene continues between them, as it does beyond a pixel at the picture's edge. Transparency there is a part of
+    the scene that was never captured, for example in a photo.
+
+    Args:
+        gaussians: One set, in the rig's coordinates.
+        panel: The panel.
+        rig: Its rig.
+
+    Raises:
+        InputError: The centre camera sees nothing.
     """
     check_single(gaussians)
     small_rig = reduced(panel, rig, _SIZE_PX)[1]
     outermost = [0.5, panel.views - 0.5]
     alpha, depth = _pictures(gaussians, panel, rig, [panel.views / 2, *outermost])
-    opaque = min(_OPAQUE, float(alpha[0].max()) / 2)
+    opaque = min(_CONSTANTS.opaque, float(alpha[0].max()) / 2)
     surface = (alpha[0] >= opaque) & (depth > 0)
     if not surface.any():
         raise InputError(
             "the centre camera sees nothing of the scene; look at the pose of the rig, the zoom and the pan"
         )
-    near, far = np.quantile(depth[surface], [_DEPTH_TAIL, 1 - _DEPTH_TAIL])
-    shares = []
+    near, far = np.quantile(depth[surface], [_CONSTANTS.depth_tail, 1 - _CONSTANTS.depth_tail])
+    fractions = []
     for x, seen in zip(outermost, alpha[1:]):
         factor = small_rig.focal_px[0] * float(small_rig.offset(x, panel))
         moves = factor * (1 / rig.zero_depth - 1 / np.where(surface, depth, 1))
         goes_on = _between(surface, moves)
-        shares.append(float((goes_on & (seen < opaque)).sum() / max(1, goes_on.sum())))
-    return ViewCoverage(float(near), float(far), (shares[0], shares[1]))
+        fractions.append(float((goes_on & (seen < opaque)).sum() / max(1, goes_on.sum())))
+    return ViewCoverage(float(near), float(far), (fractions[0], fractions[1]))
 
 
 def background_fraction(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
-    """How much of an outermost view is background, 0..1, the larger share of the two, where the scene fills the centre
-    view. None where it does not: what is background in a view of an object alone may well be air.
+    """Return the fraction 0..1 of background in an outermost view, the larger of the two.
 
-    One picture 256 pixels wide tells the latter, three the former. gaussians: in the rig's coordinates.
+    One picture of 256 pixels width is enough to return None, three are drawn otherwise.
+
+    Args:
+        gaussians: One set, in the rig's coordinates.
+        panel: The panel.
+        rig: Its rig.
+
+    Returns:
+        None where the scene does not fill the centre view: background beside a single object may well be air.
     """
     check_single(gaussians)
     centre, _ = _pictures(gaussians, panel, rig, [panel.views / 2])
-    if (centre < _OPAQUE).mean() > _HOLES:
+    if (centre < _CONSTANTS.opaque).mean() > _CONSTANTS.holes:
         return None
     outermost, _ = _pictures(gaussians, panel, rig, [0.5, panel.views - 0.5])
-    return float((outermost < _OPAQUE).mean((1, 2)).max())
+    return float((outermost < _CONSTANTS.opaque).mean((1, 2)).max())
 
 
-def background_warning(share: float) -> str | None:
-    """What to change where that much of an outermost view is background; None where nobody would see it."""
-    if share <= _MUCH_UNSEEN:
+def background_warning(fraction: float) -> str | None:
+    """Return the remedy for that much background in an outermost view; None where it is too little to see."""
+    if fraction <= _CONSTANTS.much_background:
         return None
     return (
-        f"the outermost views look past what the scene knows: {share:.1%} of the scene's place is background there; "
+        f"the outermost views look past what the scene knows: {fraction:.1%} of the scene's place is background there; "
         "give a smaller cone_deg= or depth_amount=, or a larger zoom="
     )
 
 
 def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
+    """Return alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
     small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
     with torch.no_grad():
         images = render(
@@ -255,9 +301,11 @@ def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float])
 
 
 def _between(surface: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Which pixels lie between two neighbours of a row that both show surfaces, bool [H, W], after each has moved.
+    """Return the pixels, bool [H, W], between two neighbours of a row that both show surfaces, after both have moved.
 
-    surface: bool [H, W]; moves: by how many pixels each goes to the right, [H, W].
+    Args:
+        surface: bool [H, W].
+        moves: Pixels that each moves to the right, [H, W].
     """
     height, width = surface.shape
     places = np.clip(np.arange(width) + 0.5 + moves, 0, width)

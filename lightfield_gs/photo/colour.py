@@ -1,4 +1,4 @@
-"""What the colours of an image file are, as it says itself, and the same in sRGB."""
+"""The colours of an image file, by its profile, gamma or format, converted to sRGB."""
 
 from __future__ import annotations
 
@@ -15,25 +15,40 @@ from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.photo.image_filters import row_strips
 
 _LINEAR_FORMATS = ("openexr", "hdr")
-_SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1  # a gamma that differs by less from that of sRGB is taken for it
-_SAME_LEVELS = 2  # of 255: a profile that differs no more from sRGB, over all colours, is sRGB
-# Codes of ITU-T H.273 that count as sRGB: the primaries of BT.709, and the transfer functions of BT.709 and of sRGB; 2
-# stands for "not said".
+_SRGB_GAMMA = 2.2
+
+
+@dataclass(frozen=True)
+class ColourConstants:
+    """Tolerances of the conversion to sRGB.
+
+    All are chosen by hand and not tuned on a data set; tests/photo has the pictures that they must tell apart.
+    """
+
+    same_gamma: float = 0.1  # difference of gammas below which a file counts as sRGB
+    same_levels: int = 2  # largest difference, of 255 levels over all colours, of a profile that counts as sRGB
+    clipped_fraction: float = 0.001  # fraction of the pixels brighter than 1 from which on a note says so
+
+
+_CONSTANTS = ColourConstants()
+
+# Codes of ITU-T H.273 that count as sRGB: primaries of BT.709, transfer functions of BT.709 and sRGB; 2: unspecified
 _SRGB_CICP = (1, 2), (1, 2, 6, 13)
 _SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # x and y of red, green and blue
-_UNCALIBRATED = 65535  # Exif's ColorSpace of what is not sRGB; in files of cameras that is Adobe RGB
+_UNCALIBRATED = 65535  # Exif's ColorSpace of other colours than sRGB; in cameras, Adobe RGB
 _STRIP_PIXELS = 1 << 20  # converted at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
-_MOST_PIXELS = 1 << 24  # of a picture that stays in floating point; larger ones are taken in 8 bits
+_MOST_PIXELS = 1 << 24  # of a picture that stays in floating point; larger ones are converted to 8 bits
 _MOST_THREADS = 4
-_CLIPPED_SHARE = 0.001  # of the pixels: if more are brighter than 1, it is said
 
 
 @dataclass
 class Colours:
-    """Colours in sRGB, and how they came to be.
+    """Colours in sRGB.
 
-    pixels: [H, W, 3], uint8 or float32 in 0..1. description: what was done to them; empty where nothing was. notes:
-    what may be wrong with them.
+    Attributes:
+        pixels: [H, W, 3], uint8 or float32 in 0..1.
+        description: The conversion; empty for none.
+        notes: Doubts about the colours.
     """
 
     pixels: np.ndarray
@@ -41,25 +56,31 @@ class Colours:
     notes: list[str] = field(default_factory=list)
 
 
-def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
-    """The colours rgb [H, W, 3] of `picture`, or [H, W, 1] where it is grey, converted to sRGB.
+def to_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
+    """Convert the colours of a picture to sRGB.
 
-    The picture itself says what they are: by its ICC profile, which lcms applies in 8 bits, or else by its gamma (PNG);
-    EXR and Radiance files are linear. What cannot be honoured is taken as sRGB, with a note.
+    Its ICC profile counts, which lcms applies in 8 bits, or else its gamma (PNG); EXR and Radiance files are linear.
+    Anything else counts as sRGB, with a note.
+
+    Args:
+        rgb: [H, W, 3], or [H, W, 1] of a grey picture.
+        picture: The picture with its metadata.
     """
     gamma, linear = picture.colour.get("oiio:Gamma", _SRGB_GAMMA), is_linear(picture)
     if "ICCProfile" in picture.colour:
-        colours = _by_profile(rgb, bytes(picture.colour["ICCProfile"]), picture.colour.get("jpeg:ColorSpace") == "CMYK")
-    elif linear or abs(gamma - _SRGB_GAMMA) > _SAME_GAMMA:
-        colours = _by_gamma(rgb, 1.0 if linear else gamma)
+        colours = _convert_profile(
+            rgb, bytes(picture.colour["ICCProfile"]), picture.colour.get("jpeg:ColorSpace") == "CMYK"
+        )
+    elif linear or abs(gamma - _SRGB_GAMMA) > _CONSTANTS.same_gamma:
+        colours = _convert_gamma(rgb, 1.0 if linear else gamma)
     else:
-        colours = Colours(rgb, notes=_doubts(rgb, picture))
+        colours = Colours(rgb, notes=_plausibility_notes(rgb, picture))
     if "ICCProfile" not in picture.colour:
         primaries = picture.colour.get("chromaticities", _SRGB_PRIMARIES)
         if not np.allclose(primaries[:6], _SRGB_PRIMARIES, atol=0.005):
             colours.notes.append("has other primary colours than sRGB, which are taken for those; export it as sRGB")
     if colours.pixels.dtype != np.uint8 and colours.pixels[..., 0].size > _MOST_PIXELS:
-        colours.pixels = _bytes(colours.pixels)
+        colours.pixels = _to_bytes(colours.pixels)
         colours.description += f"{colours.description and ', '}taken in 8 bits for its size"
     elif colours.pixels.dtype != np.uint8:
         colours.pixels = np.clip(as_floats(colours.pixels), 0, 1)
@@ -69,19 +90,19 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
 
 
 def check_finite(picture: Picture, path: object) -> None:
-    """Raises InputError where a pixel of the file `path` is NaN or infinite: no colour stands for it."""
+    """Raise InputError where a pixel of the file `path` is NaN or infinite."""
     if picture.pixels.dtype == np.float32 and not np.isfinite(picture.pixels).all():
         raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
 
 
 def is_linear(picture: Picture) -> bool:
-    """Whether the samples of a picture are in proportion to light, as its format or itself says."""
+    """Return whether the samples of a picture are in proportion to light, by its format or metadata."""
     space = str(picture.colour.get("oiio:ColorSpace", ""))
     return picture.colour.get("format") in _LINEAR_FORMATS or space.startswith("lin_")
 
 
-def _doubts(rgb: np.ndarray, picture: Picture) -> list[str]:
-    """Notes on a picture without a profile."""
+def _plausibility_notes(rgb: np.ndarray, picture: Picture) -> list[str]:
+    """Return notes on a picture without a profile."""
     cicp = tuple(picture.colour.get("CICP", ()))[:2]
     if any(value not in usual for value, usual in zip(cicp, _SRGB_CICP)):
         return [
@@ -100,17 +121,17 @@ def _doubts(rgb: np.ndarray, picture: Picture) -> list[str]:
     return []
 
 
-def _by_gamma(rgb: np.ndarray, gamma: float) -> Colours:
+def _convert_gamma(rgb: np.ndarray, gamma: float) -> Colours:
     values = as_floats(rgb)
     bright = float((values > 1).any(2).mean())
     linear = np.clip(values, 0, 1) ** np.float32(gamma)
     encoded = encode_srgb(linear)
     notes = [f"is brighter than white on {bright:.1%} of its pixels, which are clipped; expose it less"]
     description = "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, converted to sRGB"
-    return Colours(encoded.astype(np.float32), description, notes if bright > _CLIPPED_SHARE else [])
+    return Colours(encoded.astype(np.float32), description, notes if bright > _CONSTANTS.clipped_fraction else [])
 
 
-def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
+def _convert_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
     from PIL import Image, ImageCms
 
     try:
@@ -146,35 +167,35 @@ def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
             ],
         )
 
-    def converted(block: np.ndarray, transform: ImageCms.ImageCmsTransform) -> np.ndarray:
+    def apply(block: np.ndarray, transform: ImageCms.ImageCmsTransform) -> np.ndarray:
         block = block[..., 0] if mode == "L" else block
         return np.asarray(ImageCms.applyTransform(Image.fromarray(np.ascontiguousarray(block)), transform))
 
     if mode == "L" and rgb.shape[2] == 3:
         rgb = rgb[..., :1]
-    probe = _probe(mode)
-    if np.abs(converted(probe, transforms[0]).astype(int) - probe).max() <= _SAME_LEVELS:
+    probe = _probe_colours(mode)
+    if np.abs(apply(probe, transforms[0]).astype(int) - probe).max() <= _CONSTANTS.same_levels:
         return Colours(rgb)
     pixels, rows = np.empty((*rgb.shape[:2], 3), np.uint8), list(row_strips(rgb.shape[0], rgb.shape[1], _STRIP_PIXELS))
 
     def convert(thread: int) -> None:
         for top, bottom in rows[thread :: len(transforms)]:
-            pixels[top:bottom] = converted(_bytes(rgb[top:bottom]), transforms[thread])
+            pixels[top:bottom] = apply(_to_bytes(rgb[top:bottom]), transforms[thread])
 
     with ThreadPoolExecutor(len(transforms)) as pool:  # lcms works outside the interpreter lock
         list(pool.map(convert, range(len(transforms))))
     return Colours(pixels, f"profile '{name}' converted to sRGB" + ("" if rgb.dtype == np.uint8 else " in 8 bits"))
 
 
-def _probe(mode: str) -> np.ndarray:
-    """Colours from all over the cube, or all greys (mode "L"), [1, N, 3 or 1] uint8."""
+def _probe_colours(mode: str) -> np.ndarray:
+    """Return colours from all over the cube, or all greys (mode "L"), [1, N, 3 or 1] uint8."""
     if mode == "L":
         return np.arange(256, dtype=np.uint8)[None, :, None]
     levels = np.linspace(0, 255, 9).round().astype(np.uint8)
     return np.stack(np.meshgrid(levels, levels, levels), -1).reshape(1, -1, 3)
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
+def _to_bytes(values: np.ndarray) -> np.ndarray:
     if values.dtype == np.uint8:
         return values
     rounded = np.empty(values.shape, np.uint8)
@@ -184,5 +205,5 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _printable(text: str) -> str:
-    """The beginning of what a file says, on one line."""
+    """Return the beginning of a text from a file, on one line."""
     return "".join(c if c.isprintable() else " " for c in " ".join(text.split()))[:60].strip() or "no name"

@@ -1,4 +1,4 @@
-"""Depth maps: the numbers of their files, and what these numbers mean as view-space z."""
+"""Depth maps: the numbers in their files, and their meaning as view-space z."""
 
 from __future__ import annotations
 
@@ -15,8 +15,29 @@ from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DepthInvalid,
 from lightfield_gs.io.images import read_info, read_layer, read_picture
 from lightfield_gs.io.npy import open_array, stored_arrays
 
-_IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
-_ALMOST_GREY = 0.04  # how far the channels of a grey map come apart when it is saved as JPEG, as a share of its range
+_IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as fractions of their largest number
+
+
+@dataclass(frozen=True)
+class DepthMapConstants:
+    """Tolerances of depth maps.
+
+    All are chosen by hand and not tuned on a data set; tests/photo has the pictures that they must tell apart.
+    """
+
+    almost_grey: float = 0.04  # largest difference of the channels of a grey map, by its range, for example after JPEG
+    # numbers that programs store for the sky: the largest half float, the largest 16-bit number, and its thousandth
+    stored_sky: tuple[int, int, float] = (65504, 65535, 65.535)
+    sky: float = 1e9  # distance from which on everything is sky: Blender stores 1e10
+    well_above: float = 1.25  # ratio of the sky to the largest other number, at least
+    alone: int = 1000  # ratio of any other number to the next largest from which on it is the sky
+    unmeasured: float = -1  # with limits, numbers up to it mark unmeasured pixels, as -9999 does
+    # distance of infinitely far things by the farthest measured one: cameras beside see hardly any parallax there
+    far_ratio: int = 2
+
+
+_CONSTANTS = DepthMapConstants()
+
 # Names in .npz files; the first of each is Depth Pro's
 _DEPTH_KEYS, _DISPARITY_KEYS = (
     ("depth", "depth_map", "z", "depths", "predicted_depth"),
@@ -30,10 +51,14 @@ _FOCAL_KEYS = ("focallength_px", "focal_length_px", "focal_px")
 class DepthNumbers:
     """The numbers of a depth map as its file holds them.
 
-    values: [H, W], integers or floats. orientation: the Exif orientation that was undone. kind: "distance" or
-    "disparity", and focal_px: the focal length in pixels; None where the file does not say it. is_along_ray: whether
-    they are, or are made of, distances along the pixels' rays. description: the part of the file that they are, where
-    it has several; notes: what may not be as it was meant.
+    Attributes:
+        values: [H, W], integers or floats.
+        orientation: The Exif orientation that was undone.
+        kind: "distance" or "disparity"; None where the file does not state it.
+        focal_px: The focal length in pixels; None where the file does not state it.
+        is_along_ray: Whether they are, or derive from, distances along the pixels' rays.
+        description: The part of the file that they come from, where it has several.
+        notes: Doubts about the numbers.
     """
 
     values: np.ndarray
@@ -46,12 +71,16 @@ class DepthNumbers:
 
 
 def read_numbers(path: str | Path) -> DepthNumbers:
-    """The numbers of a depth map, whatever they mean. Raises InputError that names the file."""
+    """Read the numbers of a depth map, whatever their meaning.
+
+    Raises:
+        InputError: The file cannot be read; the message names it.
+    """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
-        return _from_npz(path)
+        return _read_npz(path)
     if suffix == ".npy":
-        return DepthNumbers(_checked(path, open_array(path)))
+        return DepthNumbers(_check_numbers(path, open_array(path)))
     if (layer := read_layer(path, depth_channel)) is not None:
         return DepthNumbers(layer.pixels, kind="distance", description=f"channel {layer.name}")
     info = read_info(path)
@@ -64,10 +93,10 @@ def read_numbers(path: str | Path) -> DepthNumbers:
 
 
 def depth_channel(names: Sequence[str]) -> int | None:
-    """Which channel of an EXR with several holds distances, by their names; None where none does.
+    """Return the index of the channel with distances in an EXR with several, by their names; None without one.
 
-    Those are Z, depth.Z, ViewLayer.Depth.Z and the like, or the Z or V alone in its layer: not the Z of a normal or a
-    position, the V of texture coordinates, or a mist.
+    Such are Z, depth.Z, ViewLayer.Depth.Z and the like, or a Z or V alone in its layer. The Z of a normal or a
+    position, the V of texture coordinates, and a mist are not.
     """
     if len(names) < 2:
         return None
@@ -91,14 +120,18 @@ def depth_channel(names: Sequence[str]) -> int | None:
 
 
 def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> DepthNumbers:
-    """The numbers of an image [H, W, C] that is grey, or almost, whatever its channels. Raises InputError."""
+    """Return the numbers of an image [H, W, C] that is grey, or almost.
+
+    Raises:
+        InputError: The image has colours.
+    """
     if pixels.shape[2] < 3:  # grey, or grey and alpha
         return DepthNumbers(pixels[..., 0], orientation)
     apart = {pair: channels_apart(pixels, *pair) for pair in ((0, 1), (0, 2), (1, 2))}
     most = max(apart.values())
     if most == 0:
         return DepthNumbers(pixels[..., 0], orientation)
-    if most <= _ALMOST_GREY:
+    if most <= _CONSTANTS.almost_grey:
         return DepthNumbers(
             np.median(pixels[..., :3], 2).astype(pixels.dtype),
             orientation,
@@ -108,7 +141,7 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
         )
     for (one, other), difference in apart.items():
         third = pixels[..., 3 - one - other]
-        if difference <= _ALMOST_GREY and (third == third[0, 0]).all():
+        if difference <= _CONSTANTS.almost_grey and (third == third[0, 0]).all():
             return DepthNumbers(
                 pixels[..., one],
                 orientation,
@@ -121,8 +154,10 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
 
 
 def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
-    """The largest difference between two channels of pixels [H, W, C], of the range of both; infinite where one of them
-    is finite and the other is not."""
+    """Return the largest difference between two channels of pixels [H, W, C], by the range of both.
+
+    It is infinite where one of them is finite and the other is not.
+    """
     both = pixels[..., [one, other]].astype(np.float32)
     finite = np.isfinite(both)
     if not np.array_equal(both[..., 0][~finite.all(2)], both[..., 1][~finite.all(2)], equal_nan=True):
@@ -133,10 +168,12 @@ def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
     return float(np.abs(values[:, 0] - values[:, 1]).max()) / (float(np.ptp(values)) or 1.0)
 
 
-def _from_npz(path: str | Path) -> DepthNumbers:
-    """The one depth map in a .npz, by its name, or because there is no other array [H, W]; and its focal length."""
+def _read_npz(path: str | Path) -> DepthNumbers:
+    """Return the depth map in a .npz, by its name or because it is the only array [H, W], and its focal length."""
     arrays = stored_arrays(path)
-    flat = {name.lower(): name for name, array in arrays.items() if _is_map(array.shape) and array.dtype.kind in "iuf"}
+    flat = {
+        name.lower(): name for name, array in arrays.items() if _is_depth_map(array.shape) and array.dtype.kind in "iuf"
+    }
     named = [flat[name] for name in (*_DEPTH_KEYS, *_DISPARITY_KEYS) if name in flat]
     if not named and len(flat) != 1:
         raise InputError(
@@ -152,40 +189,37 @@ def _from_npz(path: str | Path) -> DepthNumbers:
     if focal and not 0 < focal[0] < np.inf:
         raise InputError(f"{path}: expected a focal length > 0 px, got {focal[0]:g}")
     return DepthNumbers(
-        _checked(path, arrays[name].read()),
+        _check_numbers(path, arrays[name].read()),
         kind="disparity" if name.lower() in _DISPARITY_KEYS else "distance" if named else None,
         focal_px=focal[0] if focal else None,
         description=f"array {ascii(name)[1:-1][:80]}" if len(arrays) > len(focal) + 1 else "",
     )
 
 
-def _is_map(shape: tuple[int, ...]) -> bool:
-    """Whether an array is [H, W] but for axes of length 1, as [1, H, W] of a network or [H, W, 1] of an image."""
+def _is_depth_map(shape: tuple[int, ...]) -> bool:
+    """Return whether an array is [H, W] but for axes of length 1, as [1, H, W] of a network."""
     return len(shape) == 2 or len(shape) > 2 and sum(size != 1 for size in shape) == 2
 
 
-def _checked(path: str | Path, values: np.ndarray) -> np.ndarray:
-    if not _is_map(values.shape) or values.size == 0 or values.dtype.kind not in "iuf":
+def _check_numbers(path: str | Path, values: np.ndarray) -> np.ndarray:
+    if not _is_depth_map(values.shape) or values.size == 0 or values.dtype.kind not in "iuf":
         raise InputError(f"{path}: expected numbers [H, W], got {values.dtype} {list(values.shape)}")
     return np.asarray(values if values.ndim == 2 else values.squeeze())
 
 
 FARTHEST = 1e12  # scene units: what is farther counts as not measured
-# What programs store for the sky, where there is nothing: the largest half float, the largest number of 16 bits, and
-# the latter in thousandths. They count as the sky where all else is well below them, and so do numbers from _SKY on,
-# which no distance has (Blender's is 1e10), and any that is so many times the next largest
-_STORED_SKY, _SKY = (65504, 65535, 65.535), 1e9
-_WELL_ABOVE, _ALONE = 1.25, 1000
-_NO_SHARE = -1  # with limits, numbers up to it mark what was not measured, as -9999
-# Where infinitely far things are put, in distances of the farthest that was measured: there the cameras beside see next
-# to no parallax
-_FAR_BEYOND = 2
 
 
 @dataclass
 class DepthMap:
-    """z: view-space z, float32 [H, W], NaN where nothing was measured. focal_px: the focal length in pixels that its
-    file says, or None. description: what was decided, in words; notes: what may not be as it was meant."""
+    """A depth map.
+
+    Attributes:
+        z: View-space z, float32 [H, W], scene units, NaN where nothing was measured.
+        focal_px: The focal length in pixels by its file, or None.
+        description: The decisions that were made.
+        notes: Doubts about them.
+    """
 
     z: np.ndarray
     focal_px: float | None
@@ -202,20 +236,26 @@ def read_depth(
     invalid: DepthInvalid = "far",
     rays: Callable[[tuple[int, int]], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """View-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
+    """Read view-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
-    path: a grey image (PNG of 8 or 16 bits, EXR, TIFF), the depth channel of an EXR, a .npy of numbers [H, W], or a
-    .npz with one; axes of length 1 are dropped.
-    kind: the numbers v are "distance", v = z / scale, "ray", the same along the pixel's ray, or "disparity" (inverse
-    distance), v = scale / z. NaN, negative numbers, the distance 0 and infinite disparities are no measurement.
-    scale: 0.001 for millimetres to metres; for disparities in pixels focal length times baseline. None: 1, for floats.
-    limits: (near, far) in place of a scale: z, or with "disparity" 1/z, runs linearly between them over the full
-    scale of the file, 0..255, 0..65535 or 0..1 for floats; distance has near at 0, disparity far at 0. With the larger
-    one first it is the other way round.
-    invalid: infinite distances, those that stand for the sky (1e10, 65504, 65535) and the disparity 0 are "far" away,
-    at twice the largest distance that was measured, or with limits at the far one; or a "hole", not measured.
-    rays: of a "ray", see `ray_lengths`: the lengths [H, W] of the rays up to z = 1, for a map of this height and width.
-    Raises InputError that names the file: no depth map, numbers out of range, or whole numbers that nothing explains.
+    Args:
+        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), the depth channel of an EXR, a .npy of numbers [H, W], or a
+            .npz with one; axes of length 1 are dropped.
+        kind: The meaning of the numbers v: "distance", v = z / scale; "ray", the same along the pixel's ray; or
+            "disparity" (inverse distance), v = scale / z. NaN, negative numbers, the distance 0 and infinite
+            disparities are no measurement.
+        scale: 0.001 for millimetres to metres; for disparities in pixels focal length times baseline. None: 1, for
+            floats.
+        limits: (near, far) in place of a scale: z, or with "disparity" 1/z, runs linearly between them over the full
+            scale of the file, 0..255, 0..65535 or 0..1 for floats. Distance has near at 0, disparity far at 0. With the
+            larger one first it is the other way round.
+        invalid: The meaning of infinite distances, of numbers for the sky (1e10, 65504, 65535) and of the disparity 0:
+            "far", at twice the largest measured distance, or with limits at the far one; or "hole", not measured.
+        rays: Of a "ray", see `ray_lengths`: the lengths [H, W] of the rays up to z = 1, for a map of this height and
+            width.
+
+    Raises:
+        InputError: No depth map, numbers out of range, or whole numbers without a scale; the message names the file.
     """
     return depth_map(path, read_numbers(path), kind, scale=scale, limits=limits, invalid=invalid, rays=rays).z
 
@@ -231,10 +271,20 @@ def depth_map(
     turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None,
     rays: Callable[[tuple[int, int]], np.ndarray] | None = None,
 ) -> DepthMap:
-    """What read_depth does, of the numbers that were read from `path`.
+    """Return the depth map of numbers that were read from `path`.
 
-    kind: None: what the file says, else "distance". turn: a function that returns the numbers as upright as the photo
-    is, and whether it turned them.
+    Args:
+        path: For messages.
+        numbers: As read_numbers returns them.
+        kind: See read_depth; None: as the file states, else "distance".
+        scale: See read_depth.
+        limits: See read_depth.
+        invalid: See read_depth.
+        turn: A function that returns the numbers as upright as the photo is, and whether it turned them.
+        rays: See read_depth.
+
+    Raises:
+        InputError: As read_depth.
     """
     given, kind = kind or numbers.kind, kind or numbers.kind or "distance"
     for name, word, choices in (("depth kind", kind, DEPTH_KINDS), ("invalid depths", invalid, DEPTH_INVALID)):
@@ -247,7 +297,7 @@ def depth_map(
     values, turned = (numbers.values, False) if turn is None else turn(numbers)
     sky, stored = _sky(values) if kind != "disparity" and (limits is None or values.dtype.kind == "f") else (None, "")
     if limits is not None:
-        z = _between(path, values, sky, kind, *limits, invalid)
+        z = _scale_between(path, values, sky, kind, *limits, invalid)
     else:
         if scale is None and values.dtype.kind in "iu":
             raise InputError(
@@ -257,7 +307,7 @@ def depth_map(
             )
         scale = 1.0 if scale is None else _positive("depth scale", scale)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            z = _scaled(values.astype(np.float64), sky, kind, scale)
+            z = _scale(values.astype(np.float64), sky, kind, scale)
     if rays is not None and (kind == "ray" or numbers.is_along_ray):
         z = z / rays((z.shape[0], z.shape[1]))
     measured = np.isfinite(z)
@@ -271,7 +321,7 @@ def depth_map(
         description += f", {nearness(kind, limits)} (assumed; --depth-kind)"
     description += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
-        beyond = min(_FAR_BEYOND * z[measured].max(), FARTHEST) if limits is None else max(limits)
+        beyond = min(_CONSTANTS.far_ratio * z[measured].max(), FARTHEST) if limits is None else max(limits)
         z[far] = beyond if invalid == "far" else np.nan
         words = [stored, f"put at {beyond:.4g}" if invalid == "far" else "left out"]
         description += f", {far.mean():.1%} {'sky' if stored else 'infinitely far'} ({', '.join(filter(None, words))})"
@@ -284,7 +334,7 @@ def depth_map(
 
 
 def nearness(kind: str, limits: tuple[float, float] | None = None) -> str:
-    """Which numbers of a map are near, in words; limits: as they were given, the larger one first where so."""
+    """Return which numbers of a map are near, in words; limits: in their given order."""
     disparity = kind == "disparity"
     if limits is None:
         return f"{'large' if disparity else 'small'} numbers are near"
@@ -294,10 +344,13 @@ def nearness(kind: str, limits: tuple[float, float] | None = None) -> str:
 def ray_lengths(
     shape: tuple[int, int], size: tuple[int, int], focal_px: tuple[float, float], centre_px: tuple[float, float]
 ) -> np.ndarray:
-    """How long the ray through the middle of each pixel of a map is up to z = 1, float64 [h, w].
+    """Return the length of the ray through the middle of each pixel of a map up to z = 1, float64 [h, w].
 
-    shape: height and width of the map. size: those of its photo, which may be another. focal_px, centre_px: focal
-    lengths and principal point (x, y), pixels of the photo.
+    Args:
+        shape: Height and width of the map.
+        size: Height and width of its photo, which may differ.
+        focal_px: Focal lengths (x, y), pixels of the photo.
+        centre_px: Principal point (x, y), pixels of the photo.
     """
     (height, width), (rows, columns) = size, shape
     x = ((np.arange(columns) + 0.5) * width / columns - centre_px[0]) / focal_px[0]
@@ -306,15 +359,19 @@ def ray_lengths(
 
 
 def _sky(values: np.ndarray) -> tuple[np.ndarray | None, str]:
-    """Which distances [H, W] stand for the sky, and the number that does, in words; None where none does."""
+    """Return the distances [H, W] that stand for the sky, and their number in words; None without any."""
     values = values.astype(np.float32) if values.dtype == np.float16 else values
     there = np.isfinite(values) & (values > 0)
     sky = np.zeros_like(there)
     if values.dtype.kind == "f":
-        stored = np.logical_or.reduce([np.abs(values - number) <= 1e-6 * number for number in _STORED_SKY])
+        stored = np.logical_or.reduce([np.abs(values - number) <= 1e-6 * number for number in _CONSTANTS.stored_sky])
     else:
-        stored = np.isin(values, [*_STORED_SKY, np.iinfo(values.dtype).max]) & (values.dtype.itemsize > 1)
-    for candidates, times in ((values >= _SKY, _WELL_ABOVE), (stored, _WELL_ABOVE), (None, _ALONE)):
+        stored = np.isin(values, [*_CONSTANTS.stored_sky, np.iinfo(values.dtype).max]) & (values.dtype.itemsize > 1)
+    for candidates, times in (
+        (values >= _CONSTANTS.sky, _CONSTANTS.well_above),
+        (stored, _CONSTANTS.well_above),
+        (None, _CONSTANTS.alone),
+    ):
         left = there & ~sky
         found = left & (values == values.max(initial=0, where=left) if candidates is None else candidates)
         rest = values[left & ~found]
@@ -327,10 +384,10 @@ def _is_reversed(limits: tuple[float, float]) -> bool:
     return limits[0] > limits[1]
 
 
-def _between(
+def _scale_between(
     path: str | Path, values: np.ndarray, sky: np.ndarray | None, kind: str, first: float, second: float, invalid: str
 ) -> np.ndarray:
-    """z [H, W] of numbers whose full scale runs from near to far; see read_depth. Raises InputError."""
+    """Return z [H, W] of numbers whose full scale runs from near to far; see read_depth."""
     first, second = _positive("depth range: near", first), _positive("depth range: far", second)
     if first == second:
         raise InputError(f"depth range: expected near < far (or far first, where the map is so), got {first:g} twice")
@@ -338,27 +395,27 @@ def _between(
     if values.dtype.kind in "iu":
         if values.dtype not in (np.uint8, np.uint16):
             raise InputError(f"{path}: near and far are for uint8, uint16 or floats in 0..1, got {values.dtype}")
-        share = values / np.iinfo(values.dtype).max
+        fraction = values / np.iinfo(values.dtype).max
     else:
-        share = np.where(np.isfinite(values) & (values > _NO_SHARE), values, np.nan).astype(np.float64)
+        fraction = np.where(np.isfinite(values) & (values > _CONSTANTS.unmeasured), values, np.nan).astype(np.float64)
         if sky is not None:
-            share[sky] = np.nan
-        if (share < 0).any() or (share > 1).any():
+            fraction[sky] = np.nan
+        if (fraction < 0).any() or (fraction > 1).any():
             raise InputError(
-                f"{path}: with near and far expected floats in 0..1, got {np.nanmin(share):g}.."
-                f"{np.nanmax(share):g}; divide by the largest, or give a scale"
+                f"{path}: with near and far expected floats in 0..1, got {np.nanmin(fraction):g}.."
+                f"{np.nanmax(fraction):g}; divide by the largest, or give a scale"
             )
     if _is_reversed((first, second)):
-        share = 1 - share
+        fraction = 1 - fraction
     if kind == "disparity":
-        z = 1 / (1 / far + (1 / near - 1 / far) * share)
-        return np.where(share == 0, np.inf, z) if invalid == "hole" else z
+        z = 1 / (1 / far + (1 / near - 1 / far) * fraction)
+        return np.where(fraction == 0, np.inf, z) if invalid == "hole" else z
     beyond = np.isposinf(values) if sky is None else np.isposinf(values) | sky
-    return np.where(beyond, np.inf, near + (far - near) * share)
+    return np.where(beyond, np.inf, near + (far - near) * fraction)
 
 
-def _scaled(values: np.ndarray, sky: np.ndarray | None, kind: str, scale: float) -> np.ndarray:
-    """z [H, W]: infinite where it is far away, NaN where nothing was measured."""
+def _scale(values: np.ndarray, sky: np.ndarray | None, kind: str, scale: float) -> np.ndarray:
+    """Return z [H, W]: infinite where it is far away, NaN where nothing was measured."""
     if kind == "disparity":
         return np.where((values >= 0) & np.isfinite(values), scale / values, np.nan)
     z = np.where(values > 0, values * scale, np.nan)

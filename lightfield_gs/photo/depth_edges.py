@@ -16,17 +16,35 @@ from lightfield_gs.photo.image_filters import max_filter
 # Neighbours belong to one surface up to this slope, depth per sideways length: tan 85 degrees. A steeper step is an
 # edge between two surfaces, which opens by some 4 pixels over a cone of 40 degrees.
 STEEPEST = 11.4
-_SNAP_PASSES = 3  # each takes one pixel off both ends of a smoothed edge
+
+
+@dataclass(frozen=True)
+class DepthEdgeConstants:
+    """Thresholds of edges and mattes.
+
+    All are chosen by hand and not tuned on a data set; tests/photo has the pictures that they must tell apart.
+    """
+
+    snap_passes: int = 3  # passes, each of which takes one pixel off both ends of a smoothed edge
+    rim_px: int = 3  # pixels on either side of an edge whose colours may be mixed
+    window_px: int = 6  # pixels to each side from which the colours of both surfaces are taken
+    window_std: float = 3.0  # standard deviation of the weights in this window, pixels
+    step_ratio: float = 1.03  # ratio of disparities from which on two pixels stand one before the other
+    noise: float = 2e-4  # variance of a colour, 0..1, that is no difference
+    trace: float = 0.04  # coverage that is not visible
+
+
+_CONSTANTS = DepthEdgeConstants()
 
 
 def joined(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor:
-    """Whether each pixel and its right neighbour belong to one surface, bool [H, W-1]."""
+    """Return whether each pixel and its right neighbour belong to one surface, bool [H, W-1]."""
     left, right = depth[:, :-1], depth[:, 1:]
     return (right - left).abs() * focal_px <= steepest * torch.minimum(left, right)
 
 
 def edges(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
-    """Whether each pixel has a depth and another surface beside it, to the left, right, above or below, bool [H, W]."""
+    """Return whether each pixel has a depth and another surface beside it, in any of four directions, bool [H, W]."""
     there = torch.isfinite(depth)
     result = torch.zeros_like(there)
     for whole, mine, marked in (
@@ -40,9 +58,9 @@ def edges(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
 
 
 def slopes(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor:
-    """Depth per sideways length from column to column, [H, W], dimensionless.
+    """Return depth per sideways length from column to column, [H, W], dimensionless.
 
-    The mean of the steps to those neighbours that belong to the surface, 0 where none does.
+    It is the mean of the steps to the neighbours on the same surface, 0 without any.
     """
     whole = joined(depth, focal_px, steepest)
     steps = torch.where(whole, depth[:, 1:] - depth[:, :-1], 0)
@@ -54,13 +72,12 @@ def slopes(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor
 
 
 def snap_mixed(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
-    """The depth map with its smoothed edges made sharp again, [H, W].
+    """Return the depth map with its smoothed edges made sharp again, [H, W].
 
-    A pixel on the way from one surface to another, with an edge to both sides along its row or column, lies on neither:
-    it takes the depth of the neighbour that is nearer in disparity. Thin things, nearer or farther than both
-    neighbours, stay.
+    A pixel between two surfaces, with an edge to both sides along its row or column, lies on neither: it takes the
+    depth of the neighbour that is nearer in disparity. Thin things, nearer or farther than both neighbours, stay.
     """
-    for _ in range(_SNAP_PASSES):
+    for _ in range(_CONSTANTS.snap_passes):
         depth = _snap_columns(depth, focal_px[0])
         depth = _snap_columns(depth.T, focal_px[1]).T
     return depth
@@ -77,20 +94,22 @@ def _snap_columns(depth: Tensor, focal_px: float) -> Tensor:
     return snapped
 
 
-_RIM = 3  # pixels on either side of an edge whose colours may be mixed
-_WINDOW = 6  # pixels to each side from which the colours of both surfaces are taken
-_SPREAD = 3.0  # standard deviation of the weights in it, pixels
 _CHUNK = 1 << 12  # pixels whose windows are gathered at a time: 16 MB
-_STEP = 1.03  # ratio of disparities from which on two pixels stand one before the other
-_NOISE = 2e-4  # variance of a colour, 0..1, that is no difference
-_TRACE = 0.04  # coverage that is not seen
 
 
 @dataclass(frozen=True)
 class Matte:
-    """Of the M pixels beside edges: rows, columns [M] int64; is_near bool [M], whether the depth map has the near
-    surface there; alpha [M], coverage by the near surface, 0..1; near, far [M, 3], the colours of both; depth [M],
-    z of the near surface."""
+    """The M pixels beside edges.
+
+    Attributes:
+        rows: [M] int64.
+        columns: [M] int64.
+        is_near: bool [M], whether the depth map has the near surface there.
+        alpha: [M], coverage by the near surface, 0..1.
+        near: [M, 3], colour of the near surface.
+        far: [M, 3], colour of the far surface.
+        depth: [M], z of the near surface.
+    """
 
     rows: Tensor
     columns: Tensor
@@ -102,31 +121,38 @@ class Matte:
 
 
 def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
-    """The matte of the pixels beside the edges of a photo [H, W, 3] with depths z [H, W]; torn: bool [H, W], the pixels
-    that have an edge to a neighbour.
+    """Return the matte of the pixels beside the edges of a photo.
 
-    A mixed pixel is I = a F + (1 - a) B. F and B are the mean colours of the two surfaces close by, out of the band
-    of mixed pixels, and a = (I - B).(F - B) / |F - B|^2. Where these colours are no farther apart than each of them
-    varies, colour says nothing, and the pixel is what the depth map says: a is drawn to 0 or 1 by the ratio of the two.
+    A mixed pixel is I = a F + (1 - a) B. F and B are the mean colours of the two surfaces close by, outside the band of
+    mixed pixels, and a = (I - B).(F - B) / |F - B|^2. Where these colours differ no more than each of them varies,
+    colour says nothing, and the depth map decides: the ratio of the two draws a to 0 or 1.
+
+    Args:
+        image: [H, W, 3], 0..1.
+        depth: z [H, W].
+        torn: bool [H, W], the pixels that have an edge to a neighbour.
     """
     disparity = (1 / depth).nan_to_num(0)
-    most, least = max_filter(disparity, _RIM), -max_filter(-torch.where(disparity > 0, disparity, 1e30), _RIM)
-    band = max_filter(torn, _RIM - 1)
-    band &= torch.isfinite(depth) & (most > _STEP * least)
+    most, least = (
+        max_filter(disparity, _CONSTANTS.rim_px),
+        -max_filter(-torch.where(disparity > 0, disparity, 1e30), _CONSTANTS.rim_px),
+    )
+    band = max_filter(torn, _CONSTANTS.rim_px - 1)
+    band &= torch.isfinite(depth) & (most > _CONSTANTS.step_ratio * least)
     rows, columns = band.nonzero().unbind(1)
     middle = ((most + least) / 2)[rows, columns]
     is_near = disparity[rows, columns] > middle
-    near, far = _surroundings(image, disparity, ~band, rows, columns, middle)
+    near, far = _measure_surfaces(image, disparity, ~band, rows, columns, middle)
     known = (near.weight > 0) & (far.weight > 0)
     rows, columns, is_near = rows[known], columns[known], is_near[known]
     colour = image[rows, columns]
     f, b = near.mean[known], far.mean[known]
     apart = ((f - b) ** 2).sum(1)
     alpha = (((colour - b) * (f - b)).sum(1) / apart.clamp_min(1e-9)).clamp(0, 1)
-    sure = apart / (apart + 4 * torch.where(is_near, near.variance[known], far.variance[known]) + _NOISE)
+    sure = apart / (apart + 4 * torch.where(is_near, near.variance[known], far.variance[known]) + _CONSTANTS.noise)
     hard = is_near.float()
     alpha = sure * alpha + (1 - sure) * hard
-    alpha = torch.where((alpha - hard).abs() < _TRACE, hard, alpha)
+    alpha = torch.where((alpha - hard).abs() < _CONSTANTS.trace, hard, alpha)
     # Of each surface as much as is seen is the pixel's own, so that both together are the pixel again
     rest = (colour - alpha[:, None] * f - (1 - alpha[:, None]) * b) / (alpha**2 + (1 - alpha) ** 2)[:, None]
     own_near, own_far = (f + alpha[:, None] * rest).clamp(0, 1), (b + (1 - alpha[:, None]) * rest).clamp(0, 1)
@@ -135,7 +161,7 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Of one of the two surfaces by each pixel: weight [M], mean [M, 3] and variance [M] of its colours, disparity."""
+    """One of the two surfaces by each pixel: weight [M], mean [M, 3] and variance [M] of its colours, disparity [M]."""
 
     weight: Tensor
     mean: Tensor
@@ -143,26 +169,26 @@ class _Surface:
     disparity: Tensor
 
 
-def _surroundings(
+def _measure_surfaces(
     image: Tensor, disparity: Tensor, clean: Tensor, rows: Tensor, columns: Tensor, middle: Tensor
 ) -> tuple[_Surface, _Surface]:
-    """The near and the far surface close to these pixels, by its pixels that are not mixed."""
-    padding, width = (_WINDOW,) * 4, disparity.shape[1] + 2 * _WINDOW
+    """Return the near and the far surface close to these pixels, from pixels that are not mixed."""
+    padding, width = (_CONSTANTS.window_px,) * 4, disparity.shape[1] + 2 * _CONSTANTS.window_px
     channels = torch.cat(
         [image.movedim(2, 0), (image**2).sum(2)[None], disparity[None], torch.ones_like(disparity)[None]]
     )
     values = functional.pad(channels, padding).movedim(0, 2).reshape(-1, 6)
     usable = torch.where(clean & (disparity > 0), disparity, torch.nan)
     usable = functional.pad(usable, padding, value=torch.nan).flatten()
-    reach = torch.arange(-_WINDOW, _WINDOW + 1, device=image.device)
-    shares = torch.exp(-(reach[:, None] ** 2 + reach**2) / 2 / _SPREAD**2).flatten()
-    window = ((reach[:, None] + _WINDOW) * width + reach + _WINDOW).flatten()
+    reach = torch.arange(-_CONSTANTS.window_px, _CONSTANTS.window_px + 1, device=image.device)
+    window_weights = torch.exp(-(reach[:, None] ** 2 + reach**2) / 2 / _CONSTANTS.window_std**2).flatten()
+    window = ((reach[:, None] + _CONSTANTS.window_px) * width + reach + _CONSTANTS.window_px).flatten()
     sums = image.new_zeros(2, len(rows), 6)
     for start in range(0, len(rows), _CHUNK):
         part = slice(start, start + _CHUNK)
         at = (rows[part] * width + columns[part])[:, None] + window
         there, level = usable[at], middle[part, None]
-        weights = torch.stack([there > level, there <= level], 1) * shares
+        weights = torch.stack([there > level, there <= level], 1) * window_weights
         sums[:, part] = (weights @ values[at]).movedim(1, 0)
     surfaces = []
     for total in sums:
@@ -173,11 +199,16 @@ def _surroundings(
     return surfaces[0], surfaces[1]
 
 
-def opacity_of_coverage(alpha: Tensor, spread_px: float, most: float) -> Tensor:
-    """The opacity of Gaussians, one per pixel with this standard deviation, that together cover a share alpha, 0..1.
+def coverage_to_opacity(alpha: Tensor, spread_px: float, most: float) -> Tensor:
+    """Return the opacity of Gaussians, one per pixel, that together cover a fraction of the light.
 
     Where all have the opacity o, light passes the product of 1 - o exp(-d^2 / 2 spread^2) over the pixels at distances
-    d; this is solved for o, up to `most`.
+    d; this is solved for o.
+
+    Args:
+        alpha: Coverage, 0..1.
+        spread_px: Standard deviation of the Gaussians.
+        most: Largest opacity.
     """
     steps = torch.linspace(0, most, 257, dtype=torch.float64)
     offsets = torch.arange(-4, 5, dtype=torch.float64)
@@ -186,5 +217,5 @@ def opacity_of_coverage(alpha: Tensor, spread_px: float, most: float) -> Tensor:
     covered = covered / covered[-1]
     above = torch.searchsorted(covered.contiguous(), alpha.double().contiguous()).clamp(1, 256)
     low, high = covered[above - 1], covered[above]
-    share = ((alpha.double() - low) / (high - low)).clamp(0, 1)
-    return (steps[above - 1] + share * (steps[1] - steps[0])).to(alpha)
+    fraction = ((alpha.double() - low) / (high - low)).clamp(0, 1)
+    return (steps[above - 1] + fraction * (steps[1] - steps[0])).to(alpha)

@@ -1,4 +1,4 @@
-"""The depth of a photo that comes without a depth map, estimated by a network of the optional package transformers."""
+"""Depth of a photo without a depth map, estimated by a network of the optional package transformers."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_MODEL, DEVICES, DepthKind, Device
 from lightfield_gs.photo.depth import DepthMap
-from lightfield_gs.photo.joint_upsampling import upsampled, z_of_disparities, z_of_distances
+from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z, upsample
 
 _ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
 _INSTALL = "pip install 'lightfield-gs[depth]'"
 _OTHER_WAY = "or give a depth map with --depth FILE"
 _FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
-_USUAL_SIDE_PX = 518  # of the photo as the network sees it, where its own processor does not say it
+_USUAL_SIDE_PX = 518  # of the network's input, where its processor does not state it
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
-# What the numbers of families are that do not say it in their configuration
+# Numbers of model families whose configuration does not state their kind
 _KINDS: dict[str, DepthKind] = {
     "depth_pro": "distance",
     "dpt": "disparity",
@@ -45,23 +45,26 @@ def depth_from_network(
     kind: DepthKind | None = None,
     limits: tuple[float, float] | None = None,
 ) -> np.ndarray:
-    """View-space z [H, W] of each pixel of a photo, float32, as a network estimates it: a depth for `from_depth`.
+    """Estimate view-space z [H, W] of each pixel of a photo, float32: a depth for `from_depth`.
 
-    image: [H, W, 3], or [H, W, 4] whose alpha is not looked at; uint8, or floating point in 0..1.
-    model: the name of a depth-estimation model on huggingface.co, or a folder with one (config.json,
-    preprocessor_config.json, *.safetensors). The default, Depth Anything V2 Small (Apache-2.0), is 99 MB; the package
-    huggingface_hub fetches it at first use and keeps it in its cache, and afterwards no network is needed.
-    device: "cpu", "cuda" or "auto".
-    kind: what the model's numbers are, "distance" (z) or "disparity" (a + b / z, a and b unknown). None: as its
-    configuration says.
-    limits: (near, far) of disparities, scene units; None: (1, 1.6). 1/z runs linearly from 1/far at the 1st percentile
-    of the numbers to 1/near at the 99th. Farther ones are put at far; nearer ones go on by a quarter of the range at
-    most. Distances are used as they are: scene units are the model's, metres as a rule.
-
-    The network sees the photo reduced to the size that it was trained on; its map is brought to the photo's size with
-    the photo's edges (joint bilateral upsampling, Kopf et al. 2007, by weighted medians). The same photo gives the same
+    The network sees the photo reduced to the size of its training. Its map is brought to the photo's size with the
+    photo's edges (joint bilateral upsampling, Kopf et al. 2007, by weighted medians). The same photo gives the same
     bits on the same machine with as many threads. Float32 throughout; the last model is kept in memory.
-    Raises InputError: without the package or the weights, for a model that is none of depth, and for other images.
+
+    Args:
+        image: [H, W, 3], or [H, W, 4] whose alpha is ignored; uint8, or floating point in 0..1.
+        model: The name of a depth-estimation model on huggingface.co, or a folder with one (config.json,
+            preprocessor_config.json, *.safetensors). The default, Depth Anything V2 Small (Apache-2.0), is 99 MB; the
+            package huggingface_hub fetches it at first use and caches it, and no connection is needed afterwards.
+        device: "cpu", "cuda" or "auto".
+        kind: The meaning of the model's numbers, "distance" (z) or "disparity" (a + b / z, a and b unknown). None: by
+            its configuration.
+        limits: (near, far) of disparities, scene units; None: (1, 1.6). 1/z runs linearly from 1/far at the 1st
+            percentile of the numbers to 1/near at the 99th. Farther ones are put at far; nearer ones extend by a
+            quarter of the range at most. Distances are used as they are: scene units are the model's, metres as a rule.
+
+    Raises:
+        InputError: The package or the weights are missing, the model estimates no depth, or the image is invalid.
     """
     return estimated_depth(image, model, device, kind=kind, limits=limits).z
 
@@ -75,8 +78,20 @@ def estimated_depth(
     limits: tuple[float, float] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> DepthMap:
-    """What depth_from_network does, and words on it. say: is told what is fetched, before it is."""
-    pixels = _checked_pixels(image)
+    """Return the depth map of depth_from_network, with its description.
+
+    Args:
+        image: See depth_from_network.
+        model: See depth_from_network.
+        device: See depth_from_network.
+        kind: See depth_from_network.
+        limits: See depth_from_network.
+        say: Called with a message before a download.
+
+    Raises:
+        InputError: As depth_from_network.
+    """
+    pixels = _to_pixels(image)
     expect("model", model, str, Path)
     for what, given, choices in (("depth kind", kind, (None, *_ESTIMATED_KINDS)), ("device", device, DEVICES)):
         if given not in choices:
@@ -84,13 +99,13 @@ def estimated_depth(
     limits = None if limits is None else _checked_limits(limits)
     on = choose_device(device)
     network = _network(_folder(str(model), say), on)
-    kind = kind or _kind(str(model), network.model.config)
+    kind = kind or _model_kind(str(model), network.model.config)
     if kind == "distance" and limits is not None:
         raise InputError(f"{model} estimates distances, and --depth-range is for disparities; leave it out")
-    values = _predicted(str(model), network, pixels)
-    found = z_of_distances(values) if kind == "distance" else z_of_disparities(values, limits)
+    values = _predict(str(model), network, pixels)
+    found = distances_to_z(values) if kind == "distance" else disparities_to_z(values, limits)
     photo = torch.from_numpy(pixels).to(values.device).float() / 255
-    z = found.z(upsampled(found.disparities, photo, found.spread)).cpu().numpy()
+    z = found.z(upsample(found.disparities, photo, found.value_range)).cpu().numpy()
     name = Path(model).name if Path(model).is_dir() else model
     return DepthMap(
         z, None, f"depth estimated by {name}: {found.description}", [f"{model}: {words}" for words in found.notes]
@@ -98,7 +113,7 @@ def estimated_depth(
 
 
 def is_installed() -> bool:
-    """Whether the package is there that has the networks."""
+    """Return whether the package transformers is installed."""
     import importlib.util
 
     try:
@@ -107,8 +122,8 @@ def is_installed() -> bool:
         return False
 
 
-def _checked_pixels(image: np.ndarray | Tensor) -> np.ndarray:
-    """The colours of a photo as uint8 [H, W, 3], or InputError."""
+def _to_pixels(image: np.ndarray | Tensor) -> np.ndarray:
+    """Return the colours of a photo as uint8 [H, W, 3]; raise InputError."""
     pixels = to_tensor("photo", image).detach().cpu()
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or 0 in pixels.shape:
         raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(pixels.shape)}")
@@ -132,7 +147,7 @@ def _checked_limits(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 def _folder(model: str, say: Callable[[str], None] | None) -> str:
-    """The folder with the model's files, which are fetched where they are not here. Raises InputError."""
+    """Return the folder with the model's files, fetched where missing; raise InputError."""
     if Path(model).is_dir():
         return str(Path(model).resolve())
     try:
@@ -158,14 +173,15 @@ def _folder(model: str, say: Callable[[str], None] | None) -> str:
         return snapshot_download(model, allow_patterns=list(_FILES))
     except Exception as error:  # of the connection, the server or the disk: it may be anything
         raise InputError(
-            f"the depth network {model} ({about}) is not on this machine and could not be fetched: {_words(error)}; "
-            f"fetch it with a connection once, or copy its folder here for --depth-model FOLDER, {_OTHER_WAY}"
+            f"the depth network {model} ({about}) is not on this machine and could not be fetched: "
+            f"{_short_message(error)}; fetch it with a connection once, or copy its folder here for "
+            f"--depth-model FOLDER, {_OTHER_WAY}"
         ) from None
 
 
 @functools.lru_cache(maxsize=1)
 def _network(folder: str, device: str) -> Any:
-    """The pipeline of transformers for the model in a folder. Raises InputError."""
+    """Return the pipeline of transformers for the model in a folder; raise InputError."""
     try:
         with _quiet(), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -181,7 +197,7 @@ def _network(folder: str, device: str) -> Any:
     except Exception as error:  # of its files: it may be anything
         raise InputError(
             f"--depth-model {folder}: expected a depth-estimation model of transformers with weights in .safetensors: "
-            f"{_words(error)}"
+            f"{_short_message(error)}"
         ) from None
 
 
@@ -191,8 +207,8 @@ def _not_installed(error: ImportError) -> InputError:
     )
 
 
-def _kind(model: str, config: Any) -> str:
-    """What the numbers of a model are."""
+def _model_kind(model: str, config: Any) -> str:
+    """Return the meaning of a model's numbers."""
     declared = getattr(config, "depth_estimation_type", None)
     if declared in ("metric", "relative"):
         return "distance" if declared == "metric" else "disparity"
@@ -202,8 +218,8 @@ def _kind(model: str, config: Any) -> str:
 
 
 @torch.no_grad()
-def _predicted(model: str, network: Any, pixels: np.ndarray) -> Tensor:
-    """The network's map [h, w] of a photo, about as large as the network sees it, float32."""
+def _predict(model: str, network: Any, pixels: np.ndarray) -> Tensor:
+    """Return the network's map [h, w] of a photo, about as large as its input, float32."""
     from PIL import Image
 
     photo = Image.fromarray(pixels)
@@ -218,7 +234,7 @@ def _predicted(model: str, network: Any, pixels: np.ndarray) -> Tensor:
             warnings.simplefilter("ignore")
             values = network(photo)["predicted_depth"].float()
     except RuntimeError as error:
-        raise InputError(f"{model} could not estimate the depth of this photo: {_words(error)}") from None
+        raise InputError(f"{model} could not estimate the depth of this photo: {_short_message(error)}") from None
     values = values.reshape(values.shape[-2:])
     if not bool(torch.isfinite(values).all()):
         raise InputError(f"{model}: its depths are not finite; give another with --depth-model, {_OTHER_WAY}")
@@ -226,7 +242,7 @@ def _predicted(model: str, network: Any, pixels: np.ndarray) -> Tensor:
 
 
 def _side_px(processor: Any) -> int:
-    """The shorter side of the photo as the network sees it."""
+    """Return the shorter side of the photo as the network sees it."""
     size = dict(processor.size or {})
     sides = [size[name] for name in ("height", "width", "shortest_edge") if size.get(name)]
     return min(sides, default=_USUAL_SIDE_PX)
@@ -234,7 +250,7 @@ def _side_px(processor: Any) -> int:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the words of transformers on how it loads and runs."""
+    """Silence the messages of transformers on loading and running."""
     try:
         from transformers.utils import logging
     except ImportError:  # the one who called says so
@@ -251,5 +267,5 @@ def _quiet() -> Iterator[None]:
             logging.enable_progress_bar()
 
 
-def _words(error: Exception) -> str:
+def _short_message(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__

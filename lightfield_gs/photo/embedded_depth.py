@@ -33,11 +33,16 @@ _BOXES_BYTES, _TRAILER_BYTES = 1 << 20, 4096
 
 
 @dataclass(frozen=True)
-class DepthInside:
+class EmbeddedDepth:
     """A depth map in the file of a photo.
 
-    name: of what it is, for people; data: of its PNG or JPEG; is_inverse: whether its numbers are linear in 1/z. near,
-    far: distances at their ends, None where the file says none that can be. is_along_ray: see DepthNumbers.
+    Attributes:
+        name: Its format, for people.
+        data: A PNG or JPEG.
+        is_inverse: Whether its numbers are linear in 1/z.
+        near: Distance at one end; None where the file has no valid one.
+        far: Distance at the other end; None where the file has no valid one.
+        is_along_ray: See DepthNumbers.
     """
 
     name: str
@@ -48,32 +53,35 @@ class DepthInside:
     is_along_ray: bool
 
     def numbers(self, path: str | Path) -> DepthNumbers:
-        """What the map holds. Raises InputError."""
+        """Return the numbers of the map; raise InputError."""
         name = f"{path}: the depth map inside it"
         found = grey_numbers(name, decode_picture(name, self.data))
         return DepthNumbers(found.values, is_along_ray=self.is_along_ray, notes=found.notes)
 
 
-def depth_inside(path: str | Path) -> DepthInside | None:
-    """The depth map in the XMP of a photo, or behind its picture; None where there is none that is read. Raises
-    InputError where the file cannot be read."""
+def find_embedded_depth(path: str | Path) -> EmbeddedDepth | None:
+    """Return the depth map in the XMP of a photo, or behind its picture; None without one that can be read.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
     path = Path(path)
     with reading(path):
         if not path.is_file():
             return None
         state = path.stat()
-        return _depth_inside(path, state.st_mtime_ns, state.st_size) if state.st_size else None
+        return _read_embedded_depth(path, state.st_mtime_ns, state.st_size) if state.st_size else None
 
 
-def notes_inside(path: str | Path, is_depth_used: bool) -> list[str]:
-    """Lines on what a photo's file holds that is not used. Raises InputError where the file cannot be read."""
+def embedded_notes(path: str | Path, is_depth_used: bool) -> list[str]:
+    """Return notes on unused content of a photo's file; raise InputError where it cannot be read."""
     path = Path(path)
     notes = []
     with reading(path):
-        if not is_depth_used and (words := _unused_depth(path)):
+        if not is_depth_used and (words := _describe_unused_depth(path)):
             notes.append(f"{path}: {words}")
         count, are_eyes = count_pictures(path)
-        if are_eyes or f'"{_GIMAGE}"' in jpeg_xmp(path) and not depth_inside(path):
+        if are_eyes or f'"{_GIMAGE}"' in jpeg_xmp(path) and not find_embedded_depth(path):
             notes.append(
                 f"{path}: it is a stereo photo, and the first of its two pictures is taken, one eye's; the other is "
                 "left out"
@@ -86,15 +94,17 @@ def notes_inside(path: str | Path, is_depth_used: bool) -> list[str]:
     return notes
 
 
-def facts_inside(path: str | Path) -> list[tuple[str, str]]:
-    """What a photo's file holds beside its picture, by name, for people. Raises InputError where it cannot be read."""
+def embedded_facts(path: str | Path) -> list[tuple[str, str]]:
+    """Return the content of a photo's file beside its picture, by name, for people; raise InputError."""
     path = Path(path)
     facts = []
     with reading(path):
-        if (inside := depth_inside(path)) is not None:
-            height, width = inside.numbers(path).values.shape
-            facts.append(("depth inside", f"{width} x {height}, {inside.name}, near {inside.near}, far {inside.far}"))
-        elif words := _unused_depth(path):
+        if (embedded := find_embedded_depth(path)) is not None:
+            height, width = embedded.numbers(path).values.shape
+            facts.append(
+                ("depth inside", f"{width} x {height}, {embedded.name}, near {embedded.near}, far {embedded.far}")
+            )
+        elif words := _describe_unused_depth(path):
             facts.append(("depth inside", words))
         count, are_eyes = count_pictures(path)
         if count > 1:
@@ -103,10 +113,13 @@ def facts_inside(path: str | Path) -> list[tuple[str, str]]:
 
 
 @functools.lru_cache(maxsize=8)
-def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
-    """changed, size: of the file, so that another file of the same name is read again."""
+def _read_embedded_depth(path: Path, changed: int, size: int) -> EmbeddedDepth | None:
+    """Read the depth map; changed, size: of the file, so that another file of the same name is read again."""
     xmp = jpeg_xmp(path)
-    for namespace, name, find in ((_GDEPTH, "GDepth", _of_base64), (_DYNAMIC, "Dynamic Depth", _behind)):
+    for namespace, name, find in (
+        (_GDEPTH, "GDepth", _decode_base64),
+        (_DYNAMIC, "Dynamic Depth", _read_container_item),
+    ):
         if f'"{namespace}"' not in xmp:
             continue
         values = _properties(xmp, namespace)
@@ -115,7 +128,7 @@ def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
             near, far = (_number(values.get(key)) for key in ("Near", "Far"))
             is_inverse = values.get("Format", "").lower() == _INVERSE
             known = near is not None and far is not None and 0 < near < far
-            return DepthInside(
+            return EmbeddedDepth(
                 f"{name} {values.get('Format') or 'without a format'}",
                 data,
                 is_inverse,
@@ -126,15 +139,15 @@ def _depth_inside(path: Path, changed: int, size: int) -> DepthInside | None:
     return None
 
 
-def _of_base64(path: Path, xmp: str, values: dict[str, str]) -> bytes:
+def _decode_base64(path: Path, xmp: str, values: dict[str, str]) -> bytes:
     try:
         return base64.b64decode(re.sub(r"&#\w+;|\s+", "", values.get("Data", "")))
     except (binascii.Error, ValueError):
         raise InputError(f"{path}: the depth map in its XMP is damaged; give another with depth=FILE") from None
 
 
-def _behind(path: Path, xmp: str, values: dict[str, str]) -> bytes:
-    """The item of the container that is the depth map, among those that lie behind the picture; empty where none is."""
+def _read_container_item(path: Path, xmp: str, values: dict[str, str]) -> bytes:
+    """Return the depth map among the items behind the picture; empty without one."""
     items = [dict(re.findall(r'\w+:(\w+)\s*=\s*"([^"]*)"', tag)) for tag in re.findall(r"<\w+:Item\b[^>]*>", xmp)]
     lengths = [int(item["Length"]) if item.get("Length", "").isdecimal() else 0 for item in items]
     for index, item in enumerate(items):
@@ -148,7 +161,7 @@ def _behind(path: Path, xmp: str, values: dict[str, str]) -> bytes:
 
 
 def _properties(xmp: str, namespace: str) -> dict[str, str]:
-    """The properties of a namespace, written as attributes or as elements; of several the first."""
+    """Return the properties of a namespace, written as attributes or as elements; of several the first."""
     found: dict[str, str] = {}
     for prefix in re.findall(rf'xmlns:(\w+)\s*=\s*"{re.escape(namespace)}"', xmp):
         for pattern in (rf'\b{prefix}:(\w+)\s*=\s*"([^"]*)"', rf"<{prefix}:(\w+)>([^<]*)</"):
@@ -164,10 +177,10 @@ def _number(text: str | None) -> float | None:
         return None
 
 
-def _unused_depth(path: Path) -> str:
-    """Words on a depth map in the file that is not read, and what to do; "" where there is none."""
-    if (inside := depth_inside(path)) is not None:
-        return f"a depth map is in it ({inside.name}) and is not used, as options ask for another way"
+def _describe_unused_depth(path: Path) -> str:
+    """Return a line on a depth map in the file that is not read, with the remedy; "" without one."""
+    if (embedded := find_embedded_depth(path)) is not None:
+        return f"a depth map is in it ({embedded.name}) and is not used, as options ask for another way"
     way = "and is not read; save it as a picture of its own, for depth=FILE"
     if is_heif(path):
         return f"a depth map is in it (an auxiliary picture), {way}" if _contains(path, _HEIF_DEPTH) else ""

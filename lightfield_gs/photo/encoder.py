@@ -1,4 +1,4 @@
-"""Photo after photo to the image of a panel: crop, network, framing and encoding in one go."""
+"""Images of a panel from photo after photo: crop, network, framing and encoding in one go."""
 
 from __future__ import annotations
 
@@ -35,13 +35,24 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 
 class PhotoEncoder:
-    """Draw the object in a photo for a panel: SplatterNet.predict, frame_scene and `encode`, without detours.
+    """Draw the object in a photo for a panel: SplatterNet.predict, frame_photo and `encode`, without detours.
 
-    net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
-    ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
-    framing of each photo; it may be set between photos. detail, budget: those of detail_level. On CUDA the U-Net
-    runs in bfloat16, crop, network and framing are CUDA graphs, captured for the first photo of each size, and the host
-    waits for the device once a photo, to learn where the object is. Raises InputError.
+    On CUDA the U-Net runs in bfloat16. Crop, network and framing are CUDA graphs, captured for the first photo of each
+    size, and the host waits for the device once a photo, for the position of the object.
+
+    Args:
+        net: On the device to work on; its weights are copied when the encoder is made.
+        panel: See `encode`.
+        views: See `encode`.
+        background: See `encode`.
+        output: "uint8" or "float32".
+        quality: See `encode`.
+        look: Changes of the automatic framing of each photo; it may be set between photos.
+        detail: See SplatterNet.predict.
+        budget: See SplatterNet.predict.
+
+    Raises:
+        InputError: An argument is invalid.
     """
 
     def __init__(
@@ -79,11 +90,18 @@ class PhotoEncoder:
 
     @torch.no_grad()
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
-        """The image [H, W, 3] of a photo as SplatterNet.predict takes it, on the network's device.
+        """Return the image [H, W, 3] of a photo, on the network's device.
 
-        Afterwards `gaussians` and `rig` are what was drawn; on CUDA the next call writes over the Gaussians, and those
-        that are too faint to be seen are among them. stats: a dict to fill with stages_ms, of crop, network, framing
-        and encode (on CUDA they wait for each other then). Raises InputError.
+        Afterwards `gaussians` and `rig` are those of the image. On CUDA the next call overwrites the Gaussians, and
+        those too faint to be visible are among them.
+
+        Args:
+            rgba: A photo as SplatterNet.predict takes it.
+            stats: A dict to fill with stages_ms, of crop, network, framing and encode (on CUDA they wait for each other
+                then).
+
+        Raises:
+            InputError: The photo is invalid, or has no object.
         """
         expect("stats", stats, dict, type(None))
         photo = checked_photo(rgba)
@@ -102,7 +120,7 @@ class PhotoEncoder:
             level = self._level(max(photo.shape[:2]))
             cropped, fine = self.net.crops(photo, level)
         with stats.stage("network"):
-            self.gaussians = self.net.seen_gaussians(cropped, fine, level)
+            self.gaussians = self.net.visible_gaussians(cropped, fine, level)
         with stats.stage("framing"):
             self.rig = self._looked(framing.frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
@@ -135,7 +153,7 @@ class PhotoEncoder:
         return rig if self.look is None else self.look.applied(rig, self.panel, gaussians)
 
     def _draw_frame(self, gaussians: Gaussians, rig: Rig) -> Tensor:
-        """The frame's kernels as ordinary launches: the rig, another for each photo, is part of their arguments."""
+        """Launch the frame's kernels one by one: the rig, another for each photo, is part of their arguments."""
         background = background_tensor(self.background, gaussians.means).reshape(-1)
         view = lenticular_camera(self.panel, rig, self.views == "continuous")
         job = DirectRender(gaussians.fields().values(), background, view)
@@ -152,32 +170,30 @@ class _Capture:
         self.host = torch.empty(photo.shape, dtype=photo.dtype, pin_memory=True)
         self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
         self.photo.copy_(photo)
-        self._crop, (self.cropped, self.fine, self.checks) = capture_graph(self._cropped)
+        self._crop, (self.cropped, self.fine, self.checks) = capture_graph(self._cropped, warm_up=True)
         self._network, self.gaussians = capture_graph(
-            lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level)
+            lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level), warm_up=True
         )
         self._framing, self.numbers = capture_graph(
-            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)])
+            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]), warm_up=True
         )
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype
 
     def crop(self, photo: Tensor) -> None:
-        """Cuts the object out of a photo. One on the host goes through pinned memory, which the last photo has left by
-        now: its rig was waited for."""
+        """Cut the object out of a photo; one on the host goes through pinned memory, which the last photo has left."""
         if not photo.is_cuda:
             photo = self.host.copy_(photo)
         self.photo.copy_(photo, non_blocking=True)
         self._crop.replay()
 
     def network(self) -> None:
-        """Makes the Gaussians of the cropped photo."""
+        """Make the Gaussians of the cropped photo."""
         self._network.replay()
 
     def rig(self, panel: Panel) -> Rig:
-        """The rig of these Gaussians; waits for the device. Raises InputError for a photo with values outside 0..1 or
-        without an object."""
+        """Return the rig of these Gaussians, after waiting for the device; raise InputError for an invalid photo."""
         self._framing.replay()
         values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)

@@ -11,6 +11,7 @@ displacements are then applied at full size.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -18,12 +19,38 @@ from torch.nn import functional
 
 from lightfield_gs.photo.image_filters import halve, max_filter
 
-_ITERATIONS = 8  # where a coarser level has been solved: what is left is local. Twice as many there, and so on
-_MOST_ITERATIONS = 60  # the first guess is close, and what is far inside a hole is hardly ever seen
-_FEW = 1 << 12  # pixels of a hole up to which there is no coarser level
-_TOLERANCE = 1e-4  # of the residual, of what it was at first: a thousandth of a colour step is not seen
-_PART = 1 << 10  # values summed by one thread
-_ANCHOR = 1e-5  # weight of the first guess beside that of a neighbour: decides only where nothing else holds a hole
+
+@dataclass(frozen=True)
+class InpaintingConstants:
+    """Sizes and stopping criteria.
+
+    All are chosen by hand and not tuned on a data set, unless a comment says otherwise.
+    """
+
+    # The membrane
+    # steps where a coarser level has been solved, so that the rest is local; twice as many at each coarser level
+    iterations: int = 8
+    # steps at most: the first guess is close, and the inside of a hole is hardly ever visible
+    most_iterations: int = 60
+    few_pixels: int = 1 << 12  # pixels of a hole up to which there is no coarser level
+    tolerance: float = 1e-4  # residual by the first one: a thousandth of a colour step is not visible
+    part_values: int = 1 << 10  # values summed by one thread
+    # weight of the first guess by that of a neighbour: it decides only where nothing else holds a hole
+    anchor: float = 1e-5
+
+    # The patches
+    patch_radius: int = 3  # radius of a patch, pixels
+    stride: int = 2  # distance of the positions that have patches
+    coarsest_px: int = 40  # shorter side of the coarsest level, about
+    # weight of a difference of log disparity by one of colour: a patch comes from its own surface
+    depth_weight: float = 4.0
+    # rounds of matching and voting, from the finest level on; the last for all coarser ones
+    rounds: tuple[int, int, int, int] = (2, 3, 4, 6)
+    matched_pixels: int = 1 << 15  # pixels of the hole at which patches are matched, at most: more are copied
+    propagated_levels: int = 2  # levels from the finest on that only propagate matches, without a random search
+
+
+_CONSTANTS = InpaintingConstants()
 
 
 def solve_membrane(
@@ -31,26 +58,31 @@ def solve_membrane(
     hole: Tensor,
     linked: Sequence[Tensor],
     slope: Sequence[Tensor] | None = None,
-    anchor: float = _ANCHOR,
-    iterations: int = _ITERATIONS,
+    anchor: float = _CONSTANTS.anchor,
+    iterations: int = _CONSTANTS.iterations,
 ) -> Tensor:
-    """The values [H, W, C], those of the hole replaced: minimises the sum over linked neighbours p, q, one of them at
-    least in the hole, of |v_q - v_p - g_pq|^2 (Perez et al., "Poisson image editing", 2003, equation 7).
+    """Solve Poisson's equation on a hole: return the values [H, W, C] with those of the hole replaced.
 
-    hole: bool [H, W]. linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows are
-    neighbours. slope: g along columns and rows, [H, W] each, the same for all channels; None: 0. The values in the hole
-    are the first guess, which stays where nothing holds them. anchor: the weight at which it does so beside what
-    neighbours say; a large one keeps what is farther than 1 / sqrt(anchor) pixels off everything known. iterations:
-    where a coarser level has been solved.
+    It minimises the sum of |v_q - v_p - g_pq|^2 over linked neighbours p, q, at least one of them in the hole (Perez et
+    al., "Poisson image editing", 2003, equation 7).
+
+    Args:
+        values: [H, W, C]; in the hole the first guess, which stays where nothing holds it.
+        hole: bool [H, W].
+        linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows are neighbours.
+        slope: g along columns and rows, [H, W] each, the same for all channels; None: 0.
+        anchor: Weight of the first guess by that of a neighbour; a large one keeps values farther than 1 / sqrt(anchor)
+            pixels from everything known.
+        iterations: Steps where a coarser level has been solved.
     """
     index = hole.flatten().nonzero()[:, 0]
     if len(index) == 0:
         return values
     first = values.reshape(-1, values.shape[2])[index]
-    if len(index) > _FEW:
+    if len(index) > _CONSTANTS.few_pixels:
         values = values + _coarser_correction(values, hole, linked, slope, anchor, iterations)
     else:
-        iterations = _MOST_ITERATIONS
+        iterations = _CONSTANTS.most_iterations
     number = torch.full((hole.numel(),), -1, dtype=torch.int64, device=values.device)
     number[index] = torch.arange(len(index), device=values.device)
     neighbours, weights, guides = _graph(hole, index, linked, slope)
@@ -70,7 +102,7 @@ def solve_membrane(
     def apply(x: Tensor) -> Tensor:
         return diagonal * x - functional.embedding_bag(inside, functional.pad(x, (0, 0, 0, 1)), mode="sum")
 
-    solved = _conjugate_gradients(apply, right, guess, diagonal, min(iterations, _MOST_ITERATIONS))
+    solved = _conjugate_gradients(apply, right, guess, diagonal, min(iterations, _CONSTANTS.most_iterations))
     result = flat.clone()
     result[index] = solved
     return result.reshape(values.shape)
@@ -84,7 +116,7 @@ def _coarser_correction(
     anchor: float,
     iterations: int,
 ) -> Tensor:
-    """What the solution of the half-size picture changes in the values [H, W, C], made as large as they are."""
+    """Return the change of the values [H, W, C] by the solution of the half-size picture, at full size."""
     height, width = hole.shape
     coarse = halve(values.movedim(2, 0))
     coarse_hole = halve(hole[None].float())[0] > 0
@@ -104,7 +136,7 @@ def _coarser_correction(
 def _graph(
     hole: Tensor, index: Tensor, linked: Sequence[Tensor], slope: Sequence[Tensor] | None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels beside those of the hole, [4, M] int64, weights 0 or 1 of the links and steps g to them, [4, M]."""
+    """Return pixels beside those of the hole, int64, weights 0 or 1 of the links, and steps g to them: [4, M] each."""
     width = hole.shape[1]
     neighbours, weights, guides = [], [], []
     for dim, stride in ((0, width), (1, 1)):
@@ -124,13 +156,12 @@ def _graph(
 
 
 def _conjugate_gradients(apply, right: Tensor, guess: Tensor, diagonal: Tensor, iterations: int) -> Tensor:
-    """x [M, C] with apply(x) = right, apply being symmetric and positive, each channel by itself; Jacobi's
-    preconditioner."""
+    """Return x [M, C] with apply(x) = right, apply symmetric and positive, with Jacobi's preconditioner."""
     x = guess.clone()
     residual = right - apply(x)
     z = residual / diagonal
     direction, product = z.clone(), _sums(residual * z)
-    enough = _TOLERANCE**2 * product.max().clamp_min(1e-30)
+    enough = _CONSTANTS.tolerance**2 * product.max().clamp_min(1e-30)
     for _ in range(iterations):
         if bool((product <= enough).all()):
             break
@@ -146,43 +177,44 @@ def _conjugate_gradients(apply, right: Tensor, guess: Tensor, diagonal: Tensor, 
 
 
 def _sums(values: Tensor) -> Tensor:
-    """The sum of each channel of [M, C], in an order that does not depend on the number of threads."""
-    parts = functional.pad(values, (0, 0, 0, -len(values) % _PART)).view(-1, _PART, values.shape[1])
+    """Return the sum of each channel of [M, C], in an order independent of the number of threads."""
+    parts = functional.pad(values, (0, 0, 0, -len(values) % _CONSTANTS.part_values)).view(
+        -1, _CONSTANTS.part_values, values.shape[1]
+    )
     return parts.sum(1).sum(0)
 
 
-_RADIUS = 3  # of a patch, pixels
-_STRIDE = 2  # of the places that have patches
-_COARSEST = 40  # pixels of the shorter side, about, at which it begins
-_DEPTH_WEIGHT = 4.0  # of a difference of log disparity beside one of colour: a patch comes from its own surface
-_ROUNDS = (2, 3, 4, 6)  # of matching and voting, from the finest level on; the last for all coarser ones
-_MATCHED = 1 << 15  # pixels of the hole, the most, at which patches are matched: more are copied
-_SEARCHED = 2  # levels from the finest on that only pass matches on, without a random search
-
-
 class _Level:
-    """A picture of the pyramid. image: [3, H, W]; hole, source: bool [H, W]; guide: [H, W]."""
+    """A picture of the pyramid: image [3, H, W]; hole, source: bool [H, W]; guide: [H, W]."""
 
     def __init__(self, image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> None:
         self.image, self.hole, self.source, self.guide = image, hole, source, guide
 
     def halve(self) -> _Level:
-        """Half as large; a hole where any of four pixels is one, a source where all four are."""
+        """Return the level at half size; a hole where any of four pixels is one, a source where all four are."""
 
         hole, source = (halve(mask[None].float())[0] for mask in (self.hole, self.source))
         return _Level(halve(self.image), hole > 0, source == 1, halve(self.guide[None])[0])
 
 
 def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tensor:
-    """What patches of the source say of the image [H, W, 3], in its hole and a patch's radius around it, [H, W, 3].
+    """Fill a hole with patches of the source: return the image [H, W, 3], new in and closely around the hole.
 
-    hole, source: bool [H, W]; the colours in the hole are a smooth first guess. guide: [H, W], log disparity: a patch
-    comes rather from the same depth. The same input gives the same picture.
+    The same input gives the same picture.
+
+    Args:
+        image: [H, W, 3]; the colours in the hole are a smooth first guess.
+        hole: bool [H, W].
+        source: bool [H, W].
+        guide: [H, W], log disparity: patches of the same depth are preferred.
     """
     levels = [_Level(image.movedim(2, 0).contiguous(), hole, source & ~hole, guide)]
-    while min(levels[-1].hole.shape) >= 2 * _COARSEST:
+    while min(levels[-1].hole.shape) >= 2 * _CONSTANTS.coarsest_px:
         levels.append(levels[-1].halve())
-    finest = next((number for number, level in enumerate(levels) if int(level.hole.sum()) <= _MATCHED), len(levels) - 1)
+    finest = next(
+        (number for number, level in enumerate(levels) if int(level.hole.sum()) <= _CONSTANTS.matched_pixels),
+        len(levels) - 1,
+    )
     random = torch.Generator(device=image.device).manual_seed(0)
     search: _Matches | None = None
     for number in reversed(range(len(levels))):
@@ -190,10 +222,14 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
             continue
         coarser = search
         found = _Matches(levels[number], coarser, random)
-        if len(found.places) == 0:  # too small for a patch
+        if len(found.positions) == 0:  # too small for a patch
             continue
-        search, searches = found, number >= finest + _SEARCHED
-        for turn in range(_ROUNDS[min(number - finest, len(_ROUNDS) - 1)] if number > finest else _ROUNDS[0]):
+        search, searches = found, number >= finest + _CONSTANTS.propagated_levels
+        for turn in range(
+            _CONSTANTS.rounds[min(number - finest, len(_CONSTANTS.rounds) - 1)]
+            if number > finest
+            else _CONSTANTS.rounds[0]
+        ):
             if turn or coarser is None or searches:
                 search.improve(searches)
             search.vote()
@@ -201,44 +237,46 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
             break
     if search is None:
         return image
-    return search.voted.movedim(0, 2) if number == 0 else _copied(search, levels[0], 2**number)
+    return search.voted.movedim(0, 2) if number == 0 else _copy_matches(search, levels[0], 2**number)
 
 
-def _copied(search: _Matches, level: _Level, scale: int) -> Tensor:
-    """The picture [H, W, 3] of this level, its hole and the pixels beside it from where the matches of another one, as
-    many times smaller, say; patches meet in seams half as wide as their places are apart."""
+def _copy_matches(search: _Matches, level: _Level, scale: int) -> Tensor:
+    """Return the picture [H, W, 3] of this level, its hole copied by the matches of a level `scale` times smaller.
+
+    Patches meet in seams half as wide as the distance of their positions.
+    """
     goal = max_filter(level.hole, 1).nonzero()
     matches, is_set = search.grid()
     # Between which four places of the grid a pixel is, and how far
-    at = ((goal + 0.5) / scale - 0.5) / _STRIDE
+    at = ((goal + 0.5) / scale - 0.5) / _CONSTANTS.stride
     low = at.floor()
-    share = ((at - low) * 2 - 0.5).clamp(0, 1)
+    fraction = ((at - low) * 2 - 0.5).clamp(0, 1)
     image = level.image.movedim(0, 2)
     total, mixed = image.new_zeros(len(goal), 1), image.new_zeros(len(goal), 3)
     last = torch.tensor(level.hole.shape, device=goal.device) - 1
     for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
         cell = low.long() + torch.tensor(corner, device=goal.device)
         row, column = (cell[:, dim].clamp(0, is_set.shape[dim] - 1) for dim in (0, 1))
-        down, right = ((share if side else 1 - share)[:, dim] for dim, side in enumerate(corner))
+        down, right = ((fraction if side else 1 - fraction)[:, dim] for dim, side in enumerate(corner))
         weight = (down * right + 1e-9) * is_set[row, column]
-        moved = (matches[row, column] - _STRIDE * torch.stack([row, column], 1)) * scale
+        moved = (matches[row, column] - _CONSTANTS.stride * torch.stack([row, column], 1)) * scale
         source = torch.minimum((goal + moved).clamp_min(0), last)
         mixed += weight[:, None] * image[source[:, 0], source[:, 1]]
         total += weight[:, None]
-    said = torch.where(total > 0, mixed / total.clamp_min(1e-30), image[goal[:, 0], goal[:, 1]])
+    votes = torch.where(total > 0, mixed / total.clamp_min(1e-30), image[goal[:, 0], goal[:, 1]])
     result = image.clone()
-    result[goal[:, 0], goal[:, 1]] = said
+    result[goal[:, 0], goal[:, 1]] = votes
     return result
 
 
 class _Matches:
-    """For each place near the hole, the source patch that is most like it."""
+    """The most similar source patch for each position near the hole."""
 
     def __init__(self, level: _Level, coarser: _Matches | None, random: torch.Generator) -> None:
         self.level, self.random, self.voted = level, random, level.image
         self.height, self.width = level.hole.shape
         device = level.hole.device
-        r = _RADIUS
+        r = _CONSTANTS.patch_radius
         self.offsets = (
             torch.stack(torch.meshgrid(torch.arange(-r, r + 1), torch.arange(-r, r + 1), indexing="ij"), 2)
             .reshape(-1, 2)
@@ -248,65 +286,67 @@ class _Matches:
         whole = ~max_filter(~level.source, r)
         whole[:r], whole[self.height - r :], whole[:, :r], whole[:, self.width - r :] = False, False, False, False
         self.whole = whole
-        self.places = whole.nonzero()
+        self.positions = whole.nonzero()
         near = max_filter(level.hole, r)
-        rows, columns = (torch.arange(0, size, _STRIDE, device=device) for size in level.hole.shape)
+        rows, columns = (torch.arange(0, size, _CONSTANTS.stride, device=device) for size in level.hole.shape)
         chosen = near[rows][:, columns]
         self.shape = chosen.shape
         self.number = torch.full(chosen.shape, -1, dtype=torch.int64, device=device)
         cells = chosen.nonzero()
         self.number[chosen] = torch.arange(len(cells), device=device)
-        self.cells, self.centres = cells, cells * _STRIDE
-        if len(self.places) == 0:
+        self.cells, self.centres = cells, cells * _CONSTANTS.stride
+        if len(self.positions) == 0:
             return
-        self.own = self._own_places()
+        self.patch_pixels = self._patch_pixels()
         self.colours = level.image.movedim(0, 2).reshape(-1, 3).contiguous()
-        self.patches = self.colours[self.own]
-        self.match = self._first(coarser)
+        self.patches = self.colours[self.patch_pixels]
+        self.match = self._first_matches(coarser)
         self.cost = self._cost(self.match, torch.arange(len(cells), device=device))
 
-    def _first(self, coarser: _Matches | None) -> Tensor:
+    def _first_matches(self, coarser: _Matches | None) -> Tensor:
         count = len(self.centres)
-        drawn = self.places[
-            torch.randint(len(self.places), (count,), generator=self.random, device=self.centres.device)
+        candidates = self.positions[
+            torch.randint(len(self.positions), (count,), generator=self.random, device=self.centres.device)
         ]
         if coarser is None:
-            return drawn
+            return candidates
         matches, is_set = coarser.grid()
         at = torch.minimum(self.cells // 2, torch.tensor(is_set.shape, device=self.cells.device) - 1)
-        moved = matches[at[:, 0], at[:, 1]] * 2 + self.centres - at * 2 * _STRIDE
-        usable = is_set[at[:, 0], at[:, 1]] & self._is_place(moved)
-        return torch.where(usable[:, None], moved, drawn)
+        moved = matches[at[:, 0], at[:, 1]] * 2 + self.centres - at * 2 * _CONSTANTS.stride
+        usable = is_set[at[:, 0], at[:, 1]] & self._is_usable(moved)
+        return torch.where(usable[:, None], moved, candidates)
 
-    def _is_place(self, places: Tensor) -> Tensor:
-        inside = (places >= 0).all(1) & (places[:, 0] < self.height) & (places[:, 1] < self.width)
-        clamped = self._within(places)
+    def _is_usable(self, positions: Tensor) -> Tensor:
+        inside = (positions >= 0).all(1) & (positions[:, 0] < self.height) & (positions[:, 1] < self.width)
+        clamped = self._clamp(positions)
         return inside & self.whole[clamped[:, 0], clamped[:, 1]]
 
-    def _within(self, places: Tensor) -> Tensor:
-        return torch.stack([places[..., 0].clamp(0, self.height - 1), places[..., 1].clamp(0, self.width - 1)], -1)
+    def _clamp(self, positions: Tensor) -> Tensor:
+        return torch.stack(
+            [positions[..., 0].clamp(0, self.height - 1), positions[..., 1].clamp(0, self.width - 1)], -1
+        )
 
-    def _own_places(self) -> Tensor:
-        """The pixels of the patches of all places, [M, 49], those beyond the border moved onto it."""
-        inside = self._within(self.centres[:, None] + self.offsets)
+    def _patch_pixels(self) -> Tensor:
+        """Return the pixels of the patches of all positions, [M, 49], clamped to the picture."""
+        inside = self._clamp(self.centres[:, None] + self.offsets)
         return inside[..., 0] * self.width + inside[..., 1]
 
     def _flat(self, match: Tensor) -> Tensor:
-        """The pixels of source patches, [M, 49]: they lie within the picture."""
+        """Return the pixels of source patches, [M, 49]: they lie within the picture."""
         steps = self.offsets[:, 0] * self.width + self.offsets[:, 1]
         return (match[:, 0] * self.width + match[:, 1])[:, None] + steps
 
     def _cost(self, match: Tensor, which: Tensor) -> Tensor:
-        """Mean squared difference of colours, and of depths, of patches."""
+        """Return the mean squared difference of colours, and of depths, of patches."""
         guide, middle = self.level.guide.flatten(), self.offsets.shape[0] // 2
         there = self._flat(match)
         apart = self.patches[which] - self.colours[there.flatten()].view(len(which), -1, 3)
         cost = apart.square_().sum((1, 2)) / len(self.offsets)
-        apart = guide[self.own[which, middle]] - guide[there[:, middle]]
-        return cost + (_DEPTH_WEIGHT * apart).square().clamp_max(2.0) * 0.05
+        apart = guide[self.patch_pixels[which, middle]] - guide[there[:, middle]]
+        return cost + (_CONSTANTS.depth_weight * apart).square().clamp_max(2.0) * 0.05
 
     def improve(self, searches: bool) -> None:
-        """What the neighbours have, and with `searches` places drawn closer and closer to the match."""
+        """Try the neighbours' matches, and with `searches` random positions closer and closer to the match."""
         every = torch.arange(len(self.centres), device=self.centres.device)
         self.cost = self._cost(self.match, every)
         for way in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -315,16 +355,16 @@ class _Matches:
             inside = (beside >= 0).all(1) & (beside[:, 0] < self.shape[0]) & (beside[:, 1] < self.shape[1])
             beside = beside.clamp_min(0)
             other = self.number[beside[:, 0].clamp_max(self.shape[0] - 1), beside[:, 1].clamp_max(self.shape[1] - 1)]
-            candidate = self.match[other.clamp_min(0)] - step * _STRIDE
-            self._try(candidate, inside & (other >= 0))
+            candidate = self.match[other.clamp_min(0)] - step * _CONSTANTS.stride
+            self._keep_better(candidate, inside & (other >= 0))
         radius = max(self.height, self.width) / 2
         while searches and radius >= 1:
-            drawn = torch.rand(self.match.shape, generator=self.random, device=self.match.device) * 2 - 1
-            self._try(self.match + (drawn * radius).round().long(), None)
+            candidates = torch.rand(self.match.shape, generator=self.random, device=self.match.device) * 2 - 1
+            self._keep_better(self.match + (candidates * radius).round().long(), None)
             radius /= 2
 
-    def _try(self, candidate: Tensor, allowed: Tensor | None) -> None:
-        usable = self._is_place(candidate) & (candidate != self.match).any(1)
+    def _keep_better(self, candidate: Tensor, allowed: Tensor | None) -> None:
+        usable = self._is_usable(candidate) & (candidate != self.match).any(1)
         which = (usable if allowed is None else usable & allowed).nonzero()[:, 0]
         cost = self._cost(candidate[which], which)
         better = cost < self.cost[which]
@@ -332,23 +372,23 @@ class _Matches:
         self.cost[which[better]] = cost[better]
 
     def vote(self) -> None:
-        """Each pixel of the hole becomes the mean of what the patches over it say, the likest ones counting most."""
+        """Set each pixel of the hole to the mean of the patches over it; the most similar count most."""
         scale = self.cost.quantile(0.5) if len(self.cost) < 1 << 20 else self.cost.median()
         weight = torch.exp(-self.cost / (2 * scale.clamp_min(1e-6)))[:, None]
         near = torch.exp(-(self.offsets**2).sum(1) / 4.0)  # a patch knows best what is in its middle
         goal = self.centres[:, None] + self.offsets
         inside = (goal >= 0).all(2) & (goal[..., 0] < self.height) & (goal[..., 1] < self.width)
         weight = ((weight * near + 1e-9) * inside).view(-1, 1)
-        said = torch.cat([weight * self.colours[self._flat(self.match).flatten()], weight], 1)
-        said = said.new_zeros(len(self.colours), 4).index_add_(0, self.own.flatten(), said)
-        mixed, total = said[:, :3] / said[:, 3:].clamp_min(1e-30), said[:, 3:]
+        votes = torch.cat([weight * self.colours[self._flat(self.match).flatten()], weight], 1)
+        votes = votes.new_zeros(len(self.colours), 4).index_add_(0, self.patch_pixels.flatten(), votes)
+        mixed, total = votes[:, :3] / votes[:, 3:].clamp_min(1e-30), votes[:, 3:]
         self.voted = torch.where(total > 0, mixed, self.colours).T.view_as(self.level.image)
         hole = self.level.hole.flatten()[:, None] & (total > 0)
         self.colours = torch.where(hole, mixed, self.colours)
-        self.patches = self.colours[self.own]
+        self.patches = self.colours[self.patch_pixels]
 
     def grid(self) -> tuple[Tensor, Tensor]:
-        """The matches of the grid of places, [h, w, 2], and where there are any."""
+        """Return the matches of the grid of positions, [h, w, 2], and where there are any."""
         matches = torch.zeros((*self.shape, 2), dtype=torch.int64, device=self.match.device)
         matches[self.cells[:, 0], self.cells[:, 1]] = self.match
         return matches, self.number >= 0

@@ -12,43 +12,73 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import MAP_ORIENTATIONS
 from lightfield_gs.io.images import Picture, apply_orientation, as_floats, read_picture
-from lightfield_gs.photo.colour import check_finite, in_srgb
+from lightfield_gs.photo.colour import check_finite, to_srgb
 from lightfield_gs.photo.image_filters import row_strips
 from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_components, plain_background_mask
 
-_SAME_SHAPE = 0.03  # how far ratios of height and width may be apart: networks round sides to multiples of 14 or 32
+
+@dataclass(frozen=True)
+class CutOutConstants:
+    """Plausibility of cut-outs.
+
+    All are chosen by hand and not tuned on a data set; tests/photo has the pictures that they must tell apart.
+    """
+
+    # relative difference of aspect ratios of one picture: networks round sides to multiples of 14 or 32
+    same_shape: float = 0.03
+    least_object: float = 0.001  # fraction of the pixels of an object, at least
+    opaque: float = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
+    covers_all: float = 0.93  # fraction of the pixels from which on alpha has rounded corners or a frame, and no object
+    all_of_rim: float = 0.98  # fraction of the rim from which on a mask may be inverted
+
+    # Fractions of the area that an object encloses
+    most_faded: float = 0.12  # of a pale body: beyond it the object itself is likely to be lost, and is refused
+    most_holes: float = 0.6  # of holes: beyond it the object is refused likewise
+    many_holes: float = 0.3  # of holes: beyond it a note says so
+    few_levels: int = 16  # level, of 255, of the brightest pixel below which a mask numbers things
 
 
-def is_alike(shape: Sequence[int], other: Sequence[int]) -> bool:
-    """Whether two sizes, height and width, are those of the same picture, reduced or not."""
+_CONSTANTS = CutOutConstants()
+
+
+def has_same_shape(shape: Sequence[int], other: Sequence[int]) -> bool:
+    """Return whether two sizes, height and width, are those of the same picture, reduced or not."""
     ratio = shape[0] * other[1] / (shape[1] * other[0])
-    return abs(ratio - 1) <= _SAME_SHAPE
+    return abs(ratio - 1) <= _CONSTANTS.same_shape
 
 
-def turned_with_photo(
+def turn_with_photo(
     name: str,
     values: np.ndarray,
-    own: int,
+    own_orientation: int,
     photo: tuple[int, int],
     orientation: int,
     choice: str | None = None,
     *,
     any_size: bool = False,
 ) -> tuple[np.ndarray, bool]:
-    """values [H, W, ...] of a map, upright as its photo is, and whether they had to be turned.
+    """Return the values of a map, upright as its photo is, and whether they had to be turned.
 
-    name: of the map's file. own: the Exif orientation that this file had itself: where it had one, or the photo had
-    none, there is nothing to do. photo: height and width of the upright photo, and the Exif `orientation` by which it
-    was turned. The map is turned likewise where only the size before fits it. Where both do, `choice` has to say what
-    it is: "stored", as the photo's file has its pixels, or "upright". any_size: the map may be another size, of the
-    same shape. Raises InputError.
+    The map is turned like the photo only where just the size before fits it. Where both sizes fit, `choice` decides.
+
+    Args:
+        name: Of the map's file.
+        values: [H, W, ...].
+        own_orientation: The Exif orientation of the map's file: with one, or a photo without one, nothing is turned.
+        photo: Height and width of the upright photo.
+        orientation: The Exif orientation by which the photo was turned.
+        choice: "stored", as the photo's file has its pixels, or "upright"; None: not known.
+        any_size: Whether the map may have another size of the same shape.
+
+    Raises:
+        InputError: The choice is invalid, or needed and missing.
     """
     if choice is not None and choice not in MAP_ORIENTATIONS:
         raise InputError(f"map orientation: expected {' or '.join(MAP_ORIENTATIONS)}, got {choice!r}")
-    if orientation not in range(2, 9) or own != 1:
+    if orientation not in range(2, 9) or own_orientation != 1:
         return values, False
     stored = photo[::-1] if orientation >= 5 else photo
-    fits = is_alike if any_size else lambda shape, size: tuple(shape) == tuple(size)
+    fits = has_same_shape if any_size else lambda shape, size: tuple(shape) == tuple(size)
     fits_stored, fits_upright = (fits(values.shape[:2], size) for size in (stored, photo))
     if choice is None and fits_stored and fits_upright:
         raise InputError(
@@ -67,10 +97,16 @@ _INSTALL = "pip install 'lightfield-gs[rembg]'"
 _MODEL = "u2net"
 
 
-def background_removed(rgb: np.ndarray) -> np.ndarray:
-    """Alpha [H, W], float32 in 0..1, of the object that stands out in a photo, rgb [H, W, 3] in 0..1.
+def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
+    """Return the alpha of the object that stands out in a photo, float32 [H, W] in 0..1.
 
-    The weights (176 MB) are downloaded by rembg at first use. Raises InputError without the package or its weights.
+    rembg downloads the weights (176 MB) at first use.
+
+    Args:
+        rgb: [H, W, 3] in 0..1.
+
+    Raises:
+        InputError: The package or its weights are missing.
     """
     try:
         import rembg
@@ -90,29 +126,24 @@ def background_removed(rgb: np.ndarray) -> np.ndarray:
     return mask.astype(np.float32) / 255
 
 
-__all__ = ["NoCutOut", "Photo", "load_photo", "photo_of", "plain_background_mask"]
-_MIN_OBJECT_SHARE = 0.001  # of the pixels
-_OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
-_COVERS_ALL = 0.93  # alpha that covers this share of the pixels and more has rounded corners or a frame, and no object
-_ALL_OF_RIM = 0.98
-# Shares of what an object encloses. If more than the first two is lost, as faded or as holes, it is likely to be the
-# object itself, which is refused; from the third on it may be, which is said.
-_MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
-_FEW_LEVELS = 16  # of 255: a mask that is never as bright does not cut out, but numbers things
+__all__ = ["NoCutOut", "Photo", "load_photo", "cut_out_photo", "plain_background_mask"]
 _STRIP_PIXELS = 1 << 19  # that are joined at a time
 _OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[rembg]')"
 
 
 class NoCutOut(InputError):
-    """Nothing says which part of a photo is the object."""
+    """Nothing tells which part of a photo is the object."""
 
 
 @dataclass
 class Photo:
-    """A photo that was read and cut out.
+    """A photo, read and cut out.
 
-    pixels: RGBA [H, W, 4] in sRGB, upright, uint8 or float32 in 0..1, alpha straight. orientation: the Exif orientation
-    that was undone. messages: what was decided, in words; notes: what may not be as it was meant.
+    Attributes:
+        pixels: RGBA [H, W, 4] in sRGB, upright, uint8 or float32 in 0..1, alpha straight.
+        orientation: The Exif orientation that was undone.
+        messages: The decisions that were made.
+        notes: Doubts about them.
     """
 
     pixels: np.ndarray
@@ -121,7 +152,7 @@ class Photo:
     notes: list[str] = field(default_factory=list)
 
     def floats(self) -> np.ndarray:
-        """The pixels as float32 in 0..1."""
+        """Return the pixels as float32 in 0..1."""
         return as_floats(self.pixels)
 
 
@@ -133,16 +164,23 @@ def load_photo(
     whole: bool = False,
     map_orientation: str | None = None,
 ) -> np.ndarray:
-    """The photo as float32 RGBA [H, W, 4] in 0..1, sRGB, upright, alpha straight: 1 on the object, 0 beside it.
+    """Load a photo as float32 RGBA [H, W, 4] in 0..1, sRGB, upright, alpha straight: 1 on the object, 0 beside it.
 
-    The cut-out is `mask` (an image of the photo's size: its alpha, else its brightness), or with `remove_background`
-    what the package rembg finds, else the photo's own alpha, else what stands out from a plain background; or
-    everything, with `whole`. Specks beside the object are left out. Alpha that covers nearly everything is no cut-out
-    by itself; an object that hardly differs from its plain background is refused. A mask whose size does not tell
-    whether it is turned as the photo is by its Exif orientation takes `map_orientation`, "stored" or "upright".
-    Raises InputError when there is none of these, or nothing in it.
+    Without a mask, the photo's own alpha is the cut-out, or else the object on a plain background. Specks beside the
+    object are left out. Alpha that covers nearly everything is no cut-out by itself. An object that hardly differs from
+    its plain background is refused.
+
+    Args:
+        path: The photo.
+        mask: The cut-out, an image of the photo's size: its alpha, else its brightness.
+        remove_background: Whether the package rembg finds the object.
+        whole: Whether the whole picture is the object.
+        map_orientation: "stored" or "upright", of a mask whose size does not tell whether it is turned like the photo.
+
+    Raises:
+        InputError: There is no cut-out, or nothing in it.
     """
-    photo = photo_of(
+    photo = cut_out_photo(
         path,
         read_picture(path),
         mask,
@@ -153,7 +191,7 @@ def load_photo(
     return photo.floats()
 
 
-def photo_of(
+def cut_out_photo(
     path: str | Path,
     picture: Picture,
     mask: str | Path | None = None,
@@ -162,56 +200,70 @@ def photo_of(
     whole: bool = False,
     map_orientation: str | None = None,
 ) -> Photo:
-    """The photo as load_photo has it, of the image that read_picture found at `path`, and what was decided."""
+    """Cut the object out of a picture.
+
+    Args:
+        path: Of the picture, for messages.
+        picture: As read_picture returns it.
+        mask: See load_photo.
+        remove_background: See load_photo.
+        whole: See load_photo.
+        map_orientation: See load_photo.
+
+    Raises:
+        InputError: As load_photo.
+    """
     expect("remove_background", remove_background, bool)
     expect("whole", whole, bool)
     if mask is not None and remove_background:
         raise InputError("mask= and remove_background= are two ways to the same cut-out; leave out one of them")
     check_finite(picture, path)
     rgb, alpha = _colour_and_alpha(picture.pixels)
-    colours = in_srgb(rgb, picture)
+    colours = to_srgb(rgb, picture)
     photo = Photo(colours.pixels, picture.orientation, notes=[f"{path} {words}" for words in colours.notes])
     if picture.orientation in range(2, 9):
         photo.messages.append(f"turned by its Exif orientation {picture.orientation}")
     if mask is not None:
         alpha = _read_mask(mask, photo, map_orientation)
-        photo.notes += _inverted(str(mask), alpha)
+        photo.notes += _inversion_note(str(mask), alpha)
         empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
         description = f"cut out by {Path(mask).name}"
     elif remove_background:
-        alpha = background_removed(as_floats(photo.pixels))
+        alpha = rembg_alpha(as_floats(photo.pixels))
         empty = f"{path}: rembg found no object; give a cut-out with mask=FILE"
         description = "cut out by rembg"
-    elif alpha is not None and (whole or (alpha > alpha.dtype.type(0.5 * _most(alpha))).mean() < _COVERS_ALL):
-        alpha = _shares(alpha)
+    elif alpha is not None and (
+        whole or (alpha > alpha.dtype.type(0.5 * _full_scale(alpha))).mean() < _CONSTANTS.covers_all
+    ):
+        alpha = _as_alpha(alpha)
         empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or mask=FILE"
         description = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
-        photo.notes += [] if whole else _inverted(f"{path}: its alpha", alpha)
+        photo.notes += [] if whole else _inversion_note(f"{path}: its alpha", alpha)
     elif whole:
         alpha, empty, description = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
     else:
-        alpha, description = _from_background(path, photo, alpha)
+        alpha, description = _cut_from_background(path, photo, alpha)
         empty = f"{path}: its background looks plain and nothing stands out from it; {_OTHER_CUT_OUTS}"
-    if np.count_nonzero(alpha > 0.5) < _MIN_OBJECT_SHARE * alpha.size:
+    if np.count_nonzero(alpha > 0.5) < _CONSTANTS.least_object * alpha.size:
         raise InputError(empty)
-    photo.messages.append(description if whole else description + _without_specks(alpha))
+    photo.messages.append(description if whole else description + _clear_specks(alpha))
     photo.messages += [colours.description] if colours.description else []
-    photo.pixels = _joined(photo.pixels, alpha)
+    photo.pixels = _join(photo.pixels, alpha)
     return photo
 
 
-def _most(values: np.ndarray) -> float:
-    """The value that stands for 1 in an array of this type."""
+def _full_scale(values: np.ndarray) -> float:
+    """Return the value that stands for 1 in an array of this type."""
     return 1.0 if values.dtype == np.float32 else float(np.iinfo(values.dtype).max)
 
 
-def _shares(alpha: np.ndarray) -> np.ndarray:
-    """Alpha of any type as float32 in 0..1."""
+def _as_alpha(alpha: np.ndarray) -> np.ndarray:
+    """Return alpha of any type as float32 in 0..1."""
     return np.clip(as_floats(alpha), 0, 1)
 
 
-def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
+def _join(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Return RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
     rgba = np.empty((*alpha.shape, 4), rgb.dtype)
     for top, bottom in row_strips(alpha.shape[0], alpha.shape[1], _STRIP_PIXELS):
         rgba[top:bottom, :, :3] = rgb[top:bottom]
@@ -219,10 +271,15 @@ def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return rgba
 
 
-def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -> tuple[np.ndarray, str]:
-    """Alpha [H, W] of what stands out from a plain background, and words for it; alpha: the photo's own, which leaves
-    out next to nothing."""
-    covered = None if alpha is None or alpha.min() >= _most(alpha) else _shares(alpha)
+def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -> tuple[np.ndarray, str]:
+    """Return alpha [H, W] of the object on a plain background, and a description.
+
+    Args:
+        path: For messages.
+        photo: The photo; notes are appended.
+        alpha: The photo's own, which leaves out next to nothing; None: it has none.
+    """
+    covered = None if alpha is None or alpha.min() >= _full_scale(alpha) else _as_alpha(alpha)
     cut = cut_from_plain_background(photo.pixels) if covered is None else _cut_within(photo.pixels, covered)
     if cut is None:
         if covered is None:
@@ -236,12 +293,12 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
             f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"
         )
         return covered, "cut out by its alpha"
-    if cut.faded > _MOST_FADED or cut.holes > _MOST_HOLES:
+    if cut.faded > _CONSTANTS.most_faded or cut.holes > _CONSTANTS.most_holes:
         raise InputError(
             f"{path}: the object is hardly different from its plain background: "
             f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}"
         )
-    if cut.holes > _MANY_HOLES:
+    if cut.holes > _CONSTANTS.many_holes:
         photo.notes.append(
             f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
             f"taken for holes; where it is not, {_OTHER_CUT_OUTS}"
@@ -251,7 +308,7 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
 
 
 def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
-    """What stands out from the plain background of the pixels that alpha [H, W] covers, as a cut of the whole photo."""
+    """Return the object on the plain background of the pixels that alpha [H, W] covers, as a cut of the photo."""
     opaque = alpha > 0.5
     rows, columns = np.flatnonzero(opaque.any(1)), np.flatnonzero(opaque.any(0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
@@ -266,11 +323,11 @@ def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
     return replace(cut, alpha=whole)
 
 
-def _inverted(name: str, alpha: np.ndarray) -> list[str]:
-    """A note where a cut-out [H, W] is all of the rim and leaves a hole inside, as one that is inverted does."""
+def _inversion_note(name: str, alpha: np.ndarray) -> list[str]:
+    """Return a note where a cut-out [H, W] covers the whole rim and leaves a hole inside, as if inverted."""
     rim = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
     hole = float((alpha < 0.5).mean())
-    if (rim > 0.5).mean() < _ALL_OF_RIM or hole < _MIN_OBJECT_SHARE:
+    if (rim > 0.5).mean() < _CONSTANTS.all_of_rim or hole < _CONSTANTS.least_object:
         return []
     return [
         f"{name} covers the whole rim of the picture and leaves a hole of {hole:.1%} of it inside: is it inverted? "
@@ -278,10 +335,10 @@ def _inverted(name: str, alpha: np.ndarray) -> list[str]:
     ]
 
 
-def _without_specks(alpha: np.ndarray) -> str:
-    """Clears specks beside the object, in place; words for what is left."""
-    kept, pieces, specks = object_components(alpha, _OPAQUE)
-    alpha[(alpha >= _OPAQUE) & ~kept] = 0
+def _clear_specks(alpha: np.ndarray) -> str:
+    """Clear specks beside the object, in place; return a description of the rest."""
+    kept, pieces, specks = object_components(alpha, _CONSTANTS.opaque)
+    alpha[(alpha >= _CONSTANTS.opaque) & ~kept] = 0
     rows, columns = np.flatnonzero(kept.any(1)), np.flatnonzero(kept.any(0))
     words = (
         f", fills {kept.mean():.1%} of the picture, {columns[-1] - columns[0] + 1} x {rows[-1] - rows[0] + 1} pixels"
@@ -292,7 +349,7 @@ def _without_specks(alpha: np.ndarray) -> str:
 
 
 def _colour_and_alpha(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Colours [H, W, 1 or 3] and alpha [H, W] or None of 1 (grey), 2 (grey, alpha), 3 or 4 and more channels."""
+    """Return colours [H, W, 1 or 3] and alpha [H, W] or None of 1 (grey), 2 (grey, alpha), 3 or more channels."""
     channels = pixels.shape[2]
     if channels < 3:
         return pixels[..., :1], pixels[..., 1] if channels == 2 else None
@@ -300,10 +357,10 @@ def _colour_and_alpha(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray | None
 
 
 def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> np.ndarray:
-    """Alpha [H, W] float32 in 0..1 of a mask, upright as the photo is."""
+    """Return alpha [H, W] float32 in 0..1 of a mask, upright as the photo is."""
     picture = read_picture(path)
     size = photo.pixels.shape[:2]
-    pixels, turned = turned_with_photo(
+    pixels, turned = turn_with_photo(
         str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation
     )
     photo.messages += [f"{Path(path).name} turned with it"] if turned else []
@@ -313,17 +370,17 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
             f"got {pixels.shape[1]} x {pixels.shape[0]}"
         )
     colours, alpha = _colour_and_alpha(pixels)
-    mask = as_floats(colours).mean(2) if alpha is None or alpha.min() >= _most(alpha) else as_floats(alpha)
+    mask = as_floats(colours).mean(2) if alpha is None or alpha.min() >= _full_scale(alpha) else as_floats(alpha)
     if not np.isfinite(mask).all():
         raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
     if pixels.dtype != np.float32:
-        levels = round(float(mask.max()) * _most(pixels))
-        if 1 < levels < _FEW_LEVELS:
+        levels = round(float(mask.max()) * _full_scale(pixels))
+        if 1 < levels < _CONSTANTS.few_levels:
             raise InputError(
-                f"{path}: expected a mask of 0 and {_most(pixels):g}, or of 0 and 1; its brightest pixel "
+                f"{path}: expected a mask of 0 and {_full_scale(pixels):g}, or of 0 and 1; its brightest pixel "
                 f"has {levels}, as where things are numbered; make the object white and the rest black"
             )
         if levels == 1:
-            mask = mask * np.float32(_most(pixels))
+            mask = mask * np.float32(_full_scale(pixels))
             photo.messages.append("a mask of 0 and 1")
     return np.array(np.clip(mask, 0, 1))

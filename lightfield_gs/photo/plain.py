@@ -86,7 +86,7 @@ class Components:
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Return the sum of values [H, W] over each component, float64 [count]."""
         sums = np.zeros(self.count + 1)
-        for top, bottom in row_strips(*values.shape, _STRIP_PIXELS):
+        for top, bottom in row_strips(values.shape[0], values.shape[1], _STRIP_PIXELS):
             labels, weights = self.labels[top:bottom].ravel(), values[top:bottom].ravel()
             sums += np.bincount(labels, weights, self.count + 1)
         return sums[1:]
@@ -357,11 +357,11 @@ def _find_background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     side = max(3, round(c.hole_side * min(height, width)))
     components = Components(distance < c.far, diagonal=False)
     from_border = components.touching(border)
-    from_patch = components.touching(full_squares(distance < c.same, side))
+    from_patch = components.touching(find_full_squares(distance < c.same, side))
     return components.mask(from_border | from_patch), components.mask(from_patch & ~from_border)
 
 
-def full_squares(mask: np.ndarray, side: int) -> np.ndarray:
+def find_full_squares(mask: np.ndarray, side: int) -> np.ndarray:
     """Return the pixels, bool [H, W], about which a square of `side` pixels lies wholly in the mask."""
     from scipy.ndimage import minimum_filter
 

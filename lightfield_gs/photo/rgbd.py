@@ -1,9 +1,10 @@
-"""A photo and its depth map as 3D Gaussians: a whole scene, without the network."""
+"""Photos with depth maps as 3D Gaussians: a whole scene, without the network."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,10 +15,10 @@ from lightfield_gs.base.checks import expect, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.depth_edges import STEEPEST, edges, find_matte, opacity_of_coverage, slopes, snap_mixed
-from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
+from lightfield_gs.photo.depth_edges import STEEPEST, coverage_to_opacity, edges, find_matte, slopes, snap_mixed
+from lightfield_gs.photo.hidden import Hidden, fill_hidden, find_hidden
 from lightfield_gs.photo.image_filters import max_filter
-from lightfield_gs.photo.margin import made_up
+from lightfield_gs.photo.margin import extend_with_margin
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
@@ -25,15 +26,38 @@ FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the ca
 MAX_PIXELS = 1 << 24
 _MOST_WITH_MARGIN = 4 * MAX_PIXELS
 _NEAREST = 1e-12  # scene units
-_SPREAD = 0.65  # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
-_THICKNESS = 0.1  # standard deviation across the surface, in pixels
-_STEEPEST_HIDDEN = 60.0  # slope up to which what nobody has seen stays closed
-_STEEPEST_RIM = 1.0  # slope of the last pixels before an edge: steeper ones would be seen from the side as spikes
-_OPACITY = 0.99  # of each pixel that is opaque: the rasterizer makes no more of any
+
+
+@dataclass(frozen=True)
+class RgbdConstants:
+    """Shapes of the Gaussians of a photo.
+
+    All are chosen by hand and not tuned on a data set, unless a comment says otherwise.
+    """
+
+    # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
+    std_px: float = 0.65
+    thickness_px: float = 0.1  # standard deviation across the surface, in pixels
+    steepest_hidden: float = 60.0  # slope up to which a hidden surface stays closed
+    # slope of the last pixels before an edge: steeper ones would look like spikes from the side
+    steepest_rim: float = 1.0
+    opacity: float = 0.99  # opacity of an opaque pixel: the rasterizer makes no more of any
+
+
+_CONSTANTS = RgbdConstants()
 
 
 def focal_length_px(field_of_view_deg: float, height_px: float, width_px: float) -> float:
-    """The focal length of square pixels at which the longer side of the image takes this angle, 0..180 exclusive."""
+    """Return the focal length of square pixels at which the longer side of the image takes an angle.
+
+    Args:
+        field_of_view_deg: The angle, 0..180 exclusive.
+        height_px: Height of the image.
+        width_px: Width of the image.
+
+    Raises:
+        InputError: The angle is out of its range.
+    """
     if not 0 < field_of_view_deg < 180:
         raise InputError(f"field of view: expected degrees between 0 and 180, got {field_of_view_deg}")
     return max(height_px, width_px) / 2 / math.tan(math.radians(field_of_view_deg) / 2)
@@ -42,7 +66,7 @@ def focal_length_px(field_of_view_deg: float, height_px: float, width_px: float)
 def known_camera(
     focal_px: Sequence[float] | None, principal_point_px: Sequence[float] | None, height: int, width: int
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Focal lengths and principal point of a photo, those that are None as from_depth has them. Raises InputError."""
+    """Return focal lengths and principal point of a photo, with the defaults of from_depth; raise InputError."""
     focal = _pair("focal_px", focal_px, (focal_length_px(FIELD_OF_VIEW_DEG, height, width),) * 2)
     if min(focal) <= 0:
         raise InputError(f"focal_px: expected pixels > 0, got {focal}")
@@ -58,32 +82,38 @@ def from_depth(
     *,
     margin_px: tuple[int, int, int, int] = (0, 0, 0, 0),
 ) -> Gaussians:
-    """The Gaussians of a photo whose depths are known: one per pixel, in its camera's axes (OpenCV, at the origin).
+    """Return the Gaussians of a photo with known depths: one per pixel, in its camera's axes (OpenCV, at the origin).
 
-    image: [H, W, 3], or [H, W, 4] with straight alpha, floating point in 0..1. depth: [H, W], the view-space z of each
-    pixel (not its distance along the ray), scene units; anything but 1e-12..1e12 means that nothing was measured.
-    Arrays or tensors; the work is done on the image's device.
-    focal_px: (fx, fy), pixels; None: the longer side takes 60 degrees. principal_point_px: (cx, cy), pixels from the
-    outer corner of the first pixel; None: the middle. margin_px: (left, top, right, bottom), pixels around the photo
-    that are made up of its texture, as `lightfield_gs.photo.margin.place` says for a panel.
-
-    Each Gaussian lies in the surface, with a standard deviation of 0.65 pixels as its own camera sees it: its
+    Each Gaussian lies in the surface, with a standard deviation of 0.65 pixels as its own camera sees it. Its
     covariance is that of the pixel through the inverse of the projection's Jacobian (Zwicker et al., "EWA splatting",
-    2002, the other way round), so that a slanted surface stays closed when seen from the side. Where a surface would
-    be seen at less than 5 degrees it is torn instead, and smoothed edges of the depth map are made sharp first. Behind
-    an edge the far side goes on in a second layer, its depth smoothly and its colours as a picture (photo/hidden.py,
-    photo/inpainting.py); outlines are soft where the photo's are (photo/depth_edges.py).
+    2002, inverted), so that a slanted surface stays closed when seen from the side. A surface that is seen at less than
+    5 degrees is torn instead; smoothed edges of the depth map are made sharp first. Behind an edge the far side
+    continues in a second layer, with a smooth depth and the texture of the picture (photo/hidden.py,
+    photo/inpainting.py). Outlines are soft where the photo's are (photo/depth_edges.py).
 
-    Returns float32 Gaussians of SH degree 0: those of the pixels row by row, without what has no depth or no opacity,
-    then those of outlines, of what is hidden, and of the margin. Raises InputError on other shapes, types or values, or
-    where no pixel has a depth.
+    Args:
+        image: [H, W, 3], or [H, W, 4] with straight alpha, floating point in 0..1, an array or a tensor; the work is
+            done on its device.
+        depth: [H, W], the view-space z of each pixel (not its distance along the ray), scene units; anything but
+            1e-12..1e12 counts as not measured.
+        focal_px: (fx, fy), pixels; None: the longer side takes 60 degrees.
+        principal_point_px: (cx, cy), pixels from the outer corner of the first pixel; None: the middle.
+        margin_px: (left, top, right, bottom), pixels around the photo that are made of its texture, as
+            `lightfield_gs.photo.margin.fit_to_panel` returns them for a panel.
+
+    Returns:
+        Float32 Gaussians of SH degree 0: those of the pixels row by row, without pixels that have no depth or no
+        opacity, then those of outlines, of the hidden layer, and of the margin.
+
+    Raises:
+        InputError: Shapes, types or values are invalid, or no pixel has a depth.
     """
     image, depth = _checked_image(image), _checked_depth(depth)
     margin_px = _checked_margin(margin_px, image.shape[0], image.shape[1])
     height, width = depth.shape
     check_depth_size("depth", depth, image)
     depth = depth.to(image.device)
-    opacity = _OPACITY * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _OPACITY)
+    opacity = _CONSTANTS.opacity * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _CONSTANTS.opacity)
     measured = (depth >= _NEAREST) & (depth <= FARTHEST) & (opacity >= OPACITY_CUT)
     depth = torch.where(measured, depth, torch.nan)
     if not bool(measured.any()):
@@ -91,13 +121,13 @@ def from_depth(
     focal, centre = known_camera(focal_px, principal_point_px, height, width)
     depth = snap_mixed(depth, focal)
     found = find_hidden(image[..., :3], depth, focal)
-    behind = filled(found, depth)
+    behind = fill_hidden(found, depth)
     parts = _layers(image, depth, opacity, found, behind, focal, centre)
     if any(margin_px):
-        colours, z, outside = made_up(behind, 1 / found.disparity, margin_px)
+        colours, z, outside = extend_with_margin(behind, 1 / found.disparity, margin_px)
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
-        full = torch.full_like(z, _OPACITY)
-        parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner, torn=False))
+        full = torch.full_like(z, _CONSTANTS.opacity)
+        parts.append(_surface_gaussians(outside.nonzero(), z, full, colours, focal, corner, torn=False))
     return from_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
@@ -110,28 +140,32 @@ def _layers(
     focal: tuple[float, float],
     centre: tuple[float, float],
 ) -> list[tuple[Tensor, ...]]:
-    """The Gaussians of what is seen, of the soft outlines before it, and of what it hides."""
+    """Return the Gaussians of the visible surface, of the soft outlines before it, and of the hidden layer."""
     colours = image[..., :3].clone()
     matte = find_matte(colours, depth, edges(depth, focal))
-    own = matte.is_near
+    is_near = matte.is_near
     rows, columns = matte.rows, matte.columns
-    colours[rows, columns] = torch.where(own[:, None], matte.near, matte.far)
+    colours[rows, columns] = torch.where(is_near[:, None], matte.near, matte.far)
     seen = opacity.clone()
     # A pixel lets through what lies behind it only where that is known
-    soft = own & found.hole[rows, columns]
-    seen[rows[soft], columns[soft]] *= opacity_of_coverage(matte.alpha[soft], _SPREAD, _OPACITY) / _OPACITY
-    parts = [_elements(torch.isfinite(depth).nonzero(), depth, seen, colours, focal, centre)]
-    before = ~own & (matte.alpha > 0)
+    soft = is_near & found.hole[rows, columns]
+    seen[rows[soft], columns[soft]] *= (
+        coverage_to_opacity(matte.alpha[soft], _CONSTANTS.std_px, _CONSTANTS.opacity) / _CONSTANTS.opacity
+    )
+    parts = [_surface_gaussians(torch.isfinite(depth).nonzero(), depth, seen, colours, focal, centre)]
+    before = ~is_near & (matte.alpha > 0)
     r, c = rows[before], columns[before]
     rim, front, cover = depth.clone(), colours.clone(), opacity.clone()
     rim[r, c], front[r, c] = matte.depth[before], matte.near[before]
-    cover[r, c] *= opacity_of_coverage(matte.alpha[before], _SPREAD, _OPACITY) / _OPACITY
-    parts.append(_elements(torch.stack([r, c], 1), rim, cover, front, focal, centre))
-    parts.append(_elements(found.hole.nonzero(), 1 / found.disparity, opacity, behind, focal, centre, torn=False))
+    cover[r, c] *= coverage_to_opacity(matte.alpha[before], _CONSTANTS.std_px, _CONSTANTS.opacity) / _CONSTANTS.opacity
+    parts.append(_surface_gaussians(torch.stack([r, c], 1), rim, cover, front, focal, centre))
+    parts.append(
+        _surface_gaussians(found.hole.nonzero(), 1 / found.disparity, opacity, behind, focal, centre, torn=False)
+    )
     return parts
 
 
-def _elements(
+def _surface_gaussians(
     places: Tensor,
     depth: Tensor,
     opacity: Tensor,
@@ -140,43 +174,54 @@ def _elements(
     centre: tuple[float, float],
     torn: bool = True,
 ) -> tuple[Tensor, ...]:
-    """The Gaussians of these pixels [M, 2] (row, column) of a surface; depth, opacity: [H, W], colours: [H, W, 3].
+    """Return the Gaussians of pixels of a surface.
 
-    torn: whether it is open at edges.
+    Args:
+        places: Pixels [M, 2] (row, column).
+        depth: [H, W].
+        opacity: [H, W].
+        colours: [H, W, 3].
+        focal: (fx, fy), pixels.
+        centre: (cx, cy), pixels.
+        torn: Whether the surface is open at edges.
     """
     rows, columns = places.unbind(1)
-    steepest = STEEPEST if torn else _STEEPEST_HIDDEN
+    steepest = STEEPEST if torn else _CONSTANTS.steepest_hidden
     z, across, down = (
         values[rows, columns]
         for values in (depth, slopes(depth, focal[0], steepest), slopes(depth.T, focal[1], steepest).T)
     )
     if torn:
-        limit = torch.where(_rim(depth, focal)[rows, columns], _STEEPEST_RIM, torch.inf)
+        limit = torch.where(_rim(depth, focal)[rows, columns], _CONSTANTS.steepest_rim, torch.inf)
         across, down = (torch.minimum(torch.maximum(slope, -limit), limit) for slope in (across, down))
     rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
-    return _surface_elements(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
+    return _flat_gaussians(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
 
 
 def _rim(depth: Tensor, focal: tuple[float, float]) -> Tensor:
-    """The pixels that have another surface beside them, or are next to one that has, bool [H, W]."""
+    """Return the pixels with another surface beside them, and their neighbours, bool [H, W]."""
     return max_filter(edges(depth, focal), 1)
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:
-    """Directions [M, 3] through places in the image, pixels from its corner; z is 1."""
+    """Return directions [M, 3] through points of the image, pixels from its corner; z is 1."""
     x, y = (columns - centre[0]) / focal[0], (rows - centre[1]) / focal[1]
     return torch.stack([x, y, torch.ones_like(x)], 1)
 
 
-def _surface_elements(
+def _flat_gaussians(
     means: Tensor, tangents: tuple[Tensor, Tensor], footprint: Tensor, opacities: Tensor, colours: Tensor
 ) -> tuple[Tensor, ...]:
-    """Fields of flat Gaussians [M, ...] with the covariance (_SPREAD footprint)^2 (t_u t_u^T + t_v t_v^T).
+    """Return fields of flat Gaussians [M, ...] with the covariance (std_px footprint)^2 (t_u t_u^T + t_v t_v^T).
 
-    t_u and t_v [M, 3] are the steps in the surface from column to column and row to row, in footprints; footprint [M]
-    is the width of a pixel there, scene units.
+    Args:
+        means: [M, 3].
+        tangents: t_u and t_v [M, 3], the steps in the surface from column to column and row to row, in footprints.
+        footprint: [M], the width of a pixel there, scene units.
+        opacities: [M].
+        colours: [M, 3].
     """
     normal = torch.nn.functional.normalize(torch.linalg.cross(*tangents), dim=1)
     # The shortest turn of the z-axis to the normal. It points away from the camera, and so never at -z.
@@ -189,7 +234,7 @@ def _surface_elements(
     area = (a * d - b * c).abs()
     long = (middle + radius).sqrt()
     scales = footprint[:, None] * torch.stack(
-        [_SPREAD * long, _SPREAD * area / long, torch.full_like(long, _THICKNESS)], 1
+        [_CONSTANTS.std_px * long, _CONSTANTS.std_px * area / long, torch.full_like(long, _CONSTANTS.thickness_px)], 1
     )
     cos, sin = torch.cos(angle / 2), torch.sin(angle / 2)
     w, x, y, _ = turn.unbind(1)
@@ -198,7 +243,7 @@ def _surface_elements(
 
 
 def _plane_axes(normal: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the shortest turn of the z-axis to the normal [M, 3] takes the x-axis and the y-axis, [M, 3] each."""
+    """Return the x-axis and the y-axis after the shortest turn of the z-axis to the normal [M, 3], [M, 3] each."""
     nx, ny, nz = normal.unbind(1)
     shared = -nx * ny / (1 + nz)
     return (
@@ -208,7 +253,7 @@ def _plane_axes(normal: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _checked_image(image: np.ndarray | Tensor) -> Tensor:
-    """The photo as float32 [H, W, 3 or 4], or InputError."""
+    """Return the photo as float32 [H, W, 3 or 4]; raise InputError."""
     image = to_tensor("photo", image)
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(image.shape)}")
@@ -221,7 +266,7 @@ def _checked_image(image: np.ndarray | Tensor) -> Tensor:
 
 
 def check_photo_size(name: str, height: int, width: int) -> None:
-    """Raises InputError where a photo has more pixels than may become Gaussians; name: of the photo."""
+    """Raise InputError where a photo has more pixels than may become Gaussians; name: of the photo."""
     if height * width > MAX_PIXELS:
         raise InputError(
             f"{name}: {width} x {height} pixels, each a Gaussian; expected at most {MAX_PIXELS}; make photo and depth "
@@ -230,7 +275,7 @@ def check_photo_size(name: str, height: int, width: int) -> None:
 
 
 def check_depth_size(name: str, depth: np.ndarray | Tensor, photo: np.ndarray | Tensor) -> None:
-    """Raises InputError where a depth map [H, W] is not as large as its photo [H, W, C]; name: of the map."""
+    """Raise InputError where a depth map [H, W] differs in size from its photo [H, W, C]; name: of the map."""
     (height, width), expected = depth.shape, photo.shape[:2]
     if (height, width) != tuple(expected):
         raise InputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,26 +17,58 @@ from lightfield_gs.io.images import as_floats
 from lightfield_gs.photo.depth import DepthNumbers, grey_numbers
 
 _NAME = re.compile(r"(^|[^a-z0-9])rgbd( ?\(\d+\))?$", re.IGNORECASE)  # (1): as browsers name a second copy
-_SAMPLES = 128  # pixels a side that are looked at: enough to see whether a half is grey
-# How far the channels of a grey half come apart when it is saved as JPEG or as a video: as a share of its range, or of
-# the full scale; and the share of its pixels in which they do not, where something says that it is a map
-_GREY, _GREY_STEP, _MOST_GREY = 0.04, 4 / 255, 0.98
-# At the seam of such a picture the colours of the photo run over into the map: they are stored in blocks of 16 pixels,
-# and interpolated
-_SEAM_PX = 20
-# The least standard deviation of a depth map, and the least mean difference of the channels of a photo, values in 0..1
-_RELIEF, _COLOURFUL = 0.05, 0.05
-# The same of the photo where a name says that there is a map: more than that, and so many times the map's own
-_PALE, _TIMES_PALER = 0.008, 3
 
 
-def is_named_so(path: Path) -> bool:
-    """Whether the name of a picture says that its depth map is in it: photo_rgbd.png."""
+@dataclass(frozen=True)
+class SideBySideConstants:
+    """Thresholds of halves that are depth maps, or pictures for two eyes.
+
+    All are chosen by hand and not tuned on a data set; tests/photo has the pictures that they must tell apart.
+    """
+
+    # Depth maps
+    samples: int = 128  # pixels a side that are read: enough to see whether a half is grey
+    grey: float = 0.04  # largest difference of the channels of a grey half after JPEG or video, by its range
+    grey_step: float = 4 / 255  # the same by the full scale
+    grey_quantile: float = 0.98  # fraction of the pixels that must be grey, where a name says that the half is a map
+    # pixels at the seam where colours run over: they are stored in blocks of 16 pixels, and interpolated
+    seam_px: int = 20
+    relief: float = 0.05  # standard deviation of a depth map, values in 0..1, at least
+    colourful: float = 0.05  # mean difference of the channels of a photo, values in 0..1, at least
+    pale: float = 0.008  # the same where a name says that there is a map
+    times_paler: int = 3  # the same by the map's own difference
+
+    # Stereo pairs
+    side_px: int = 64  # side of a half as it is compared
+    most_parallax: float = 0.12  # parallax to either side, by the width, at most
+    rows_off: int = 1  # difference of the eyes in height, pixels as compared, at most
+    window_px: int = 5  # side of the windows whose differences are averaged
+    least_contrast: float = 0.03  # standard deviation of a half, values in 0..1, at least
+    alike: float = 0.2  # difference of the halves after parallax, by the contrast, at most
+    less: float = 0.3  # the same by their difference when moved in height: a pattern is as much like itself there
+    height_step: int = 5  # steps of these moves, pixels as compared
+    same_picture: float = 0.003  # mean difference up to which the halves are one picture twice, without parallax
+
+
+_CONSTANTS = SideBySideConstants()
+
+
+def is_rgbd_name(path: Path) -> bool:
+    """Return whether the name of a picture says that its depth map is in it: photo_rgbd.png."""
     return _NAME.search(path.stem) is not None
 
 
-def halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray, np.ndarray]:
-    """The photo and the depth map, views of pixels [H, W, C]; side: of the latter. Raises InputError."""
+def split_halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the photo and the depth map, views of pixels [H, W, C].
+
+    Args:
+        path: For messages.
+        pixels: [H, W, C].
+        side: The side of the depth map.
+
+    Raises:
+        InputError: The side is invalid, or the pixels have no two halves.
+    """
     if side not in DEPTH_PARTS:
         raise InputError(f"rgbd=: expected {', '.join(DEPTH_PARTS)}, got {side!r}")
     axis = 1 if side in ("right", "left") else 0
@@ -52,9 +84,11 @@ def halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray,
 
 
 def depth_side(pixels: np.ndarray, is_named: bool = False) -> str | None:
-    """Which half of pixels [H, W, C] is grey, with some relief, beside one in colour; None where no half is.
+    """Return the side of pixels [H, W, C] that is grey, with some relief, beside one in colour; None without one.
 
-    is_named: whether something says that one is a map: then the photo may be pale, if the map is less so.
+    Args:
+        pixels: [H, W, C].
+        is_named: Whether a name says that one half is a map: the photo may then be pale, if the map is less so.
     """
     height, width, channels = pixels.shape
     if channels < 3 or min(height, width) < 16:
@@ -63,76 +97,82 @@ def depth_side(pixels: np.ndarray, is_named: bool = False) -> str | None:
         axis = 1 if side in ("right", "left") else 0
         if pixels.shape[axis] % 2:
             continue
-        colour, grey = (_sampled(_off_seam(half, side, part)) for part, half in enumerate(halves("", pixels, side)))
-        least = max(_PALE, _TIMES_PALER * float(np.ptp(grey, axis=2).mean())) if is_named else _COLOURFUL
-        if _is_grey(grey, is_named) and grey.std() >= _RELIEF and float(np.ptp(colour, axis=2).mean()) >= least:
+        colour, grey = (
+            _sample(_without_seam(half, side, part)) for part, half in enumerate(split_halves("", pixels, side))
+        )
+        least = (
+            max(_CONSTANTS.pale, _CONSTANTS.times_paler * float(np.ptp(grey, axis=2).mean()))
+            if is_named
+            else _CONSTANTS.colourful
+        )
+        if (
+            _is_grey(grey, is_named)
+            and grey.std() >= _CONSTANTS.relief
+            and float(np.ptp(colour, axis=2).mean()) >= least
+        ):
             return side
     return None
 
 
-def beside_numbers(path: str | Path, pixels: np.ndarray, side: str) -> DepthNumbers:
-    """The numbers of the depth map in the half `side` of pixels [H, W, C]. Raises InputError.
+def read_depth_half(path: str | Path, pixels: np.ndarray, side: str) -> DepthNumbers:
+    """Return the numbers of the depth map in one half of a picture.
 
-    Whether it is grey is judged away from the seam; where colours run over there, its brightness is taken.
+    Away from the seam it must be grey; where colours run over at the seam, its brightness counts.
+
+    Args:
+        path: For messages.
+        pixels: [H, W, C].
+        side: The half of the depth map.
+
+    Raises:
+        InputError: The half is in colour.
     """
-    grey = halves(path, pixels, side)[1]
-    name, inner = f"{path}: its {side} half", _off_seam(grey, side, 1)
+    grey = split_halves(path, pixels, side)[1]
+    name, inner = f"{path}: its {side} half", _without_seam(grey, side, 1)
     if grey.shape[2] < 3 or not _is_grey(as_floats(inner[..., :3]), True):
         return grey_numbers(name, grey)
-    values = _brightness(grey)
+    values = _luma(grey)
     if _is_grey(as_floats(inner[..., :3]), False):
         found = grey_numbers(name, inner)
-        _off_seam(values[..., None], side, 1)[..., 0] = found.values
+        _without_seam(values[..., None], side, 1)[..., 0] = found.values
         return replace(found, values=values)
     return DepthNumbers(values, notes=["is not quite grey, as in a JPEG or a video: its brightness is taken"])
 
 
 def _is_grey(values: np.ndarray, is_named: bool) -> bool:
-    """Whether values [H, W, 3] in 0..1 have next to no colour; is_named: see depth_side."""
+    """Return whether values [H, W, 3] in 0..1 have next to no colour; is_named: see depth_side."""
     apart, span = np.ptp(values, axis=2), float(np.ptp(values)) or 1.0
     if is_named:
-        return float(np.quantile(apart, _MOST_GREY)) <= max(_GREY * span, _GREY_STEP)
-    return float(apart.max()) <= _GREY * span
+        return float(np.quantile(apart, _CONSTANTS.grey_quantile)) <= max(_CONSTANTS.grey * span, _CONSTANTS.grey_step)
+    return float(apart.max()) <= _CONSTANTS.grey * span
 
 
-def _brightness(pixels: np.ndarray) -> np.ndarray:
-    """The luma [H, W] of pixels [H, W, 3 or more] (BT.601, as in JPEG), in their type; of grey ones the channels."""
+def _luma(pixels: np.ndarray) -> np.ndarray:
+    """Return the luma [H, W] of pixels [H, W, 3 or more] (BT.601), in their type; of grey pixels the channel."""
     luma = pixels[..., :3] @ np.array([0.299, 0.587, 0.114])
     luma = (luma if pixels.dtype == np.float32 else np.rint(luma)).astype(pixels.dtype)
     return np.where(np.ptp(pixels[..., :3], axis=2) == 0, pixels[..., 0], luma)
 
 
-def _off_seam(half: np.ndarray, side: str, part: int) -> np.ndarray:
-    """A half [H, W, C] without the pixels at the seam, a view; part: 0 the photo, 1 the map at `side`."""
+def _without_seam(half: np.ndarray, side: str, part: int) -> np.ndarray:
+    """Return a half [H, W, C] without the pixels at the seam, a view; part: 0 the photo, 1 the map at `side`."""
     axis = 1 if side in ("right", "left") else 0
-    cut = min(_SEAM_PX, half.shape[axis] // 4)
+    cut = min(_CONSTANTS.seam_px, half.shape[axis] // 4)
     is_second = (side in ("right", "bottom")) == (part == 1)
     keep = slice(cut, None) if is_second else slice(None, half.shape[axis] - cut)
     return half[:, keep] if axis else half[keep]
 
 
-def _sampled(pixels: np.ndarray) -> np.ndarray:
-    steps = (max(1, size // _SAMPLES) for size in pixels.shape[:2])
+def _sample(pixels: np.ndarray) -> np.ndarray:
+    steps = (max(1, size // _CONSTANTS.samples) for size in pixels.shape[:2])
     values = as_floats(pixels[tuple(slice(None, None, step) for step in steps)][..., :3])
     return np.clip(np.nan_to_num(values), 0, 1)
 
 
-_SIDE_PX = 64  # of a half as it is compared
-_MOST_PARALLAX = 0.12  # of its width, to either side
-_ROWS_OFF = 1  # that the eyes may be off in height, pixels as compared
-_WINDOW_PX = 5  # whose differences are averaged
-_LEAST_CONTRAST = 0.03  # standard deviation of a half, values in 0..1
-# The halves have to differ by so little where parallax is made up for, as a share of the contrast, and by so much less
-# than they do from each other moved up by any so many pixels, where a picture of a pattern is as much like itself
-_ALIKE, _LESS, _STEP = 0.2, 0.3, 5
-_SAME = 0.003  # mean difference up to which the halves are the same picture twice, of no parallax
-
-
 def stereo_layout(pixels: np.ndarray) -> str | None:
-    """How the two eyes of a stereo pair lie in pixels [H, W, C], "side by side" or "one above the other"; None for all
-    other pictures, as far as can be told.
+    """Return the arrangement of a stereo pair, "side by side" or "one above the other"; None for other pictures.
 
-    Both halves have to show the same with a parallax that differs from place to place or from none.
+    Both halves have to show the same with a parallax that varies over the picture, or differs from none.
     """
     height, width = pixels.shape[:2]
     if min(height, width) < 32:
@@ -141,32 +181,43 @@ def stereo_layout(pixels: np.ndarray) -> str | None:
         ("side by side", pixels[:, : width // 2], pixels[:, width - width // 2 :]),
         ("one above the other", pixels[: height // 2], pixels[height - height // 2 :]),
     ):
-        if _are_eyes(_reduced(first), _reduced(second)):
+        if _are_eyes(_reduce(first), _reduce(second)):
             return words
     return None
 
 
 def _are_eyes(left: Tensor, right: Tensor) -> bool:
     contrast = float(min(left.std(), right.std()))
-    if contrast < _LEAST_CONTRAST or float((left - right).abs().mean()) < _SAME:
+    if contrast < _CONSTANTS.least_contrast or float((left - right).abs().mean()) < _CONSTANTS.same_picture:
         return False
     alike = _difference(left, right)
-    if alike > _ALIKE * contrast:
+    if alike > _CONSTANTS.alike * contrast:
         return False
-    return all(alike <= _LESS * _difference(left, right.roll(rows, 0)) for rows in range(_STEP, _SIDE_PX - 1, _STEP))
+    return all(
+        alike <= _CONSTANTS.less * _difference(left, right.roll(rows, 0))
+        for rows in range(_CONSTANTS.height_step, _CONSTANTS.side_px - 1, _CONSTANTS.height_step)
+    )
 
 
 def _difference(left: Tensor, right: Tensor) -> float:
-    """Mean difference of two pictures [h, w] where each place takes the parallax that suits it best."""
-    reach = round(_MOST_PARALLAX * left.shape[1])
-    shifts = [(down, across) for down in range(-_ROWS_OFF, _ROWS_OFF + 1) for across in range(-reach, reach + 1)]
+    """Return the mean difference of two pictures [h, w] where each pixel takes its best parallax."""
+    reach = round(_CONSTANTS.most_parallax * left.shape[1])
+    shifts = [
+        (down, across)
+        for down in range(-_CONSTANTS.rows_off, _CONSTANTS.rows_off + 1)
+        for across in range(-reach, reach + 1)
+    ]
     apart = (left - torch.stack([right.roll(shift, (0, 1)) for shift in shifts])).abs()
-    best = avg_pool2d(apart, _WINDOW_PX, 1, _WINDOW_PX // 2).amin(0)
-    return float(best[_WINDOW_PX:-_WINDOW_PX, reach:-reach].mean())
+    best = avg_pool2d(apart, _CONSTANTS.window_px, 1, _CONSTANTS.window_px // 2).amin(0)
+    return float(best[_CONSTANTS.window_px : -_CONSTANTS.window_px, reach:-reach].mean())
 
 
-def _reduced(pixels: np.ndarray) -> Tensor:
-    """Brightness in 0..1 of a picture reduced to 64 x 64 pixels, float32."""
-    down, across = (max(1, size // (4 * _SIDE_PX)) for size in pixels.shape[:2])  # a large one takes no longer
+def _reduce(pixels: np.ndarray) -> Tensor:
+    """Return the brightness in 0..1 of a picture reduced to 64 x 64 pixels, float32."""
+    down, across = (
+        max(1, size // (4 * _CONSTANTS.side_px)) for size in pixels.shape[:2]
+    )  # a large one takes no longer
     values = np.clip(np.nan_to_num(as_floats(pixels[::down, ::across, :3])), 0, 1).mean(2)
-    return interpolate(torch.from_numpy(values)[None, None], size=(_SIDE_PX, _SIDE_PX), mode="area")[0, 0]
+    return interpolate(
+        torch.from_numpy(values)[None, None], size=(_CONSTANTS.side_px, _CONSTANTS.side_px), mode="area"
+    )[0, 0]

@@ -62,7 +62,7 @@ class Frame:
         """capacity: pairs that there is room for. kernel: one of _core.cuda.FRAME_KERNELS (None: chosen by cost)."""
         self.scene = scene = job.scene
         _, left_out, most = _colour_tolerances(quality)
-        self.native = _core.cuda.LensFrame(
+        self.native = _core.cuda.DirectFrame(
             gaussians=scene.count,
             sh_degree=scene.degree,
             colour_order=colour_order,
@@ -237,9 +237,9 @@ class Frames:
     def _needs(self, state: dict[str, Any]) -> bool:
         """Raises capacity and order of colours to what a frame of this state lacked; returns whether either changed."""
         before = self.capacity, self.colour_order
-        if self.capacity is None or state["pairs"] > self.capacity:
+        if self.capacity is None or state["intersections"] > self.capacity:
             affordable = free_memory(self.device) // (2 * _PAIR_BYTES)
-            enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
+            enough = min(int(state["intersections"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
         self._needs_order(state)
         return before != (self.capacity, self.colour_order)

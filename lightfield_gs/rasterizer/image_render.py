@@ -209,7 +209,7 @@ class ImageRender:
         scene, given = self.scene, out or (None, None, None)
         with scene.guard, self.stats.stage("composite"):
             image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self.inputs.shapes))
-            native = scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
+            native = scene.core.Images(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
             self.work.composite_images(self.inputs.cameras, self.background, native)
         return ImageBuffers(image, alpha, depth)
 
@@ -237,10 +237,10 @@ class ImageRender:
             work = cast(CudaWorkspace, self.work)
             return work.composite_images_backward(self.background, native, native_gradients, absolute)
 
-    def _natives(self, images: ImageBuffers, gradients: ImageBuffers) -> list[_core._Stages.DenseImages]:
+    def _natives(self, images: ImageBuffers, gradients: ImageBuffers) -> list[_core.float32.Images]:
         """Return the core's views of both, which are valid as long as this render."""
         self._held = self._checked("", images), self._checked("g_", gradients)
-        return [self.scene.core.DenseImages(*(0 if t is None else t.data_ptr() for t in group)) for group in self._held]
+        return [self.scene.core.Images(*(0 if t is None else t.data_ptr() for t in group)) for group in self._held]
 
     def _checked(self, prefix: str, images: ImageBuffers) -> ImageBuffers:
         """Return the images contiguous. Raises InputError."""

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import lru_cache
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import Colour, to_tensor
+from lightfield_gs.base.arrays import Colour, check_tensor, to_tensor
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
@@ -24,7 +25,7 @@ def _devices() -> str:
     return "CPU or CUDA" if hasattr(_core, "cuda") else "CPU"
 
 
-def _stages(tensor: Tensor) -> type[_core._Stages]:
+def _stages(tensor: Tensor) -> ModuleType:
     """Return the core's functions for the tensor's precision."""
     if tensor.dtype == torch.float32:
         return _core.float32
@@ -35,13 +36,7 @@ def _stages(tensor: Tensor) -> type[_core._Stages]:
 
 def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor | SceneTensors) -> Tensor:
     """Return `tensor` contiguous. Raises InputError for another shape, or dtype or device than those of `like`."""
-    if tensor.shape != shape:
-        raise InputError(f"{name} must be {list(shape)}, got {list(tensor.shape)}")
-    if tensor.dtype != like.dtype or tensor.device != like.device:
-        raise InputError(
-            f"{name} must be {like.dtype} on {like.device} like the means, got {tensor.dtype} on {tensor.device}"
-        )
-    return tensor.contiguous()
+    return check_tensor(name, tensor, shape, like.dtype, like.device)
 
 
 def float_and_byte_addresses(out: Tensor) -> tuple[int, int]:
@@ -87,7 +82,7 @@ class SceneTensors:
         """A context that selects the device of the Gaussians; a new one each time, for torch's cannot be reentered."""
         return device_guard(self.device)
 
-    def native(self) -> _core._Stages.Gaussians:
+    def native(self) -> _core.float32.Gaussians:
         """Return the addresses for the core, which are valid as long as this object."""
         return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))
 
@@ -96,7 +91,7 @@ class SceneTensors:
         make = torch.zeros if zero else torch.empty
         return make(shape, dtype=dtype or self.dtype, device=self.device)
 
-    def gradients(self, zero: bool) -> tuple[list[Tensor], _core._Stages.Gaussians]:
+    def gradients(self, zero: bool) -> tuple[list[Tensor], _core.float32.Gaussians]:
         """Allocate the gradients of the five fields, all 0 or without values; return them and the core's view."""
         grads = [torch.zeros_like(t) if zero else torch.empty_like(t) for t in self.tensors]
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))

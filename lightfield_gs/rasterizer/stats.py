@@ -69,7 +69,7 @@ class Stats:
 
     def count_frame(self, state: dict[str, Any], work: Tensor) -> None:
         """Adds a light-field frame on CUDA, by the state that it found out, and its work buffer."""
-        self.pairs += state["pairs"]
+        self.pairs += state["intersections"]
         self.images += 1
         self.gaussians_drawn += state["drawn"]
         self.colour_error, self.kernel, self.pruned = state["colour_error"], state["kernel"], state["pruned"]
@@ -78,7 +78,7 @@ class Stats:
 
     def count(self, counters: _core.Counters) -> None:
         """Adds what the core counted in a composite."""
-        self.pairs += counters.pairs
+        self.pairs += counters.intersections
         self.evaluations += counters.evaluations
         self.work_bytes += counters.scratch_bytes
 

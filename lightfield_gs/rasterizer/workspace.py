@@ -38,7 +38,7 @@ class Workspace(Protocol):
     def state(self) -> RenderState:
         """Return the state that the backward needs."""
 
-    def project_images(self, cameras: _core._Stages.Cameras) -> None:
+    def project_images(self, cameras: _core.float32.Cameras) -> None:
         """Project the Gaussians to the splats of I images, one for each camera."""
 
     def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
@@ -54,9 +54,7 @@ class Workspace(Protocol):
             The answer of admit.
         """
 
-    def composite_images(
-        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
-    ) -> None:
+    def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
         """Composite I images into `out`. background: [I, 3]."""
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
@@ -64,10 +62,10 @@ class Workspace(Protocol):
 
     def images_backward(
         self,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
         request: GradientRequest,
     ) -> ImageGradients:
         """Return the gradients of the inputs from `gradients`, of the images."""
@@ -109,11 +107,11 @@ class CpuWorkspace:
     def state(self) -> RenderState:
         return RenderState(self.splats.splats, self.splats.colours, self.lists)
 
-    def project_images(self, cameras: _core._Stages.Cameras) -> None:
-        self.scene.core.project_dense(self.scene.native(), cameras, self.splats.native, self.threads)
+    def project_images(self, cameras: _core.float32.Cameras) -> None:
+        self.scene.core.project_images(self.scene.native(), cameras, self.splats.native, self.threads)
 
     def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
-        return self.scene.core.project_lens(
+        return self.scene.core.project_direct(
             self.scene.native(),
             camera.rig,
             camera.lens,
@@ -147,18 +145,16 @@ class CpuWorkspace:
         self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
         return True
 
-    def composite_images(
-        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
-    ) -> None:
+    def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
         self.stats.count(
-            self.scene.core.composite_dense(
+            self.scene.core.composite_images(
                 self.splats.native, self.bins, cameras, background.data_ptr(), out, self.threads
             )
         )
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
         """Composite into `out`, of the scene's dtype or uint8; see Workspace."""
-        counters = self.scene.core.composite_lens(
+        counters = self.scene.core.composite_direct(
             self.splats.native,
             self.bins,
             camera.lens,
@@ -175,15 +171,15 @@ class CpuWorkspace:
 
     def images_backward(
         self,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
         request: GradientRequest,
     ) -> ImageGradients:
         core, scene = self.scene.core, self.scene
-        first, sums, g_background = self._gradient_buffers(_core.dense_pair_gradient_size(request.absolute))
-        core.composite_dense_backward(
+        first, sums, g_background = self._gradient_buffers(_core.image_intersection_gradient_size(request.absolute))
+        core.composite_images_backward(
             self.splats.native,
             self.bins,
             cameras,
@@ -199,7 +195,7 @@ class CpuWorkspace:
         out, native = scene.gradients(zero=True)
         g_cameras = scene.new(self.images, 4, 4, zero=True)
         screen = scene.new(self.images, scene.count, request.screen_numbers)
-        core.project_dense_backward(
+        core.project_images_backward(
             scene.native(),
             cameras,
             self.splats.native,
@@ -217,9 +213,9 @@ class CpuWorkspace:
         self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
         core, splats = self.scene.core, self.splats
-        size = _core.pair_gradient_size(splats.colour_order, splats.compensations is not None)
+        size = _core.intersection_gradient_size(splats.colour_order, splats.compensations is not None)
         first, sums, g_background = self._gradient_buffers(size)
-        core.composite_lens_backward(
+        core.composite_direct_backward(
             self.splats.native,
             self.bins,
             camera.lens,
@@ -232,7 +228,7 @@ class CpuWorkspace:
             self.threads,
         )
         out, native = self.scene.gradients(zero=True)
-        core.project_lens_backward(
+        core.project_direct_backward(
             self.scene.native(),
             camera.rig,
             camera.lens,
@@ -247,7 +243,7 @@ class CpuWorkspace:
     def _gradient_buffers(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return each splat's first intersection [I, N], and gradients: [intersections, size] and [bands, 3]."""
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
-        self.scene.core.first_pairs(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
+        self.scene.core.first_intersections(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
         gradients = self.scene.new(self.intersection_count, size, zero=True)
         return first, gradients, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)
 

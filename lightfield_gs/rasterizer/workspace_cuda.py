@@ -64,7 +64,7 @@ class CudaWorkspace:
         tiles, sorted_tiles, slots, slot_splats = (
             0 if unsorted is None else unsorted + 4 * self.intersection_count * row for row in range(4)
         )
-        self.pair_lists = _core.cuda.Pairs(
+        self.pair_lists = _core.cuda.Intersections(
             self.intersection_count,
             tiles,
             sorted_tiles,
@@ -78,12 +78,12 @@ class CudaWorkspace:
     def state(self) -> RenderState:
         return RenderState(self.splats.splats, self.splats.colours, self.lists)
 
-    def project_images(self, cameras: _core._Stages.Cameras) -> None:
-        _core.cuda.project_dense(self.scene.native(), cameras, self.splats.native, self.keys.data_ptr(), self.stream)
+    def project_images(self, cameras: _core.float32.Cameras) -> None:
+        _core.cuda.project_images(self.scene.native(), cameras, self.splats.native, self.keys.data_ptr(), self.stream)
 
     def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
         error = self.scene.new(1, zero=True)
-        _core.cuda.project_lens(
+        _core.cuda.project_direct(
             self.scene.native(),
             camera.rig,
             camera.lens,
@@ -156,16 +156,14 @@ class CudaWorkspace:
         self.stats.add_buffers(*self.splats.buffers(), self.keys, work, more_work, self.lists)
         return True
 
-    def composite_images(
-        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
-    ) -> None:
-        _core.cuda.composite_dense(
+    def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
+        _core.cuda.composite_images(
             self.splats.native, self.image, self.ranges, self.pair_lists, background.data_ptr(), out, self.stream
         )
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
         """Composite into `out`, float32; see Workspace. Images of bytes are frames (frame_cuda)."""
-        _core.cuda.composite_lens(
+        _core.cuda.composite_direct(
             self.splats.native,
             self.image,
             self.ranges,
@@ -177,18 +175,14 @@ class CudaWorkspace:
         )
 
     def composite_images_backward(
-        self,
-        background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
-        absolute: bool,
+        self, background: Tensor, images: _core.float32.Images, gradients: _core.float32.Images, absolute: bool
     ) -> tuple[Tensor, Tensor]:
         """The first half of images_backward: sums over the pairs of each splat [I, N, SPLAT_SUMS], from which the
         gradients of the Gaussians follow, and the gradient of the background in parts [I * parts, 3]."""
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.intersection_count, cuda.ABSOLUTE_DENSE_SUMS if absolute else cuda.DENSE_SUMS)
+        slots = scene.new(self.intersection_count, cuda.ABSOLUTE_IMAGE_SUMS if absolute else cuda.IMAGE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_dense_backward(
+        cuda.composite_images_backward(
             self.splats.native,
             self.image,
             self.ranges,
@@ -201,15 +195,15 @@ class CudaWorkspace:
             self.stream,
         )
         sums = scene.new(self.images, scene.count, cuda.SPLAT_SUMS)
-        cuda.sum_slots(self.items, self.slot_ranges, absolute, slots.data_ptr(), sums.data_ptr(), self.stream)
+        cuda.sum_intersections(self.items, self.slot_ranges, absolute, slots.data_ptr(), sums.data_ptr(), self.stream)
         return sums, g_background
 
     def images_backward(
         self,
-        cameras: _core._Stages.Cameras,
+        cameras: _core.float32.Cameras,
         background: Tensor,
-        images: _core._Stages.DenseImages,
-        gradients: _core._Stages.DenseImages,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
         request: GradientRequest,
     ) -> ImageGradients:
         sums, g_background = self.composite_images_backward(background, images, gradients, request.absolute)
@@ -221,9 +215,9 @@ class CudaWorkspace:
     ) -> tuple[list[Tensor], Tensor]:
         scene, cuda = self.scene, _core.cuda
         extra = 0 if self.splats.compensations is None else _core.COMPENSATION_FIELDS
-        slots = scene.new(self.intersection_count, cuda.LENS_SUMS + 3 * self.splats.colours.shape[2] + extra)
+        slots = scene.new(self.intersection_count, cuda.DIRECT_SUMS + 3 * self.splats.colours.shape[2] + extra)
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_lens_backward(
+        cuda.composite_direct_backward(
             self.splats.native,
             self.image,
             self.ranges,
@@ -236,22 +230,22 @@ class CudaWorkspace:
             self.stream,
         )
         out, native = scene.gradients(zero=True)
-        cuda.project_lens_backward(
+        cuda.project_direct_backward(
             scene.native(), camera.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
         )
         return out, g_background
 
 
 def project_images_backward(
-    scene: SceneTensors, cameras: _core._Stages.Cameras, sums: Tensor, request: GradientRequest
+    scene: SceneTensors, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
 ) -> tuple[list[Tensor], Tensor, Tensor]:
     """The second half of CudaWorkspace.dense_backward, which needs nothing of the forward: gradients of fields, cameras
     and places as ImageGradients has them. sums: [I, N, SPLAT_SUMS]."""
     cuda, images = _core.cuda, sums.shape[0]
     out, native = scene.gradients(zero=False)
-    views = scene.new(images, cuda.view_blocks(scene.count), 3, 4) if request.cameras else None
+    views = scene.new(images, cuda.camera_blocks(scene.count), 3, 4) if request.cameras else None
     screen = scene.new(images, scene.count, request.screen_numbers)
-    cuda.project_dense_backward(
+    cuda.project_images_backward(
         scene.native(),
         cameras,
         sums.data_ptr(),

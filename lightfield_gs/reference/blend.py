@@ -23,8 +23,8 @@ LOW_PASS_PX2 = 0.3  # added to both variances of the projected Gaussian
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 TRANSMITTANCE_MIN = 1e-4
-NEARLY = 0.9  # Gaussians with alpha above NEARLY * ALPHA_MIN are looked at, so that margins below it are known
-ALPHAS_AT_ONCE = {"cpu": 2**13, "cuda": 2**24}  # samples times Gaussians: what a core's cache holds, what fills a GPU
+NEARLY = 0.9  # Gaussians with alpha above NEARLY * ALPHA_MIN are evaluated, so that margins below it are known
+ALPHAS_AT_ONCE = {"cpu": 2**13, "cuda": 2**24}  # samples times Gaussians: the cache of a core, enough for a GPU
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,22 @@ class Scene:
     sh: Tensor
 
     @staticmethod
-    def of(gaussians: Gaussians) -> Scene:
+    def from_gaussians(gaussians: Gaussians) -> Scene:
         fields = (gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh)
         return Scene(*(field.detach().to(torch.float64) for field in fields))
 
 
 @dataclass(frozen=True)
 class Eye:
-    """A camera that may also look from `offset` to its right, its principal point then moved by `shift_px` * offset.
+    """A camera that may also look from `offset` to its right, its principal point then moved by shift_px * offset.
 
-    limits: (lo_x, hi_x, lo_y, hi_y) of X/Z and Y/Z as seen from the centre camera, which stands `to_centre` to the left
-    of this one.
+    Attributes:
+        world_to_camera: [4,4].
+        intrinsics: fx, fy, cx, cy in pixels.
+        limits: (lo_x, hi_x, lo_y, hi_y) of X/Z and Y/Z as seen from the centre camera.
+        to_centre: Distance of the centre camera to the left of this one, scene units.
+        shift_px: Pixels per scene unit.
+        aperture: Standard deviation of the offsets that each footprint is averaged over, scene units.
     """
 
     world_to_camera: Tensor  # [4,4]
@@ -59,7 +64,7 @@ class Eye:
     aperture: float = 0.0  # standard deviation of the offsets that each footprint is averaged over, scene units
 
     def to(self, device: torch.device) -> Eye:
-        """The same eye, its tensors on a device."""
+        """Return the same eye, its tensors on a device."""
         to_centre = self.to_centre.to(device) if isinstance(self.to_centre, Tensor) else self.to_centre
         return replace(
             self,
@@ -72,7 +77,7 @@ class Eye:
 
 @dataclass(frozen=True)
 class Samples:
-    """Places in pixels (centres at +0.5) and view offsets in scene units, each [M] float64, sorted by row."""
+    """Positions in pixels (centres at +0.5) and view offsets in scene units, each [M] float64, sorted by row."""
 
     columns: Tensor
     rows: Tensor
@@ -84,7 +89,15 @@ class Samples:
 
 @dataclass(frozen=True)
 class Blend:
-    """Weights of M samples as P pairs: sample, gaussian and weight [P]; transmittance left [M], margin [M]."""
+    """Blending weights of M samples as P intersections.
+
+    Attributes:
+        sample: [P].
+        gaussian: [P].
+        weight: [P].
+        transmittance: [M], left over.
+        margin: [M].
+    """
 
     sample: Tensor
     gaussian: Tensor
@@ -93,22 +106,22 @@ class Blend:
     margin: Tensor
 
     def sum(self, values: Tensor) -> Tensor:
-        """Weighted sum over each sample's Gaussians of values [P] or [P,C] -> [M] or [M,C]."""
+        """Return the weighted sum over each sample's Gaussians of values [P] or [P,C] -> [M] or [M,C]."""
         weight = self.weight.reshape(-1, *[1] * (values.dim() - 1))
         total = values.new_zeros(len(self.transmittance), *values.shape[1:])
         return total.index_add(0, self.sample, weight * values)
 
 
 def square(vectors: Tensor) -> Tensor:
-    """Squared length of vectors [3, ...]."""
+    """Return the squared length of vectors [3, ...]."""
     return (vectors * vectors).sum(0)
 
 
 class Projection:
-    """One scene before one eye: view-space means and spreads of the Gaussians it may draw, near ones first.
+    """One scene before one eye: view-space means and spreads of the visible Gaussians, near ones first.
 
-    antialiased: opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its light. An
-    aperture of the eye spreads it out too, and it keeps its light likewise.
+    With antialiased, opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its
+    light. An aperture of the eye spreads it out too, and it keeps its light likewise.
     """
 
     def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
@@ -123,16 +136,16 @@ class Projection:
 
     @torch.no_grad()
     def _rows(self) -> tuple[Tensor, Tensor]:
-        """The row of each Gaussian of `order`, px, and how far above and below it its alpha nearly reaches the cut."""
+        """Return the row of each Gaussian of `order`, px, and its reach above and below, near the cut."""
         _, v, _, down = self.footprint(self.order, self.position.new_zeros(()))
         variance = square(down) + LOW_PASS_PX2
         return v, (2 * variance * (self.scene.opacities[self.order] / (NEARLY * ALPHA_MIN)).log()).sqrt()
 
     def footprint(self, gaussian: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
-        """Projected mean u, v (px) of Gaussians seen from an offset, and the rows [3, ...] of their spread (px): two
-        vectors whose products are the covariance (EWA) before the low pass.
+        """Return the projected mean u, v (px) of Gaussians seen from an offset, and the rows [3, ...] of their spread.
 
-        The arguments have equally many dimensions and are broadcast against each other, or there is one offset for all.
+        The products of these two vectors, in px, are the covariance (EWA) before the low pass. The arguments have
+        equally many dimensions and are broadcast against each other, or there is one offset for all.
         """
         fx, fy, cx, cy = self.eye.intrinsics.unbind()
         low_x, high_x, low_y, high_y = self.eye.limits.unbind()
@@ -150,16 +163,18 @@ class Projection:
         return u, v, *torch.broadcast_tensors(across, down)
 
     def swept(self, gaussian: Tensor) -> Tensor:
-        """Variance along the row, px^2, that the aperture adds to Gaussians. Over the offsets o the column
-        fx (X - o) / Z + shift o of a point has the variance aperture^2 (shift - fx / Z)^2. Its mean over the points at
-        Z + z of the spread is, to first order in z, that at Z and aperture^2 (fx / Z^2)^2 times the variance of z.
+        """Return the variance along the row, px^2, that the aperture adds to Gaussians.
+
+        Over the offsets o the column fx (X - o) / Z + shift o of a point has the variance aperture^2 (shift - fx /
+        Z)^2. Its mean over the points at Z + z of the spread is, to first order in z, the variance at Z plus aperture^2
+        (fx / Z^2)^2 times the variance of z.
         """
         Z, fx = self.position[gaussian, 2], self.eye.intrinsics[0]
         moved = self.eye.shift_px - fx / Z, fx / Z**2 * self.spread[2][:, gaussian]
         return self.eye.aperture**2 * (moved[0] ** 2 + square(moved[1]))
 
     def alpha(self, gaussian: Tensor, samples: Samples) -> Tensor:
-        """Opacity of Gaussians at samples (broadcast against each other), before the cut at 1/255."""
+        """Return the opacity of Gaussians at samples (broadcast against each other), before the cut at 1/255."""
         u, v, across, down = self.footprint(gaussian, samples.offsets)
         dx, dy = samples.columns - u, samples.rows - v
         # Sums of squares, no differences of products: these keep their digits where a needle is 10^9 pixels long.
@@ -175,7 +190,7 @@ class Projection:
         return (opacity * torch.exp(-q / 2)).clamp(max=ALPHA_MAX)
 
     def colour(self, gaussian: Tensor, offset: Tensor, channel: Tensor | None = None) -> Tensor:
-        """Colour [P,3] of Gaussians seen from offsets, or [P] of one channel each."""
+        """Return the colour [P,3] of Gaussians seen from offsets, or [P] of one channel each."""
         centre = -self.axes.T @ self.translation + offset[:, None] * self.axes[0]
         direction = self.scene.means[gaussian] - centre
         basis = harmonics(direction / direction.norm(dim=-1, keepdim=True), self.scene.sh.shape[1])
@@ -184,8 +199,8 @@ class Projection:
         return (0.5 + (basis * self.scene.sh[gaussian, :, channel]).sum(1)).clamp(min=0)
 
     @torch.no_grad()
-    def pairs(self, samples: Samples) -> tuple[Tensor, Tensor]:
-        """Pairs (sample, Gaussian), each [P], whose alpha nearly reaches the cut: by sample, then near to far."""
+    def intersections(self, samples: Samples) -> tuple[Tensor, Tensor]:
+        """Return intersections (sample, Gaussian), each [P], with an alpha near the cut or above, in order."""
         rows, counts = torch.unique_consecutive(samples.rows, return_counts=True)
         begin, found, most = 0, [], ALPHAS_AT_ONCE[samples.rows.device.type]
         for row, count in zip(rows, counts.tolist()):
@@ -201,8 +216,8 @@ class Projection:
         return sample, gaussian
 
     def blend(self, samples: Samples) -> Blend:
-        """Front-to-back blending; a sample stops before its transmittance would fall below 1e-4 (Kerbl et al.)."""
-        sample, gaussian = self.pairs(samples)
+        """Blend front to back; a sample stops before its transmittance would fall below 1e-4 (Kerbl et al.)."""
+        sample, gaussian = self.intersections(samples)
         count = torch.bincount(sample, minlength=len(samples.rows))
         rank = torch.arange(len(sample), device=sample.device) - (count.cumsum(0) - count)[sample]
         full = self.alpha(gaussian, Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample]))

@@ -1,4 +1,4 @@
-"""How good what eyes see of a panel is, across its viewing cone: against the exact cameras where these eyes stand."""
+"""Quality of the pictures that eyes see of a panel across its viewing cone, against exact cameras at these eyes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate, zone_width_mm
+from lightfield_gs.panels.simulate import Psf, eye_row, simulate, zone_width_mm
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.reference.metrics import psnr_db, ssim
 from lightfield_gs.scene.gaussians import Gaussians
@@ -21,8 +21,14 @@ MOST_EYES = 1000
 
 @dataclass(frozen=True)
 class EyeScore:
-    """Of one eye at the viewing distance: how far it stands to the right in mm, the view coordinate x that it sees, and
-    PSNR and SSIM of its picture against that of the exact camera."""
+    """The score of one eye at the viewing distance, against the picture of the exact camera.
+
+    Attributes:
+        right_mm: Position to the right.
+        view: The view coordinate x that it sees.
+        psnr_db: PSNR.
+        ssim: SSIM.
+    """
 
     right_mm: float
     view: float
@@ -30,26 +36,36 @@ class EyeScore:
     ssim: float
 
 
-def eyes_across(panel: Panel, count: int, share: float = 0.75) -> np.ndarray:
-    """Places [count, 3] in mm of eyes spread evenly, from left to right, over the middle `share` (0..1) of the panel's
-    viewing zone: not quite to its ends, where an eye sees the first and the last view at once. Raises InputError."""
-    count, share = whole_number("count", count, 1, MOST_EYES), real_number("share", share, 0.0, 1.0)
-    half = share * zone_width_mm(panel) / 2
-    return row_of_eyes(panel, -half, half, count)
+def eyes_across(panel: Panel, count: int, fraction: float = 0.75) -> np.ndarray:
+    """Return eyes [count, 3] in mm, spread evenly from left to right over the middle of the panel's viewing zone.
+
+    At the ends of the zone an eye sees the first and the last view at once.
+
+    Args:
+        panel: The panel.
+        count: Number of eyes.
+        fraction: Of the zone, 0..1.
+
+    Raises:
+        InputError: An argument is invalid.
+    """
+    count, fraction = whole_number("count", count, 1, MOST_EYES), real_number("fraction", fraction, 0.0, 1.0)
+    half = fraction * zone_width_mm(panel) / 2
+    return eye_row(panel, -half, half, count)
 
 
-def views_of(panel: Panel, eyes_mm: np.ndarray) -> np.ndarray:
-    """View coordinates x [K] that eyes [K, 3] at the viewing distance see. Raises InputError."""
+def view_coordinates(panel: Panel, eyes_mm: np.ndarray) -> np.ndarray:
+    """Return the view coordinates x [K] that eyes [K, 3] at the viewing distance see; raise InputError."""
     aside = (eyes_mm[:, 0] - eyes_mm[:, 1] * panel.slant_tan) * (-1 if panel.invert_views else 1)
     return panel.views * (0.5 - aside / zone_width_mm(panel))
 
 
 class EyeReference:
-    """What eyes at the viewing distance would see of a scene if every view were exact.
+    """The pictures that eyes at the viewing distance would see of a scene if every view were exact.
 
-    That is the picture of the camera that stands where the eye stands, on every sub-pixel of the panel, through the
-    same lenses as the picture to be judged: spatial sampling is then the same in both, and what differs is what the
-    panel mixes of other views. Ordinary pinholes, whatever filter the judged image was made with.
+    Each is the picture of the camera at the eye, on every sub-pixel of the panel, through the same lenses as the
+    picture to be judged. Spatial sampling is then the same in both, and only the panel's mixing of views differs. The
+    cameras are ordinary pinholes, whatever filter the judged image was made with.
     """
 
     @torch.no_grad()
@@ -65,10 +81,23 @@ class EyeReference:
         spread_subpixels: float = 1.0,
         psf: Psf | None = None,
     ):
-        """eyes_mm: [K, 3] at the viewing distance, as eyes_across makes them. spread_subpixels, psf: see simulate. The
-        rest as in encode. Renders K cameras at the panel's resolution, one at a time. Raises InputError."""
+        """Render K cameras at the panel's resolution, one at a time.
+
+        Args:
+            gaussians: One set.
+            panel: The panel.
+            rig: Its rig.
+            eyes_mm: [K, 3] at the viewing distance, as eyes_across makes them.
+            background: See encode.
+            antialiased: See encode.
+            spread_subpixels: See simulate.
+            psf: See simulate.
+
+        Raises:
+            InputError: An argument is invalid.
+        """
         expect("panel", panel, Panel)
-        self.panel, self.eyes_mm, self.views = panel, np.asarray(eyes_mm, np.float64), views_of(panel, eyes_mm)
+        self.panel, self.eyes_mm, self.views = panel, np.asarray(eyes_mm, np.float64), view_coordinates(panel, eyes_mm)
         self.spread, self.psf = spread_subpixels, psf
         pictures = []
         for x, eye in zip(self.views, self.eyes_mm):
@@ -81,7 +110,7 @@ class EyeReference:
         return simulate(image, self.panel, eye_mm.tolist(), self.spread, psf=self.psf)
 
     def scores(self, image: np.ndarray) -> Iterator[EyeScore]:
-        """Scores of a light-field image [H, W, 3] of the panel, eye by eye. Raises InputError."""
+        """Yield the scores of a light-field image [H, W, 3] of the panel, eye by eye; raise InputError."""
         for eye, x, expected in zip(self.eyes_mm, self.views, self.pictures):
             seen, exact = (
                 torch.from_numpy(picture).permute(2, 0, 1).double() for picture in (self._seen(image, eye), expected)

@@ -1,11 +1,11 @@
-"""Float64 oracle: the colour of any chosen sample by brute force, in plain PyTorch.
+"""The float64 oracle: the colour of any chosen sample by brute force, in plain PyTorch.
 
-No tiles, no fits, no fixed-point phases: it shares nothing with the native rasterizer, so that each can be judged by
-the other, and autograd through it is the truth for gradients. Lens phase: van Berkel, "Image preparation for 3D-LCD",
-1999; the rig's offsets: Shi et al., Photonics 2025, 12(3), 279. The arithmetic is in blend.py.
+No tiles, no fits, no fixed-point phases: it shares nothing with the native rasterizer, so that each can judge the
+other. Autograd through it gives the true gradients. Lens phase: van Berkel, "Image preparation for 3D-LCD", 1999; the
+rig's offsets: Shi et al., Photonics 2025, 12(3), 279. The arithmetic is in blend.py.
 
 Speed: 20,000 random sub-pixels of 262,144 Gaussians take less than ten seconds on two cores, in some 500 MB. Gaussians
-on a GPU are judged there.
+on a GPU are evaluated there.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
 
-CLAMP_MARGIN = 0.15  # the Jacobian is clamped at this share of the image beyond each of its edges
+CLAMP_MARGIN = 0.15  # the Jacobian is clamped at this fraction of the image beyond each of its edges
 SAMPLES_PER_CHUNK = 1024
 
 
@@ -42,7 +42,7 @@ def _chunks(projection: Projection, samples: Samples) -> Iterator[tuple[slice, S
 def _colours(
     projection: Projection, columns: Tensor, rows: Tensor, offsets: Tensor, channels: Tensor, background: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Colours [M] and margins [M] of samples in any order, each of one channel."""
+    """Return colours [M] and margins [M] of samples in any order, each of one channel."""
     device = projection.scene.means.device
     columns, rows, offsets, channels, background = (
         t.to(device) for t in (columns, rows, offsets, channels, background)
@@ -66,32 +66,34 @@ def lens_views(
     channels: Sequence[int] | np.ndarray,
     continuous: bool = False,
 ) -> np.ndarray:
-    """View x in [0,N) of sub-pixels, float64 [M]: exact in fractions; n + 1/2 (n whole) unless continuous."""
+    """Return the view x in [0,N) of sub-pixels, float64 [M]: exact in fractions; n + 1/2 unless continuous."""
     pitch, slant, phase = (Fraction(float(value)) for value in (panel.line_number, panel.slant_tan, panel.phase))
     # Lens coordinate (D_0 + 3 j + k + 3 i tan) / P_e over one denominator, then whole numbers of any length.
     steps = (phase / pitch, 1 / pitch, 3 * slant / pitch)
-    places = [_places(panel, cell, slant) for cell in panel.subpixel_cells or (None,)]
+    places = [_subpixel_offsets(panel, cell, slant) for cell in panel.subpixel_cells or (None,)]
     unit = math.lcm(*(step.denominator for step in (*steps, *(at / pitch for cell in places for at in cell))))
     start, across, down = (int(step * unit) for step in steps)
     beyond = [[int(at / pitch * unit) for at in cell] for cell in places]
     found = np.empty(len(rows))
     for index, (row, column, channel) in enumerate(zip(rows, columns, channels)):
-        within = beyond[_cell(panel, int(row), int(column))][int(channel)]
+        within = beyond[_cell_number(panel, int(row), int(column))][int(channel)]
         x = (start + across * 3 * int(column) + within + down * int(row)) % unit * panel.views
         found[index] = x / unit if continuous else x // unit + 0.5
     return found
 
 
-def _places(panel: Panel, cell: Any, slant: Fraction) -> list[Fraction]:
-    """How far red, green and blue lie from the reference of their pixel, in sub-pixels along the row; what lies higher
-    counts as farther left or right by the slant."""
+def _subpixel_offsets(panel: Panel, cell: Any, slant: Fraction) -> list[Fraction]:
+    """Return the offsets of red, green and blue from the reference of their pixel, in sub-pixels along the row.
+
+    A higher sub-pixel counts as farther left or right by the slant.
+    """
     if cell is None:
         return [Fraction(k) for k in ((0, 1, 2) if panel.subpixel_order == "RGB" else (2, 1, 0))]
     return [3 * (Fraction(float(x)) - slant * Fraction(float(y))) for x, y in cell]
 
 
-def _cell(panel: Panel, row: int, column: int) -> int:
-    """Which of the panel's cells a pixel is (Looking Glass: CellPatternMode)."""
+def _cell_number(panel: Panel, row: int, column: int) -> int:
+    """Return the number of a pixel's cell (Looking Glass: CellPatternMode)."""
     y = row if panel.cell_rows == "top" else panel.height_px - 1 - row
     by_rule = {"unity": (column % 2, y % 2), "webxr": (y % 4, column % 2)}[panel.cell_rule]
     return (0, (column + y) % 2, by_rule[0], (y + column % 2 * 2) % 4, by_rule[1])[panel.cell_pattern]
@@ -102,13 +104,13 @@ def _rig_cone_rad(panel: Panel, rig: Rig) -> float:
 
 
 def lens_offsets(panel: Panel, rig: Rig, x: np.ndarray) -> np.ndarray:
-    """Offset to the right of the centre camera, scene units, of views x."""
+    """Return the offsets of views x to the right of the centre camera, scene units."""
     width = 2 * rig.zero_depth * np.tan(_rig_cone_rad(panel, rig) / 2)
     return (-1 if panel.invert_views else 1) * width * (0.5 - np.asarray(x) / panel.views)
 
 
 def rig_eye(panel: Panel, rig: Rig, view_filter: float = 0.0) -> Eye:
-    """The centre camera of a rig; its Jacobian limits cover the frusta of all views, seen from the centre."""
+    """Return the centre camera of a rig; its Jacobian limits cover the frusta of all views, seen from the centre."""
     (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
     limits = frustum_limits(fx, fy, cx, cy, panel.width_px, panel.height_px)
     widest = np.tan(_rig_cone_rad(panel, rig) / 2)  # largest |offset| / zero_depth
@@ -120,7 +122,7 @@ def rig_eye(panel: Panel, rig: Rig, view_filter: float = 0.0) -> Eye:
 
 
 def frustum_limits(fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Tensor:
-    """(lo_x, hi_x, lo_y, hi_y) of X/Z and Y/Z: the frustum and 30 % of its half width and half height on every side."""
+    """Return (lo_x, hi_x, lo_y, hi_y) of X/Z and Y/Z: the frustum and 30 % of its half size on every side."""
     x, y = CLAMP_MARGIN * width, CLAMP_MARGIN * height
     limits = [(-cx - x) / fx, (width - cx + x) / fx, (-cy - y) / fy, (height - cy + y) / fy]
     return torch.tensor(limits, dtype=torch.float64)
@@ -140,15 +142,25 @@ def subpixel_colours(
     view_filter: float = 0.0,
     return_margin: bool = False,
 ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-    """Colours that chosen sub-pixels of a light-field image must have, float64 [M].
+    """Return the true colours of chosen sub-pixels of a light-field image, float64 [M].
 
-    rows, columns: 0-based pixels [M]; channels: image channels [M], 0 red to 2 blue. continuous: fractional views.
-    antialiased, view_filter: see lightfield_gs.encode.
-    With return_margin also [M]: how near, relatively, a decision about the sample came to its threshold (alpha = 1/255
-    or transmittance = 1e-4), at most 0.1; below some 1e-4 a float32 program may rightly decide otherwise.
+    Args:
+        gaussians: One set.
+        panel: The panel.
+        rig: Its rig.
+        rows: 0-based pixels [M].
+        columns: 0-based pixels [M].
+        channels: Image channels [M], 0 red to 2 blue.
+        continuous: Whether views are fractional.
+        background: Colour, 0..1.
+        antialiased: See lightfield_gs.encode.
+        view_filter: See lightfield_gs.encode.
+        return_margin: Whether to return margins [M] as well: the relative distance, at most 0.1, of a decision about
+            the sample from its threshold (alpha = 1/255 or transmittance = 1e-4). Below some 1e-4 a float32 program may
+            rightly decide otherwise.
     """
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig, view_filter), antialiased)
+    projection = Projection(Scene.from_gaussians(gaussians), rig_eye(panel, rig, view_filter), antialiased)
     colours, margins = _colours(
         projection,
         _centres(columns),
@@ -174,7 +186,7 @@ def lens_torch(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Tensor:
-    """The whole light-field image [H,W,3] of one small scene, differentiable in every tensor (float64, no batch)."""
+    """Return the whole light-field image [H,W,3] of one small scene, differentiable in every tensor (float64)."""
     rows, columns, channels = (index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
     projection = Projection(
@@ -198,8 +210,8 @@ def pixel_colours(
     antialiased: bool = False,
     return_margin: bool = False,
 ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-    """Colours of chosen pixels and channels of one ordinary camera, float64 [M]; the rest as `subpixel_colours`."""
-    projection = Projection(Scene.of(gaussians), _camera_eye(cameras, camera), antialiased)
+    """Return the true colours of chosen pixels and channels of one camera, float64 [M]; see subpixel_colours."""
+    projection = Projection(Scene.from_gaussians(gaussians), _camera_eye(cameras, camera), antialiased)
     offsets = torch.zeros(len(rows), dtype=torch.float64)
     colours, margins = _colours(
         projection,
@@ -226,11 +238,23 @@ def dense_torch(
     height: int,
     antialiased: bool = False,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Images [B,V,H,W,3], alpha and depth [B,V,H,W] of B small scenes before V cameras each, differentiable, float64.
+    """Return images [B,V,H,W,3], alpha and depth [B,V,H,W] of B small scenes before V cameras each.
 
-    means [B,N,3], quaternions [B,N,4], scales [B,N,3], opacities [B,N], sh [B,N,K,3], background [B,V,3],
-    world_to_camera [B,V,4,4], intrinsics [B,V,4] (fx, fy, cx, cy), limits [B,V,5] (lo_x, hi_x, lo_y, hi_y, offset from
-    the centre of a rig).
+    Everything is float64 and differentiable.
+
+    Args:
+        means: [B,N,3].
+        quaternions: [B,N,4].
+        scales: [B,N,3].
+        opacities: [B,N].
+        sh: [B,N,K,3].
+        background: [B,V,3].
+        world_to_camera: [B,V,4,4].
+        intrinsics: [B,V,4] (fx, fy, cx, cy).
+        limits: [B,V,5] (lo_x, hi_x, lo_y, hi_y, offset from the centre of a rig).
+        width: Pixels.
+        height: Pixels.
+        antialiased: See lightfield_gs.render.
     """
     scenes = [Scene(*fields) for fields in zip(means, quaternions, scales, opacities, sh)]
     images = [

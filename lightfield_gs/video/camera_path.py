@@ -20,24 +20,31 @@ MOST_FRAMES = 1_000_000
 _FULL_TURN_DEG = 360.0
 _LIMIT_BYTES = 16 << 20
 _RIG_KEYS, _RIG_OPTIONAL = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth"), ("cone_deg",)
-_MOST_TURN_DEG = 150.0  # between neighbours: beyond, it is not clear which way round is meant
-_QUATERNION = slice(3, 7)  # of what a keyframe is written as
+_MOST_TURN_DEG = 150.0  # between keyframes: beyond, the direction is ambiguous
+_QUATERNION = slice(3, 7)  # of a keyframe's values
 
 
 def pivot_point(rig: Rig, panel: Panel) -> np.ndarray:
-    """The point [3] of the zero plane that is in the middle of the panel, in the camera's axes, scene units."""
+    """Return the point [3] in the middle of the panel on the zero plane, in camera axes, scene units."""
     (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
     slopes = (panel.width_px / 2 - cx) / fx, (panel.height_px / 2 - cy) / fy, 1.0
     return rig.zero_depth * np.array(slopes)
 
 
-def turned(rig: Rig, panel: Panel, degrees: float, up: np.ndarray | None = None) -> Rig:
-    """The rig, gone round what the middle of the panel shows by an angle; to the right where that is positive.
+def orbit(rig: Rig, panel: Panel, degrees: float, up: np.ndarray | None = None) -> Rig:
+    """Move a rig on a circle round the point in the middle of the panel on the zero plane.
 
-    up: direction [3] of the axis, in the scene's axes; None: the camera's own vertical. The axis goes through the point
-    of the zero plane in the middle of the panel, which stays there. With Q the rotation about it (Rodrigues, 1840) and
-    P the point, [R | t] becomes [R Q^T | t + R (P - Q^T P)]: at 0 and at 360 degrees that is the rig itself, to the
-    bit. Raises InputError.
+    With Q the rotation about the axis (Rodrigues, 1840) and P that point, [R | t] becomes [R Q^T | t + R (P - Q^T P)].
+    At 0 and at 360 degrees that is the rig itself, to the bit.
+
+    Args:
+        rig: the rig.
+        panel: the panel.
+        degrees: angle, to the right where positive.
+        up: direction [3] of the axis, in the scene's axes; None: the camera's own vertical.
+
+    Raises:
+        InputError: for other values.
     """
     expect("rig", rig, Rig)
     expect("panel", panel, Panel)
@@ -55,15 +62,25 @@ def turned(rig: Rig, panel: Panel, degrees: float, up: np.ndarray | None = None)
 def turntable(
     rig: Rig, panel: Panel, frames: int, degrees: float = _FULL_TURN_DEG, up: np.ndarray | None = None
 ) -> list[Rig]:
-    """The rigs of a loop that begins with the rig itself: full turns, of 360 degrees or a multiple; or else a swing by
-    `degrees` in all, to the right first, to the left and back. up: see `turned`. Raises InputError."""
+    """Return the rigs of a loop that begins with the rig itself.
+
+    Args:
+        rig: the rig.
+        panel: the panel.
+        frames: number of frames.
+        degrees: a multiple of 360 for full turns; else a swing by this angle in all, right, left and back.
+        up: see `orbit`.
+
+    Raises:
+        InputError: for other values.
+    """
     frames = whole_number("frames", frames, 1, MOST_FRAMES)
     degrees = real_number("degrees", degrees, -1e6, 1e6)
     if degrees % _FULL_TURN_DEG == 0:
         angles = [degrees * number / frames for number in range(frames)]
     else:
         angles = [degrees / 2 * math.sin(2 * math.pi * number / frames) for number in range(frames)]
-    return [turned(rig, panel, angle, up) for angle in angles]
+    return [orbit(rig, panel, angle, up) for angle in angles]
 
 
 def _unit(direction: np.ndarray) -> np.ndarray:
@@ -75,13 +92,23 @@ def _unit(direction: np.ndarray) -> np.ndarray:
 
 
 class CameraPath:
-    """A path through rigs at given times in seconds, which increase. Raises InputError.
+    """A smooth path through rigs.
 
-    What is interpolated is the point of the zero plane in the middle of the panel, the rotation, the distance of the
-    zero plane, the focal lengths, the principal point and the cone, so that a camera which looks at one thing from two
-    sides goes round it, and does not cut the corner. Between keyframes each is a cubic with the slopes of the parabola
-    through three neighbours (Hermite; Catmull and Rom, 1974, of uneven times), so that speeds do not jump. A path that
-    ends with the rig that it begins with is a loop, smooth there as well.
+    The path interpolates the rotation, the point in the middle of the panel on the zero plane, and its distance. It
+    also interpolates the focal lengths, the principal point and the cone. So a camera that looks at one point from two
+    sides goes round it, and does not cut the corner.
+
+    Between keyframes each value is a cubic with the slopes of the parabola through three neighbours, so that speeds do
+    not jump (Hermite; Catmull and Rom, 1974, of uneven times). A path that ends with its first rig is a loop, smooth
+    there as well.
+
+    Args:
+        times_s: increasing times of the keyframes, seconds.
+        rigs: one for each time, two or more.
+        panel: the panel.
+
+    Raises:
+        InputError: for other values, and for large turns between keyframes.
     """
 
     def __init__(self, times_s: Sequence[float], rigs: Sequence[Rig], panel: Panel):
@@ -101,8 +128,14 @@ class CameraPath:
 
     @staticmethod
     def load(path: str | Path, panel: Panel) -> CameraPath:
-        """The path in a YAML or JSON file: `keyframes`, a list of `time` in seconds and `rig`, which is the name of a
-        rig's file, seen from the folder of this one, or the fields of one. Raises InputError that names the file."""
+        """Read a path from a YAML or JSON file.
+
+        `keyframes` is a list of `time` in seconds and `rig`. A rig is its fields, or the name of its file, relative to
+        this file's folder.
+
+        Raises:
+            InputError: names the file.
+        """
         path = Path(path)
         if path.suffix.lower() == ".json":
             data = read_object(path, _LIMIT_BYTES)
@@ -118,35 +151,43 @@ class CameraPath:
 
     @property
     def seconds(self) -> float:
-        """From the first keyframe to the last."""
+        """Duration from the first keyframe to the last."""
         return float(self.times_s[-1] - self.times_s[0])
 
     def relative_to(self, origin: Sequence[float]) -> CameraPath:
-        """The same path for coordinates that are given from `origin`; see Rig.relative_to."""
+        """Return the same path in coordinates relative to `origin`; see Rig.relative_to."""
         return CameraPath(self.times_s.tolist(), [rig.relative_to(origin) for rig in self.rigs], self.panel)
 
     def at(self, seconds: float) -> Rig:
-        """The rig so many seconds after the first keyframe; before the first and after the last it stands still. At a
-        keyframe it is that of the keyframe, to the bit."""
+        """Return the rig at a time in seconds after the first keyframe.
+
+        It stands still before the first and after the last.
+
+        At a keyframe it is that keyframe's rig, to the bit.
+        """
         time = min(max(seconds, 0.0), self.seconds) + self.times_s[0]
         number = min(int(np.searchsorted(self.times_s, time, "right")) - 1, len(self.rigs) - 1)
         if time == self.times_s[number]:
             return self.rigs[number]
         span = self.times_s[number + 1] - self.times_s[number]
-        share = (time - self.times_s[number]) / span
-        rest = 1 - share
+        fraction = (time - self.times_s[number]) / span
+        rest = 1 - fraction
         value = (
-            rest * rest * (1 + 2 * share) * self._values[number]
-            + share * share * (1 + 2 * rest) * self._values[number + 1]
-            + span * share * rest * (rest * self._slopes[number] - share * self._slopes[number + 1])
+            rest * rest * (1 + 2 * fraction) * self._values[number]
+            + fraction * fraction * (1 + 2 * rest) * self._values[number + 1]
+            + span * fraction * rest * (rest * self._slopes[number] - fraction * self._slopes[number + 1])
         )
         return self._rig(value, number)
 
     def frames(self, fps: float, frames: int | None = None) -> list[Rig]:
-        """The rigs of frames at 0, 1 / fps, 2 / fps ... seconds, the last keyframe included but in a loop; or of so
-        many frames, spread over the whole path."""
+        """Return the rigs of frames. The last keyframe is included unless the path is a loop.
+
+        Args:
+            fps: frames a second, at 0, 1 / fps, 2 / fps ... seconds.
+            frames: number of frames, spread over the whole path; takes the place of fps.
+        """
         if frames is None:
-            # A hair's breadth of a frame either way, for 0.1 s are not a whole number of frames in binary
+            # Tolerance of 1e-3 frames, since 0.1 s is not a whole number of frames in binary
             last = self.seconds * fps
             frames, step = math.ceil(last - 1e-3) if self.is_loop else math.floor(last + 1e-3) + 1, 1 / fps
         else:
@@ -154,7 +195,7 @@ class CameraPath:
         return [self.at(number * step) for number in range(max(frames, 1))]
 
     def _rig(self, value: np.ndarray, number: int) -> Rig:
-        """The rig of interpolated numbers, between the keyframe of this number and the next."""
+        """Return the rig of interpolated values, between the keyframe of this number and the next."""
         rotation = _matrix(value[_QUATERNION])
         zero_depth, fx, fy = np.exp(value[7:10]).tolist()
         centre = float(value[10]), float(value[11])
@@ -182,7 +223,7 @@ def _keyframe(path: Path, number: int, data: Any) -> tuple[Any, Rig]:
 
 
 def _values(rigs: list[Rig], panel: Panel) -> np.ndarray:
-    """What is interpolated, [K, 13], quaternions with the signs that make the turns short. Raises InputError."""
+    """Return the interpolated values, [K, 13], with the quaternions' signs for short turns. Raises InputError."""
     if len({rig.cone_deg is None for rig in rigs}) > 1:
         raise InputError("cone_deg must be in the rigs of all keyframes, or of none (the panel's cone)")
     rows: list[np.ndarray] = []
@@ -204,7 +245,10 @@ def _values(rigs: list[Rig], panel: Panel) -> np.ndarray:
 
 
 def _slopes(times: np.ndarray, values: np.ndarray, is_loop: bool) -> np.ndarray:
-    """Change a second at each keyframe: of the parabola through it and its neighbours, and one-sided at the ends."""
+    """Return the change a second at each keyframe, of the parabola through it and its neighbours.
+
+    One-sided at the ends.
+    """
     spans = np.diff(times)[:, None]
     steep = np.diff(values, axis=0) / spans
     inner = (spans[1:] * steep[:-1] + spans[:-1] * steep[1:]) / (spans[1:] + spans[:-1])
@@ -219,8 +263,7 @@ def _slopes(times: np.ndarray, values: np.ndarray, is_loop: bool) -> np.ndarray:
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """The unit quaternion [4] (wxyz) of a rotation [3, 3]: the eigenvector that all its elements vote for (Bar-Itzhack,
-    2000)."""
+    """Return the unit quaternion [4] (wxyz) of a rotation [3, 3], as an eigenvector (Bar-Itzhack, 2000)."""
     m = rotation
     votes = np.array(
         [
@@ -234,7 +277,7 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _matrix(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation [3, 3] of a quaternion (wxyz) of any length but zero."""
+    """Return the rotation [3, 3] of a quaternion (wxyz) of any length but zero."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array(
         [

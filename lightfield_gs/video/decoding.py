@@ -26,13 +26,17 @@ _TO_BT709 = {
     _P3: np.array([[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]]),
 }
 _WHITE_NITS = 203.0  # of diffuse white in PQ (ITU-R BT.2408); in HLG it has the code 0.75
-_PAUSE = 1.5  # between two frames, in typical steps, from which on the frame before is repeated
-_MOST_REPEATS = 100  # of a frame on average; beyond that, times are taken for wrong
-_ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own leave alpha out
+_PAUSE = 1.5  # typical steps between two frames, from which on the first is repeated
+_MOST_REPEATS = 100  # of a frame on average: more means that the times are wrong
+_ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own decoders drop alpha
 
 
 def av_library(purpose: str) -> ModuleType:
-    """The module `av`. Raises InputError where it is not installed; purpose: what it is needed for."""
+    """Import PyAV, an optional extra, which brings FFmpeg's libraries along.
+
+    The wheels of PyAV hold x264 and x265, which are under the GPL; only videos need them. Raises InputError where it
+    is not installed. purpose: what needs it, for the message.
+    """
     try:
         import av
     except ImportError:
@@ -42,8 +46,13 @@ def av_library(purpose: str) -> ModuleType:
 
 @dataclass(frozen=True)
 class Timeline:
-    """order: of each picture, the number of the frame in the file that it shows; fps: None where the file does not
-    say; notes: lines on what is done to the frames."""
+    """The displayed frames of a video.
+
+    Attributes:
+        order: index of the decoded frame that each displayed frame shows.
+        fps: frames a second; None where the file does not tell.
+        notes: lines about conversions.
+    """
 
     order: tuple[int, ...]
     fps: Fraction | None
@@ -51,8 +60,8 @@ class Timeline:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """PyAV's container and the first stream of pictures. Raises InputError, of whatever FFmpeg finds wrong."""
+def _open(path: Path) -> Iterator[tuple[Any, Any]]:
+    """Open PyAV's container and its first video stream. Raises InputError for every error of FFmpeg."""
     with reading(path):
         path.open("rb").close()
     av = av_library(f"{path}: a video")
@@ -70,17 +79,20 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 
 def timeline(path: Path, in_time: bool = True) -> Timeline:
-    """Which frame of a video is seen when. Nothing is decode but the first frame. Raises InputError.
+    """Return which decoded frame a video shows when. Only the first frame is decoded.
 
     Args:
         path: the video.
-        in_time: frames that are seen longer than others are repeated; else each comes once.
+        in_time: whether frames that are shown longer than others are repeated; else each comes once.
+
+    Raises:
+        InputError: for a file that is no video, or has no frames.
     """
-    with _opened(path) as (container, stream):
+    with _open(path) as (container, stream):
         frame, found, times = None, 0, []
         for packet in container.demux(stream):
             frame = frame or next(iter(packet.decode()), None)
-            # What the header says of the count is often 0 or wrong. An edit list, as phones trim, discards packets
+            # The count in the header is often 0 or wrong. Edit lists of trimmed videos discard packets
             if packet.size > 0 and not packet.is_discard:
                 found += 1
                 times += [] if packet.pts is None else [float(packet.pts * packet.time_base)]
@@ -102,29 +114,32 @@ def timeline(path: Path, in_time: bool = True) -> Timeline:
 
 
 def decode(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
-    """The frames, uint8 [H, W, 3], or [H, W, 4] where the video has alpha. Raises InputError.
+    """Yield the frames, uint8 [H, W, 3], or [H, W, 4] where the video has alpha.
 
     Args:
         path: the video.
-        maps: it holds depths: of more than 8 bits they are uint16 [H, W, 1], as stored where they are grey of 16 bits,
-            else scaled to 0..65535; their colours are not converted.
+        maps: whether it holds depths. Depths of more than 8 bits are uint16 [H, W, 1], as stored where they are grey
+            of 16 bits, else scaled to 0..65535. Their colours are not converted.
+
+    Raises:
+        InputError: for a file that cannot be decoded.
     """
-    with _opened(path) as (container, stream):
+    with _open(path) as (container, stream):
         curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
         aspect = _pixel_aspect(stream)
         for frame in _frames(container, stream):
             if maps and frame.format.components[0].bits > 8:
-                pixels = _scaled(frame, aspect, "gray16le")[..., None]
+                pixels = _scale(frame, aspect, "gray16le")[..., None]
             elif not maps and (curve in (_PQ, _HLG) or primaries in _TO_BT709):
-                pixels = _to_srgb(_scaled(frame, aspect, "rgb48le"), curve, primaries)
+                pixels = _to_srgb(_scale(frame, aspect, "rgb48le"), curve, primaries)
             else:
                 has_alpha = any(component.is_alpha for component in frame.format.components)
-                pixels = _scaled(frame, aspect, "rgba" if has_alpha else "rgb24")
-            yield np.ascontiguousarray(_turned(pixels, frame))
+                pixels = _scale(frame, aspect, "rgba" if has_alpha else "rgb24")
+            yield np.ascontiguousarray(_apply_display_matrix(pixels, frame))
 
 
 def _frames(container: Any, stream: Any) -> Iterator[Any]:
-    """PyAV's frames, deinterlaced, with alpha where the video has it."""
+    """Yield PyAV's frames, deinterlaced, with alpha where the video has it."""
     av = av_library("a video")
     decoder = _ALPHA_DECODERS.get(stream.codec_context.name)
     if stream.metadata.get("alpha_mode") == "1" and decoder in av.codecs_available:
@@ -142,14 +157,14 @@ def _frames(container: Any, stream: Any) -> Iterator[Any]:
             yield frame
             continue
         graph.vpush(frame)
-        yield from _pulled(graph)
+        yield from _pull(graph)
     if graph is not None:
         graph.vpush(None)
-        yield from _pulled(graph)
+        yield from _pull(graph)
 
 
-def _pulled(graph: Any) -> Iterator[Any]:
-    """The frames that a graph of filters has ready."""
+def _pull(graph: Any) -> Iterator[Any]:
+    """Yield the frames that a filter graph has ready."""
     av = av_library("a video")
     while True:
         try:
@@ -159,7 +174,7 @@ def _pulled(graph: Any) -> Iterator[Any]:
 
 
 def _conversions(stream: Any, frame: Any) -> Iterator[str]:
-    """What is done to the frames of a video, by its first one."""
+    """Yield lines about the conversions of a video, by its first frame."""
     aspect = _pixel_aspect(stream)
     if aspect != 1:
         yield f"pixels of {aspect.numerator}:{aspect.denominator} are made square"
@@ -172,12 +187,12 @@ def _conversions(stream: Any, frame: Any) -> Iterator[str]:
 
 
 def _pixel_aspect(stream: Any) -> Fraction:
-    """Width over height of a pixel; 1 where the video does not say."""
+    """Return width over height of a pixel; 1 where the video does not tell."""
     return Fraction(stream.sample_aspect_ratio or 1)
 
 
-def _scaled(frame: Any, aspect: Fraction, pixel_format: str) -> np.ndarray:
-    """A frame with square pixels; the shorter side is enlarged."""
+def _scale(frame: Any, aspect: Fraction, pixel_format: str) -> np.ndarray:
+    """Scale a frame to square pixels; the shorter side is enlarged."""
     width, height = frame.width, frame.height
     if aspect > 1:
         width = min(round(width * aspect), MAX_PIXELS // height)
@@ -186,8 +201,8 @@ def _scaled(frame: Any, aspect: Fraction, pixel_format: str) -> np.ndarray:
     return frame.reformat(width=width, height=height, format=pixel_format).to_ndarray()
 
 
-def _turned(pixels: np.ndarray, frame: Any) -> np.ndarray:
-    """A frame as its display matrix (ISO 14496-12, 8.3.2) turns and mirrors it, by quarters."""
+def _apply_display_matrix(pixels: np.ndarray, frame: Any) -> np.ndarray:
+    """Turn and mirror a frame by its display matrix (ISO 14496-12, 8.3.2), in quarter turns."""
     entries = [data for data in frame.side_data if data.type.name == "DISPLAYMATRIX"]
     if not entries:
         return pixels
@@ -198,7 +213,7 @@ def _turned(pixels: np.ndarray, frame: Any) -> np.ndarray:
 
 
 def _to_srgb(codes: np.ndarray, curve: int, primaries: int) -> np.ndarray:
-    """RGB codes uint16 [H, W, 3] of some curve and primaries as sRGB, uint8, white at 1 (ITU-R BT.2100, BT.2408)."""
+    """Convert RGB codes uint16 [H, W, 3] to sRGB, uint8, white at 1 (ITU-R BT.2100, BT.2408)."""
     values = np.linspace(0.0, 1.0, 65536)
     if curve == _HLG:
         a, b, c = 0.17883277, 0.28466892, 0.55991073

@@ -1,4 +1,4 @@
-"""Frames as PNG files in a folder, written beside the drawing; what is there already is not drawn again."""
+"""Write frames as PNG files into a folder while others are drawn; frames that exist are not drawn again."""
 
 from __future__ import annotations
 
@@ -28,25 +28,38 @@ _MOST_WRITERS = 16
 
 
 def frame_name(number: int) -> str:
-    """The file of a frame, numbered from 0."""
+    """Return the file name of a frame, numbered from 0."""
     return f"frame-{number:06d}.png"
 
 
 def job_hash(job: dict[str, Any]) -> str:
-    """SHA-256 of what frames are made from and by, JSON values; two jobs that differ anywhere have two hashes."""
+    """Return the SHA-256 of all inputs and settings of a video, JSON values."""
     return hashlib.sha256(json.dumps(job, sort_keys=True).encode()).hexdigest()
 
 
 class FrameFolder:
-    """A folder of `count` frames; use it in a `with`, which waits for the files that are still being written.
+    """A folder of frames; use it in a `with`, which waits for files that are still being written.
 
-    frames.json tells how many frames there are, at how many a second, and the hash of the job that they belong to.
-    `missing` are the numbers of the frames that are to be drawn: those of the same job that are there are kept, which
-    are whole, for a file appears complete or not at all. A folder that holds frames of another job is refused, unless
-    `overwrite` says to remove them.
-    job: what the frames are made from and by, JSON values. metadata: of a frame's file, by its number. writers:
-    threads, for compressing takes longer than drawing (None: one a core, at most 16); twice as many frames wait at
-    most. Raises InputError, also in `put` where an earlier frame could not be written.
+    frames.json holds the number of frames, frames a second, and the hash of the job that they belong to. Existing
+    frames of the same job are kept; they are whole, since a file appears complete or not at all. A folder with frames
+    of another job is refused unless `overwrite` is set.
+
+    Args:
+        folder: the folder.
+        count: number of frames.
+        job: inputs and settings of the frames, JSON values.
+        fps: frames a second.
+        metadata: returns the metadata of a frame's file by its number.
+        compression: of the PNG files.
+        writers: threads, since compressing takes longer than drawing; None: one a core, at most 16. At most twice as
+            many frames wait.
+        overwrite: whether to remove frames that exist.
+
+    Attributes:
+        missing: numbers of the frames to draw.
+
+    Raises:
+        InputError: also in `put`, where an earlier frame could not be written.
     """
 
     def __init__(
@@ -81,11 +94,11 @@ class FrameFolder:
         return self
 
     def fetch(self, image: Tensor) -> np.ndarray | CompressedImage:
-        """A frame, uint8 [H, W, 3], as `put` takes it: from a GPU, compressed there."""
+        """Return a frame, uint8 [H, W, 3], in the form that `put` takes; frames on a GPU are compressed there."""
         return fetch_image(image, self.path / frame_name(0), self._compression)
 
     def put(self, number: int, image: np.ndarray | CompressedImage) -> None:
-        """Hands over a frame, uint8 [H, W, 3], which must not change any more; waits while too many are on the way."""
+        """Queue a frame, uint8 [H, W, 3], which must not change any more; block while too many are waiting."""
         self._room.acquire()
         if self._failed is not None:
             self._room.release()
@@ -106,7 +119,7 @@ class FrameFolder:
         self._room.release()
 
     def _missing(self, count: int) -> list[int]:
-        """Numbers of frames that are not there. Raises InputError where the folder is another job's."""
+        """Return the numbers of missing frames. Raises InputError where the folder belongs to another job."""
         manifest = self.path / MANIFEST
         there = {path.name for path in self.path.glob("frame-*.png")}
         if self._overwrite:
@@ -127,7 +140,7 @@ class FrameFolder:
 
 
 def _difference(other: Any, made: dict[str, Any]) -> str:
-    """Names of what two jobs do not have in common."""
+    """List the keys in which two jobs differ."""
     if not isinstance(other, dict):
         return "their descriptions"
     return ", ".join(sorted(key for key in {*other, *made} if other.get(key) != made.get(key)))[:200]

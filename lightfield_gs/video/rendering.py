@@ -26,13 +26,13 @@ from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.scene.gaussians import Gaussians
 
 _EYE_WIDTH_PX = 1920
-# What frames show: of these numbers, which increase, each with its Gaussians and its rig
+# Yields number, Gaussians and rig of the frames of these increasing numbers
 FrameSource = Callable[[list[int]], Iterator[tuple[int, Gaussians, Rig]]]
 
 
 @dataclass
-class Drawing:
-    """How a scene is drawn; see `encode`."""
+class FrameOptions:
+    """How a scene is rendered; see `encode`."""
 
     views: Views = "integer"
     background: Colour = (1.0, 1.0, 1.0)
@@ -40,27 +40,30 @@ class Drawing:
     antialiased: bool = False
     view_filter: float = 0.0
 
-    def of_views(self) -> dict[str, Any]:
-        """What of it concerns views that are pictures by themselves."""
+    def for_views(self) -> dict[str, Any]:
+        """Return the options of views that are images by themselves."""
         return {name: getattr(self, name) for name in ("background", "antialiased", "view_filter")}
 
 
-class NativeFrames:
-    """The picture of the panel, uint8 [H, W, 3]: what `encode` draws by its method direct.
+class NativeRenderer:
+    """Renders the image of the panel, uint8 [H, W, 3], as `encode` does by its method direct.
 
-    is_one_scene: all frames show the same Gaussians, so that an Encoder keeps what does not change; on CUDA it may then
-    round colours otherwise than `encode`. Else each frame is one call of `encode`: an Encoder would make a CUDA graph
-    for every scene.
+    Args:
+        panel: the panel.
+        options: of the rendering.
+        is_one_scene: whether all frames show the same Gaussians. Then an Encoder keeps everything that does not
+            change; on CUDA it may round colours differently from `encode`. Else each frame is one call of `encode`,
+            since an Encoder would capture a CUDA graph for every scene.
     """
 
-    def __init__(self, panel: Panel, drawing: Drawing, is_one_scene: bool):
+    def __init__(self, panel: Panel, options: FrameOptions, is_one_scene: bool):
         self.size_px = panel.width_px, panel.height_px
-        self._panel, self._drawing, self._is_one_scene = panel, drawing, is_one_scene
+        self._panel, self._options, self._is_one_scene = panel, options, is_one_scene
         self._encoder: Encoder | None = None
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
-        """The picture, on the device of the Gaussians; on CUDA the next call may draw over it."""
-        how = vars(self._drawing)
+        """Render on the device of the Gaussians; on CUDA the next call may write over the image."""
+        how = vars(self._options)
         if not self._is_one_scene:
             return encode(gaussians, self._panel, rig, **how)
         if self._encoder is None:
@@ -69,46 +72,52 @@ class NativeFrames:
         return self._encoder(gaussians)
 
 
-class QuiltFrames:
-    """All views as tiles of one picture, uint8 [H, W, 3].
+class QuiltRenderer:
+    """Renders all views as tiles of one image, uint8 [H, W, 3].
 
-    panel: whose picture the rig is for, of the views' aspect. layout: with its size.
+    Args:
+        panel: the panel that the rig is for, of the views' aspect.
+        options: of the rendering.
+        layout: with its size.
     """
 
-    def __init__(self, panel: Panel, drawing: Drawing, layout: QuiltLayout):
+    def __init__(self, panel: Panel, options: FrameOptions, layout: QuiltLayout):
         self.size_px = layout.width_px or 0, layout.height_px or 0
-        self._panel, self._drawing, self._layout = panel, drawing, layout
+        self._panel, self._options, self._layout = panel, options, layout
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
-        """The quilt, on the device of the Gaussians."""
+        """Render the quilt on the device of the Gaussians."""
         tile, fan = self._layout.fitted(self._panel, rig)
-        return quilt(gaussians, self._layout, fan, tile, **self._drawing.of_views())
+        return quilt(gaussians, self._layout, fan, tile, **self._options.for_views())
 
 
-class EyeFrames:
-    """What one eye sees, of 1920 pixels in width at most and of even sides, as 2D video needs; uint8 [h, w, 3].
+class EyeRenderer:
+    """Renders the view of one eye, uint8 [h, w, 3], at most 1920 pixels wide and of even sides, as 2D video needs.
 
-    sway: frames in which the eye goes from the middle to the right, to the left and back; None: it stays in the middle.
+    Args:
+        panel: the panel.
+        options: of the rendering.
+        sway: frames in which the eye moves from the middle to the right, to the left and back; None: no movement.
     """
 
-    def __init__(self, panel: Panel, drawing: Drawing, sway: float | None = None):
+    def __init__(self, panel: Panel, options: FrameOptions, sway: float | None = None):
         width = min(_EYE_WIDTH_PX, panel.width_px)
         height = round(panel.height_px * width / panel.width_px)
         self.size_px = max(2, width - width % 2), max(2, height - height % 2)
-        self._panel, self._drawing, self._sway = panel, drawing, sway
+        self._panel, self._options, self._sway = panel, options, sway
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
-        """The view, on the device of the Gaussians."""
+        """Render the view on the device of the Gaussians."""
         small, rig = reduced(self._panel, rig, self.size_px[0])
         small = replace(small, width_px=self.size_px[0], height_px=self.size_px[1])
-        share = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
+        swing = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
         side = -1 if self._panel.invert_views else 1
-        place = small.views / 2 - side * share * (small.views - 1) / 2
-        return to_bytes(render_views(gaussians, small, rig, [place], **self._drawing.of_views())[0])
+        view = small.views / 2 - side * swing * (small.views - 1) / 2
+        return to_bytes(render_views(gaussians, small, rig, [view], **self._options.for_views())[0])
 
 
-class Draw(Protocol):
-    """See video.pictures; size_px: (width, height) of a frame."""
+class FrameRenderer(Protocol):
+    """Renders a frame. size_px: (width, height)."""
 
     size_px: tuple[int, int]
 
@@ -116,7 +125,7 @@ class Draw(Protocol):
 
 
 class Sink(AbstractContextManager, Protocol):
-    """A FrameFolder or a VideoFile. fetch: a frame on the host as `put` takes it."""
+    """A FrameFolder or a VideoFile. fetch: returns a frame on the host in the form that `put` takes."""
 
     missing: list[int]
 
@@ -124,21 +133,21 @@ class Sink(AbstractContextManager, Protocol):
     def put(self, number: int, image: Any) -> None: ...
 
 
-class NoFiles:
-    """Frames that go nowhere, for measurements of the drawing alone."""
+class NullSink:
+    """Discards frames, to measure rendering alone."""
 
     def __init__(self, count: int):
         self.missing = list(range(count))
 
-    def __enter__(self) -> NoFiles:
+    def __enter__(self) -> NullSink:
         return self
 
     def fetch(self, image: Tensor) -> np.ndarray:
-        """The frame on the host."""
+        """Copy the frame to the host."""
         return to_numpy(image)
 
     def put(self, number: int, image: np.ndarray) -> None:
-        """Nothing is done with it."""
+        """Discard it."""
 
     def __exit__(self, *_: object) -> None:
         return None
@@ -146,8 +155,16 @@ class NoFiles:
 
 @dataclass
 class Timings:
-    """How many frames were drawn, and the seconds that went into the scene of each, into drawing and copying it to the
-    host, into waiting for what writes, at the end into what was not written yet, and in all."""
+    """Number of rendered frames, and seconds.
+
+    Attributes:
+        frames: rendered.
+        scene_s: spent on the scene of each frame.
+        draw_s: rendering, and copying to the host.
+        wait_s: waiting for the writers.
+        finish_s: finishing files at the end.
+        total_s: in all.
+    """
 
     frames: int = 0
     scene_s: float = 0.0
@@ -157,7 +174,7 @@ class Timings:
     total_s: float = 0.0
 
     def words(self) -> str:
-        """For example "8.0 frames/s: scene 0.10 s, draw 2.00 s, wait for the writers 1.50 s, finish 0.10 s"."""
+        """Return a line such as "8.0 frames/s: scene 0.10 s, draw 2.00 s, wait for the writers 1.50 s, ..."."""
         rate = self.frames / max(self.total_s, 1e-9)
         return (
             f"{rate:.3g} frames/s: scene {self.scene_s:.2f} s, draw {self.draw_s:.2f} s, "
@@ -165,27 +182,37 @@ class Timings:
         )
 
 
-def make_video(shots: FrameSource, draw: Draw, sink: Sink, count: int, *, shown: bool = False) -> Timings:
-    """Draws the frames that the sink misses, of `count`, and hands them over; returns what took how long.
+def render_frames(source: FrameSource, draw: FrameRenderer, sink: Sink, count: int, *, shown: bool = False) -> Timings:
+    """Render the missing frames of a sink, each while earlier ones are written.
 
-    While the sink writes, the next frame is drawn. It is entered here, and left when all is written. shown: with a bar
-    that tells frames a second and the time left, where there is a terminal. Raises InputError where the sink does.
+    Args:
+        source: yields number, Gaussians and rig of these frames, whose numbers increase.
+        draw: renders a frame.
+        sink: takes the frames; it is entered here, and left when all are written.
+        count: of all frames.
+        shown: whether to show a progress bar, on a terminal.
+
+    Returns:
+        The time of each stage.
+
+    Raises:
+        InputError: where the sink does.
     """
-    made, began = Timings(), time.perf_counter()
+    timings, began = Timings(), time.perf_counter()
     there, hidden = count - len(sink.missing), None if shown else True
     with sink, tqdm(total=count, initial=there, unit="frame", dynamic_ncols=True, disable=hidden) as bar:
         last = began
-        for number, gaussians, rig in shots(sink.missing):
+        for number, gaussians, rig in source(sink.missing):
             at_scene = time.perf_counter()
             image = sink.fetch(draw(gaussians, rig, number))
             at_image = time.perf_counter()
             sink.put(number, image)
-            made.frames += 1
-            made.scene_s += at_scene - last
-            made.draw_s += at_image - at_scene
+            timings.frames += 1
+            timings.scene_s += at_scene - last
+            timings.draw_s += at_image - at_scene
             last = time.perf_counter()
-            made.wait_s += last - at_image
+            timings.wait_s += last - at_image
             bar.update()
-    made.total_s = time.perf_counter() - began
-    made.finish_s = made.total_s - made.scene_s - made.draw_s - made.wait_s
-    return made
+    timings.total_s = time.perf_counter() - began
+    timings.finish_s = timings.total_s - timings.scene_s - timings.draw_s - timings.wait_s
+    return timings

@@ -1,4 +1,4 @@
-"""The pictures of a sequence: a folder of them, or a video, whose frames are taken out one by one."""
+"""Images in a row: a folder of them, or a video, which is decoded frame by frame."""
 
 from __future__ import annotations
 
@@ -24,10 +24,18 @@ _MAPS = (*PICTURES, ".npy", ".npz")
 
 
 @dataclass(frozen=True)
-class Sequence:
-    """Pictures in a row. path: of the folder or the video; files: of a folder, in order; count: of pictures; fps: of a
-    video, None where it does not say; order: of a video, see Timeline; maps: they are depths; notes: lines on what is
-    done to them."""
+class ImageSequence:
+    """Images in a row.
+
+    Attributes:
+        path: the folder or the video.
+        count: of images.
+        files: of a folder, in order.
+        fps: of a video; None where it does not tell.
+        order: of a video, see Timeline.
+        maps: whether they are depths.
+        notes: lines about conversions.
+    """
 
     path: Path
     count: int
@@ -38,8 +46,10 @@ class Sequence:
     notes: tuple[str, ...] = ()
 
     def pictures(self, numbers: list[int], folder: Path) -> Iterator[tuple[int, Path]]:
-        """The files of the pictures of these numbers, which increase; those of a video are written to `folder`, and
-        are there until the next is asked for. Raises InputError."""
+        """Yield the files of the images of these increasing numbers.
+
+        Frames of a video are written to `folder`, and exist until the next is asked for. Raises InputError.
+        """
         if self.files:
             yield from ((number, self.files[number]) for number in numbers)
             return
@@ -49,7 +59,7 @@ class Sequence:
             yield number, name
 
     def frames(self, numbers: Iterable[int]) -> Iterator[tuple[int, np.ndarray]]:
-        """The frames of a video of these numbers, which increase: see `decode`. Raises InputError."""
+        """Yield the frames of a video of these increasing numbers; see `decode`. Raises InputError."""
         wanted = deque(numbers)
         last = wanted[-1] if wanted else 0
         for index, pixels in enumerate(decode(self.path, self.maps) if wanted else ()):
@@ -61,38 +71,45 @@ class Sequence:
             raise InputError(f"{self.path} ends before its frame {last}; it is cut, or its header counts wrongly")
 
     def digest(self) -> str:
-        """SHA-256 over the contents of its files."""
+        """Return the SHA-256 over the contents of its files."""
         return sha256(*(self.files or (self.path,)))
 
 
 def is_sequence(path: str | Path) -> bool:
-    """Whether a path is a video by its name, or a folder that holds pictures, and no scene of some format."""
+    """Return whether a path is a video by its name, or a folder that holds images and no scene."""
     path = checked_path(path)
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_INPUTS
     return not (path / "meta.json").exists() and bool(_files(path, PICTURES))
 
 
-def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) -> Sequence:
-    """The pictures of a folder, in the order of their names, numbers in them by value; or of a video.
+def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) -> ImageSequence:
+    """Open the images of a folder, in natural order of their names, or of a video.
 
-    maps: of depths, which may be files of numbers as well. in_time: see `timeline`. Raises InputError where there are
-    none.
+    Args:
+        path: the folder or the video.
+        maps: whether they are depths, which may also be .npy and .npz files.
+        in_time: see `timeline`.
+
+    Raises:
+        InputError: where there are none.
     """
     path = checked_path(path)
     if not path.is_dir():
         seen = timeline(path, in_time)
-        return Sequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes)
+        return ImageSequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes)
     pictures, beside = pictures_and_maps(path)
     files = (beside or _files(path, _MAPS)) if maps else pictures
     if not files:
         raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else PICTURES)}), got none")
-    return Sequence(path, len(files), tuple(files))
+    return ImageSequence(path, len(files), tuple(files))
 
 
 def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
-    """The pictures of a folder in order, and the depth maps that lie beside them by their names, one for each; of the
-    latter none where none do. Raises InputError where only some pictures have one."""
+    """Return the images of a folder in order, and the depth maps that lie beside them by their names.
+
+    There is a map for each image, or none at all. Raises InputError where only some images have one.
+    """
     files = _files(folder, _MAPS)
     beside = depth_maps_beside(path.name for path in files)
     maps = {name for names in beside.values() for name in names}
@@ -113,6 +130,6 @@ def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """So that frame9 comes before frame10."""
+    """Sort key by which frame9 comes before frame10."""
     parts = re.split(r"(\d+)", path.name)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

@@ -1,4 +1,4 @@
-"""Frames as a video, encoded in a thread beside the drawing."""
+"""Write frames as a video, encoded in a thread while others are drawn."""
 
 from __future__ import annotations
 
@@ -29,7 +29,14 @@ _BT709 = 1  # the number of ITU-T H.273 for primaries, transfer and matrix
 
 @dataclass(frozen=True)
 class _Codec:
-    """encoder: FFmpeg's name; pixels: its pixel format; is_lossless: every sub-pixel comes back as it was."""
+    """A codec.
+
+    Attributes:
+        encoder: FFmpeg's name.
+        pixels: its pixel format.
+        is_lossless: whether every sub-pixel is preserved.
+        suffixes: of the files that can hold it.
+    """
 
     encoder: str
     pixels: str
@@ -46,9 +53,15 @@ _CODECS: dict[CodecName, _Codec] = {
 
 
 def choose_codec(path: Path, kind: Kind, name: CodecName | None) -> CodecName:
-    """The codec of a video: the one that is asked for, or what suits its kind and its file.
+    """Return the codec of a video: the requested one, or the default of its kind and file.
 
-    Raises InputError where the file cannot hold it, and for native pictures by a codec that would mix sub-pixels.
+    Args:
+        path: the file.
+        kind: of the frames.
+        name: the requested codec, or None.
+
+    Raises:
+        InputError: where the file cannot hold it, and for native images with a codec that mixes sub-pixels.
     """
     suffix = path.suffix.lower()
     if suffix not in VIDEO_SUFFIXES:
@@ -69,11 +82,21 @@ def choose_codec(path: Path, kind: Kind, name: CodecName | None) -> CodecName:
 
 
 class VideoFile:
-    """A video of frames in a row; use it in a `with`, at whose end the file appears, complete or not at all.
+    """A video; use it in a `with`, at whose end the file appears, complete or not at all.
 
-    size_px: (width, height); even where the codec is h264 or hevc (4:2:0). codec: "ffv1" and "h264-rgb" lose nothing;
-    of the others `crf` says how much may be lost, 0..51, less is better and larger. fps: frames a second.
-    `missing` are all frames: a video cannot be taken up again. Raises InputError, also in `put` for an earlier frame.
+    Args:
+        path: the file.
+        count: number of frames.
+        size_px: (width, height); even for h264 and hevc (4:2:0).
+        fps: frames a second.
+        codec: "ffv1" and "h264-rgb" are lossless.
+        crf: quality of the others, 0..51; less is better and larger.
+
+    Attributes:
+        missing: all frames, since a video cannot be resumed.
+
+    Raises:
+        InputError: also in `put`, for an earlier frame.
     """
 
     def __init__(
@@ -97,11 +120,11 @@ class VideoFile:
         return self
 
     def fetch(self, image: Tensor) -> np.ndarray:
-        """A frame, uint8 [H, W, 3], on the host."""
+        """Copy a frame, uint8 [H, W, 3], to the host."""
         return to_numpy(image)
 
     def put(self, number: int, image: np.ndarray) -> None:
-        """Hands over the next frame, uint8 [H, W, 3], which must not change any more; waits while four are waiting."""
+        """Queue the next frame, uint8 [H, W, 3], which must not change any more; block while four are waiting."""
         if self._failed is not None:
             raise self._failed
         self._frames.put(image)
@@ -115,22 +138,22 @@ class VideoFile:
 
     def _run(self) -> None:
         try:
-            # What cannot be finished is removed on the way out
+            # An unfinished file is removed on exit
             with contextlib.suppress(_AbandonedError), atomic_path(self.path) as temporary:
                 self._encode(temporary)
         except InputError as error:
             self._fail(error)
-        except Exception as error:  # FFmpeg's, and what else a thread would swallow
+        except Exception as error:  # a thread would swallow it
             self._fail(InputError(f"cannot write {self.path}: {type(error).__name__}: {error}"))
 
     def _fail(self, error: InputError) -> None:
-        """Keeps the error for `put`, and takes away what comes, so that nobody waits for room."""
+        """Keep the error for `put`, and discard further frames, so that nobody waits for the queue."""
         self._failed = error
         while not self._is_ended:
             self._next()
 
     def _next(self) -> np.ndarray | None:
-        """The next frame; None at the end, after which none must be asked for."""
+        """Return the next frame; None at the end, after which it must not be called."""
         image = self._frames.get()
         self._is_ended = image is None
         return image
@@ -172,4 +195,4 @@ class VideoFile:
 
 
 class _AbandonedError(Exception):
-    """The frames will not all come."""
+    """Not all frames will come."""

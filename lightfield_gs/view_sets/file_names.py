@@ -1,4 +1,4 @@
-"""The order of a set's pictures by the numbers in their names, and the grid of cameras that two numbers make."""
+"""The order of views by the numbers in their file names, and the grid of cameras that two numbers make."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lightfield_gs.io.depth_names import is_sidecar_name
 
 Grid = dict[tuple[int, int], Path]  # (row, column) of cameras -> picture
 
-# A sign follows no digit: in 2026-11-26 it parts numbers
+# A sign follows no digit: in 2026-11-26 it separates numbers
 _NUMBER = re.compile(r"((?<!\d)[+-])?(\d+)(?:\.(\d+))?")
 _WORDS = re.compile(r"[a-z]+")
 _ACROSS = frozenset("x c col column columns u s".split())
@@ -28,9 +28,15 @@ _MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A number in a name: sign "", "+" or "-"; whether a letter stands right before the sign; its digits, and those
-    after a point."""
+class _Number:
+    """A number in a name.
+
+    Attributes:
+        sign: "", "+" or "-".
+        after_letter: whether a letter stands right before the sign.
+        whole: digits.
+        decimals: digits after a point.
+    """
 
     sign: str
     after_letter: bool
@@ -38,25 +44,25 @@ class _Part:
     decimals: str
 
     def value(self, is_signed: bool) -> Fraction:
-        """The number as a decimal one."""
+        """Return the number as a decimal one."""
         value = Fraction(f"{int(self.whole)}.{self.decimals or 0}")
         return -value if is_signed and self.sign == "-" else value
 
 
 @dataclass(frozen=True)
 class _Name:
-    """A file's name: its texts, of which the numbers lie between each two."""
+    """A file's name as texts, with a number between each two."""
 
     path: Path
     texts: tuple[str, ...]
-    parts: tuple[_Part, ...]
+    parts: tuple[_Number, ...]
 
     @property
     def natural(self) -> list[tuple[str, int, int]]:
-        """By text and value in turn, so that b9 comes before b10."""
+        """Sort key by text and value in turn, so that b9 comes before b10."""
         return [
             (text, int(part.whole), int(part.decimals or 0))
-            for text, part in zip(self.texts, (*self.parts, _Part("", False, "0", "")))
+            for text, part in zip(self.texts, (*self.parts, _Number("", False, "0", "")))
         ]
 
 
@@ -65,14 +71,13 @@ def _parsed(path: Path) -> _Name:
     for match in _NUMBER.finditer(stem):
         before = stem[: match.start()]
         texts.append(stem[end : match.start()])
-        parts.append(_Part(match[1] or "", before[-1:].isalpha(), match[2], match[3] or ""))
+        parts.append(_Number(match[1] or "", before[-1:].isalpha(), match[2], match[3] or ""))
         end = match.end()
     return _Name(path, (*texts, stem[end:]), tuple(parts))
 
 
 def without_maps(folder: Path, pictures: list[Path]) -> list[Path]:
-    """The pictures without those that are named as depth maps, masks and the like, where not all are; what is left out
-    is told (Assumption)."""
+    """Leave out pictures that are named as depth maps, masks and the like, with a note, unless all are."""
     named = [path for path in pictures if is_sidecar_name(path.name)]
     if not named or len(named) == len(pictures):
         return pictures
@@ -83,17 +88,17 @@ def without_maps(folder: Path, pictures: list[Path]) -> list[Path]:
     return [path for path in pictures if path not in set(named)]
 
 
-def arranged(folder: Path, pictures: Sequence[Path]) -> list[Path] | Grid:
-    """The pictures in the order of the number that varies in their names, or the grid that two numbers make.
+def arrange(folder: Path, pictures: Sequence[Path]) -> list[Path] | Grid:
+    """Return the pictures in the order of the number that varies in their names, or the grid that two numbers make.
 
-    What is assumed is told (Assumption). Raises InputError where numbers are missing, come twice, or disagree.
+    Assumptions are noted. Raises InputError where numbers are missing, repeated, or contradict each other.
     """
     names = [_parsed(path) for path in pictures]
     kinds: dict[tuple[str, ...], list[_Name]] = defaultdict(list)
     for name in names:
         kinds[name.texts].append(name)
     if len(kinds) > 1:
-        return _of_several_kinds(folder, names, list(kinds.values()))
+        return _arrange_mixed_names(folder, names, list(kinds.values()))
     varying = [k for k, parts in enumerate(zip(*(name.parts for name in names))) if len(set(parts)) > 1]
     if not varying:
         return [name.path for name in names]
@@ -102,8 +107,8 @@ def arranged(folder: Path, pictures: Sequence[Path]) -> list[Path] | Grid:
     return _row(folder, names, varying)
 
 
-def _of_several_kinds(folder: Path, names: list[_Name], kinds: list[list[_Name]]) -> list[Path]:
-    """Names that differ in more than their numbers: by a first number that all have, or by name."""
+def _arrange_mixed_names(folder: Path, names: list[_Name], kinds: list[list[_Name]]) -> list[Path]:
+    """Order names that differ in more than their numbers, by a first number that all have, or by name."""
     firsts = [(name.texts[0], name.parts[0].value(False)) for name in names if name.parts]
     if len(firsts) == len(names) and len({text for text, _ in firsts}) == 1 and len(set(firsts)) == len(names):
         return [name.path for name in sorted(names, key=lambda name: name.parts[0].value(False))]
@@ -126,7 +131,7 @@ def _of_several_kinds(folder: Path, names: list[_Name], kinds: list[list[_Name]]
 
 
 def _row(folder: Path, names: list[_Name], varying: list[int]) -> list[Path]:
-    """By the number that varies."""
+    """Order names by the number that varies."""
     found = {k: _values(folder, names, k) for k in varying}
     telling = {k: values for k, values in found.items() if len(set(values)) == len(names)}
     by_name = {k: values for k, values in telling.items() if _label(names[0], k) in _OF_VIEWS}
@@ -160,7 +165,7 @@ def _row(folder: Path, names: list[_Name], varying: list[int]) -> list[Path]:
 
 
 def _differ(found: dict[int, tuple[Fraction, ...]]) -> bool:
-    """Whether these numbers tell different orders."""
+    """Return whether these numbers give different orders."""
     return len(set(map(_order, found.values()))) > 1
 
 
@@ -169,8 +174,7 @@ def _order(values: Sequence[Fraction]) -> tuple[int, ...]:
 
 
 def _values(folder: Path, names: list[_Name], k: int) -> tuple[Fraction, ...]:
-    """The k-th number of each name: with its sign, where "-" is one, and as a decimal one or a counter behind a
-    point."""
+    """Return the k-th number of each name, signed where "-" is a sign, as a decimal or as a counter after a point."""
     parts = [name.parts[k] for name in names]
     is_signed = _is_signed(parts)
     values = tuple(part.value(is_signed) for part in parts)
@@ -183,14 +187,14 @@ def _values(folder: Path, names: list[_Name], k: int) -> tuple[Fraction, ...]:
     return values
 
 
-def _is_signed(parts: Sequence[_Part]) -> bool:
-    """Whether "-" before numbers is a sign: not where it stands before all of them after a letter, as in view-1."""
+def _is_signed(parts: Sequence[_Number]) -> bool:
+    """Return whether "-" is a sign: not where it stands before all numbers after a letter, as in view-1."""
     signs = {part.sign for part in parts}
     return "-" in signs and not (len(signs) == 1 and all(part.after_letter for part in parts))
 
 
 def _missing(values: Sequence[Fraction]) -> tuple[int, Fraction]:
-    """How many numbers are missing between these, evenly spaced, or there twice; and the first missing one."""
+    """Return how many evenly spaced numbers are missing or repeated, and the first missing one."""
     ordered = sorted(set(values))
     if len(ordered) < 2:
         return len(values) - 1, ordered[0]
@@ -202,7 +206,7 @@ def _missing(values: Sequence[Fraction]) -> tuple[int, Fraction]:
 
 
 def _check_gaps(folder: Path, values: Sequence[Fraction]) -> None:
-    """Raises InputError where some numbers are missing; where most are, as of times, that is told (Assumption)."""
+    """Raise InputError where some numbers are missing; where most are, as of times, note it."""
     missing, first = _missing(values)
     ends = f"{_written(min(values))}..{_written(max(values))}"
     if missing > len(values):
@@ -214,13 +218,13 @@ def _check_gaps(folder: Path, values: Sequence[Fraction]) -> None:
 
 
 def _grid(folder: Path, names: list[_Name], varying: list[int]) -> Grid | None:
-    """By two numbers, the row's and the column's, of which (nearly) all pairs are there; None where there are none."""
+    """Return the grid by two numbers, row and column, of which (nearly) all pairs exist; None where there are none."""
     columns = {}
     for k in varying:
         parts = [name.parts[k] for name in names]
         if not any(part.decimals for part in parts):
             columns[f"{k}"] = [part.value(_is_signed(parts)) for part in parts]
-    if len(varying) == 1:  # row.column looks as a decimal number
+    if len(varying) == 1:  # row.column looks like a decimal number
         parts = [name.parts[varying[0]] for name in names]
         if not all(part.decimals for part in parts) or not _missing([part.value(False) for part in parts])[0]:
             return None
@@ -240,18 +244,18 @@ def _grid(folder: Path, names: list[_Name], varying: list[int]) -> Grid | None:
             )
         is_swapped = labels[0] in _ACROSS and labels[1] not in _ACROSS or labels[1] in _DOWN and labels[0] not in _DOWN
         numbers = [pair[::-1] if is_swapped else pair for pair in pairs]
-        places = zip(*(_indices([pair[axis] for pair in numbers]) for axis in (0, 1)))
+        positions = zip(*(_indices([pair[axis] for pair in numbers]) for axis in (0, 1)))
         words = "column and row" if is_swapped else "row and column"
         assume(
             f"the two numbers in names such as {names[0].path.name} in {folder} are {words} of a grid of cameras, from "
             "the top left (else name them as x0_y0)"
         )
-        return {place: name.path for place, name in zip(places, names)}
+        return {position: name.path for position, name in zip(positions, names)}
     return None
 
 
 def _indices(values: Sequence[Fraction]) -> list[int]:
-    """The numbers of rows or columns as they are, if they count from 0 or more; else from 0."""
+    """Return numbers of rows or columns as they are, if they count from 0 or more; else from 0."""
     ordered = sorted(set(values))
     if ordered[0] >= 0 and ordered[-1] - ordered[0] == len(ordered) - 1:
         return [int(value) for value in values]
@@ -259,7 +263,7 @@ def _indices(values: Sequence[Fraction]) -> list[int]:
 
 
 def _label(name: _Name, k: int) -> str:
-    """The word right before the k-th number of a name."""
+    """Return the word right before the k-th number of a name."""
     words = _WORDS.findall(name.texts[k].rstrip("_-. =(["))
     return words[-1] if words and name.texts[k].rstrip("_-. =([").endswith(words[-1]) else ""
 

@@ -1,8 +1,11 @@
-"""Folders with a picture for each view, and light fields of which one row is taken.
+"""Folders with a picture for each view, and light fields, of which one row is taken.
 
-A row of pictures by the number that varies in their names; grids named by row and column; the 4D Light Field Benchmark
-of HCI (Honauer et al. 2016: parameters.cfg, input_Cam000.png and on, row by row from the top left); the light fields of
-the Stanford gantry (out_RR_CC_*.png: row and column).
+Layouts:
+    A row of pictures, by the number that varies in their names.
+    Grids, named by row and column.
+    The 4D Light Field Benchmark of HCI (Honauer et al. 2016): parameters.cfg, input_Cam000.png and on, row by row
+        from the top left.
+    Light fields of the Stanford gantry: out_RR_CC_*.png, row and column.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import read_text
-from lightfield_gs.view_sets.file_names import Grid, arranged, without_maps
+from lightfield_gs.view_sets.file_names import Grid, arrange, without_maps
 from lightfield_gs.view_sets.pixels import ViewColours, looks_like_rows
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".bmp", ".heic", ".avif")
@@ -30,12 +33,12 @@ _STANFORD = re.compile(r"out_(\d{1,4})_(\d{1,4})(_.*)?", re.IGNORECASE)
 _CONFIG_BYTES = 1 << 16
 _HCI_SIDE = 9  # cameras a side of the benchmark's light fields
 _MOST_NAMED = 3
-_LEAST_SIDE = 3  # of a grid that is looked for where names tell of none
+_LEAST_SIDE = 3  # of an unnamed grid
 Tiles = tuple[int, int]
 
 
 class FileViews:
-    """A file for each view, read when it is wanted. Raises InputError where they are of several sizes or kinds."""
+    """A file for each view, read on demand. Raises InputError where they are of several sizes or kinds."""
 
     def __init__(self, paths: Sequence[Path], colours: ViewColours):
         self.paths, self.colours, self.count = list(paths), colours, len(paths)
@@ -52,7 +55,7 @@ class FileViews:
                 )
 
     def view(self, number: int) -> np.ndarray:
-        """[H, W, 3] of a view. Raises InputError."""
+        """Read a view, [H, W, 3]. Raises InputError."""
         pixels = self.colours.read(self.paths[number])
         if pixels.dtype != self._type:
             raise InputError(
@@ -64,9 +67,20 @@ class FileViews:
 def folder_views(
     folder: Path, colours: ViewColours, tiles: Tiles | None, row: int | None, right_to_left: bool
 ) -> tuple[list[Path], str]:
-    """The files of a folder's views, the left-most camera's first, and what was found. tiles: columns and rows of
-    cameras, whose pictures go row by row from the top left. row: the one that is taken (None: the middle one). What is
-    assumed is told (Assumption). Raises InputError."""
+    """Return the files of a folder's views, the left-most camera's first, and a description.
+
+    Assumptions are noted.
+
+    Args:
+        folder: the folder.
+        colours: reads views, to compare them.
+        tiles: columns and rows of cameras, whose pictures go row by row from the top left.
+        row: of the grid; None: the middle one.
+        right_to_left: whether the first view is the right-most camera's.
+
+    Raises:
+        InputError: for folders without pictures, and with missing views.
+    """
     try:
         entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
         names = [entry.name for entry in entries if entry.is_file()]
@@ -77,23 +91,23 @@ def folder_views(
         inner = [entry.name for entry in entries if entry.is_dir() and not entry.name.startswith(".")][:_MOST_NAMED]
         way = f"; give the folder in it that has them ({', '.join(inner)})" if inner else f" ({', '.join(_PICTURES)})"
         raise InputError(f"{folder}: expected a picture for each view, found none{way}")
-    paths, description = _found(folder, names, pictures, colours, tiles, row)
+    paths, description = _find_files(folder, names, pictures, colours, tiles, row)
     return paths[:: -1 if right_to_left else 1], description
 
 
-def _found(
+def _find_files(
     folder: Path, names: list[str], pictures: list[Path], colours: ViewColours, tiles: Tiles | None, row: int | None
 ) -> tuple[list[Path], str]:
     if grid := _hci(folder, names, pictures, tiles):
-        return _row_of(folder, grid, row, "an HCI light field")
+        return _grid_row(folder, grid, row, "an HCI light field")
     if grid := _stanford(pictures):
         assume(f"views of {folder} go from left to right with their column (else right_to_left=True)")
-        return _row_of(folder, grid, row, "a Stanford light field")
-    found = arranged(folder, without_maps(folder, pictures))
+        return _grid_row(folder, grid, row, "a Stanford light field")
+    found = arrange(folder, without_maps(folder, pictures))
     if isinstance(found, dict) and tiles is None:
-        return _row_of(folder, found, row, "a grid of views")
-    paths = [found[place] for place in sorted(found)] if isinstance(found, dict) else found
-    columns, why = _columns_of(folder, paths, colours, tiles, row)
+        return _grid_row(folder, found, row, "a grid of views")
+    paths = [found[position] for position in sorted(found)] if isinstance(found, dict) else found
+    columns, why = _count_columns(folder, paths, colours, tiles, row)
     if columns == len(paths):
         return paths, f"{len(paths)} views"
     if tiles is None:
@@ -101,13 +115,13 @@ def _found(
             f"the {len(paths)} pictures of {folder} are a grid of {columns} x {columns} cameras, row by row from the "
             f"top left, {why} (else tiles={len(paths)}x1)"
         )
-    return _row_of(folder, {divmod(k, columns): path for k, path in enumerate(paths)}, row, "a grid of views")
+    return _grid_row(folder, {divmod(k, columns): path for k, path in enumerate(paths)}, row, "a grid of views")
 
 
-def _columns_of(
+def _count_columns(
     folder: Path, paths: list[Path], colours: ViewColours, tiles: Tiles | None, row: int | None
 ) -> tuple[int, str]:
-    """How many cameras stand in each row, where names do not tell, and why. Raises InputError."""
+    """Return how many cameras stand in each row, where names do not tell, and why. Raises InputError."""
     count, side = len(paths), math.isqrt(len(paths))
     if tiles is not None:
         if tiles[0] * tiles[1] != count:
@@ -135,8 +149,10 @@ def _hci(folder: Path, names: list[str], pictures: list[Path], tiles: Tiles | No
 
 
 def _hci_size(folder: Path, names: list[str], numbers: set[int]) -> Tiles:
-    """Cameras across and down: as parameters.cfg says, else of a square that all numbers fill, else the benchmark's.
-    Raises InputError."""
+    """Return cameras across and down: by parameters.cfg, else of a square that all numbers fill, else the benchmark's.
+
+    Raises InputError.
+    """
     if "parameters.cfg" in names:
         return _configured(folder / "parameters.cfg")
     side = math.isqrt(len(numbers))
@@ -152,7 +168,7 @@ def _hci_size(folder: Path, names: list[str], numbers: set[int]) -> Tiles:
 
 
 def _configured(path: Path) -> Tiles:
-    """Cameras across and down. Raises InputError."""
+    """Return cameras across and down in a parameters.cfg. Raises InputError."""
     parser = configparser.ConfigParser(interpolation=None, strict=False)
     try:
         parser.read_string(read_text(path, _CONFIG_BYTES, "configuration"))
@@ -171,20 +187,20 @@ def _stanford(pictures: list[Path]) -> Grid | None:
     matches = [(_STANFORD.fullmatch(path.stem), path) for path in pictures]
     if not all(match for match, _ in matches):
         return None
-    places = [((int(match[1]), int(match[2])), path) for match, path in matches if match]
-    twice = [place for place, times in Counter(place for place, _ in places).items() if times > 1]
+    positions = [((int(match[1]), int(match[2])), path) for match, path in matches if match]
+    twice = [position for position, times in Counter(position for position, _ in positions).items() if times > 1]
     if twice:
         raise InputError(f"{pictures[0].parent}: row {twice[0][0]}, column {twice[0][1]} comes more than once")
-    return dict(places)
+    return dict(positions)
 
 
-def _row_of(folder: Path, grid: Grid, row: int | None, kind: str) -> tuple[list[Path], str]:
-    """The pictures of one row by column. Raises InputError where one is missing."""
-    rows = sorted({place[0] for place in grid})
+def _grid_row(folder: Path, grid: Grid, row: int | None, kind: str) -> tuple[list[Path], str]:
+    """Return the pictures of one row by column. Raises InputError where one is missing."""
+    rows = sorted({position[0] for position in grid})
     chosen = rows[len(rows) // 2] if row is None else row
     if chosen not in rows:
         raise InputError(f"{folder}: expected a row of {rows[0]}..{rows[-1]}, got {chosen}")
-    columns = {place[1] for place in grid}
+    columns = {position[1] for position in grid}
     first, last = min(columns), max(columns)
     for column in range(first, last + 1):
         if (chosen, column) not in grid:

@@ -17,36 +17,46 @@ from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_large_non_image
 from lightfield_gs.io.images import MAX_PIXELS, Picture
 from lightfield_gs.io.pillow_images import pillow_errors
 from lightfield_gs.panels.panel import MAX_VIEWS
-from lightfield_gs.video.sequence import Sequence, open_sequence
+from lightfield_gs.video.sequence import ImageSequence, open_sequence
 from lightfield_gs.view_sets.pixels import ViewColours, plays_back_and_forth, thumbnail
 
 _ANIMATIONS = (".gif", ".webp", ".png", ".apng", ".avif")
 _ANIMATED_BIT = 2  # of the flags of a WebP's VP8X chunk
-_MOST_TO_AND_FRO = 1000  # frames, up to which it is looked whether they come back
-_SLOWEST_MS = 100  # of a frame whose file says 0, as browsers have it
+_MOST_TO_AND_FRO = 1000  # frames: longer movies are not compared with their reverse
+_SLOWEST_MS = 100  # of a frame with duration 0, as in browsers
 
 
 @dataclass(frozen=True)
-class Span:
-    """Which frames are taken: first, and on by step, to last and with it; last None: to the end."""
+class FrameRange:
+    """A range of frames: from `first` on by `step`, up to and including `last`; None: to the end."""
 
     first: int = 0
     last: int | None = None
     step: int = 1
 
     def numbers(self, count: int) -> range:
-        """Those of `count` frames."""
+        """Return the frames of `count` in this range."""
         return range(self.first, count if self.last is None else min(count, self.last + 1), self.step)
 
 
 class Movie:
-    """The frames of a video or an animation. fps: frames a second, None where not said. count: of all frames, as the
-    file has it. in_time: see `timeline`. What is done to the frames of a video is told (Assumption). Raises InputError.
+    """The frames of a video or an animation. Conversions of a video's frames are noted.
+
+    Args:
+        path: the file.
+        in_time: see decoding.timeline.
+
+    Attributes:
+        fps: frames a second; None where the file does not tell.
+        count: of all frames, as the file tells.
+
+    Raises:
+        InputError: for a file that cannot be read.
     """
 
     def __init__(self, path: Path, in_time: bool):
         self.path = path
-        self._video: Sequence | None = None
+        self._video: ImageSequence | None = None
         if path.suffix.lower() in VIDEO_INPUTS:
             self._video = open_sequence(path, in_time=in_time)
             self.count, self.fps = self._video.count, self._video.fps
@@ -56,7 +66,7 @@ class Movie:
             self.count, self.fps = _animation_header(path)
 
     def frames(self, numbers: range) -> Iterator[tuple[int, np.ndarray]]:
-        """Those of these numbers, [H, W, C], as far as there are any. Raises InputError."""
+        """Yield the frames of these numbers, [H, W, C], as far as they exist. Raises InputError."""
         if self._video is not None:
             yield from self._video.frames(numbers)
             return
@@ -68,10 +78,19 @@ class Movie:
 
 
 class FrameViews:
-    """Frames of a movie as views, the left-most camera's first, in a file that goes with it. Raises InputError where
-    there are none or too many."""
+    """Frames of a movie as views, the left-most camera's first, kept in a temporary file.
 
-    def __init__(self, movie: Movie, span: Span, colours: ViewColours, right_to_left: bool = False):
+    Args:
+        movie: the movie.
+        span: the range of frames, each a view.
+        colours: converts them.
+        right_to_left: whether the first frame is the right-most camera's.
+
+    Raises:
+        InputError: where there are too few or too many frames.
+    """
+
+    def __init__(self, movie: Movie, span: FrameRange, colours: ViewColours, right_to_left: bool = False):
         numbers = span.numbers(movie.count)
         if not 2 <= len(numbers) <= MAX_VIEWS:
             raise InputError(
@@ -80,7 +99,7 @@ class FrameViews:
         self._file = tempfile.TemporaryFile(prefix="lightfield-gs-")
         self.count, shape, last = 0, (0, 0, 0), 0
         for last, pixels in movie.frames(numbers):
-            view = colours.of(Picture(pixels), movie.path)
+            view = colours.convert(Picture(pixels), movie.path)
             if self.count and view.shape != shape:
                 raise InputError(f"{movie.path}: its frame {last} is {view.shape[1]} x {view.shape[0]}, others are not")
             shape = view.shape
@@ -100,22 +119,22 @@ class FrameViews:
             )
 
     def view(self, number: int) -> np.ndarray:
-        """[H, W, 3] uint8 of a view."""
+        """Return a view, [H, W, 3] uint8."""
         return np.array(self._views[self.count - 1 - number if self._right_to_left else number])
 
 
 def is_movie(path: Path) -> bool:
-    """Whether a file is a video by its name, or an animation of several frames."""
+    """Return whether a file is a video by its name, or an animation of several frames."""
     if path.suffix.lower() in VIDEO_INPUTS:
         return True
     return path.suffix.lower() in _ANIMATIONS and _animation_header(path)[0] > 1
 
 
 def _animation_header(path: Path) -> tuple[int, Fraction | None]:
-    """Number of frames of an image file, and frames a second; 1, None of what is no animation."""
+    """Return the number of frames of an image file, and frames a second; 1, None where it is no animation."""
     from PIL import Image
 
-    with contextlib.suppress(InputError), pillow_errors(str(path)):  # what reads images sees to it
+    with contextlib.suppress(InputError), pillow_errors(str(path)):  # the reader of images reports it
         refuse_large_non_image(path)
         with path.open("rb") as file:
             start = file.read(32)
@@ -129,7 +148,7 @@ def _animation_header(path: Path) -> tuple[int, Fraction | None]:
 
 
 def _animation(path: Path) -> Iterator[np.ndarray]:
-    """The frames of an animation as they are seen, uint8 [H, W, 3 or 4]. Raises InputError."""
+    """Yield the composed frames of an animation, uint8 [H, W, 3 or 4]. Raises InputError."""
     from PIL import Image, ImageSequence
 
     words = f"{path} is no animation that can be read"

@@ -20,20 +20,29 @@ from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import MAX_VIEWS
 from lightfield_gs.panels.quilt import QuiltLayout, check_divides, stated_layout
 from lightfield_gs.view_sets.folder import FileViews, folder_views
-from lightfield_gs.view_sets.movies import FrameViews, Movie, Span, is_movie
+from lightfield_gs.view_sets.movies import FrameRange, FrameViews, Movie, is_movie
 from lightfield_gs.view_sets.pixels import ViewColours, in_colour, rows_are_reversed
 
 _EXIF_TAGS, _USER_COMMENT = 0x8769, 0x9286
 _COMMENT_CODES = {b"ASCII\0\0\0": "ascii", b"UNICODE\0": "utf-16", b"\0\0\0\0\0\0\0\0": "utf-8"}
 _MOST_COMMENT_BYTES = 1 << 16
-_PLAIN = 4 / 255  # between the samples of a tile up to which nothing is in it: JPEG makes them differ a little
+_PLAIN = 4 / 255  # largest range of a plain tile's samples: JPEG makes them differ a little
 
 
 class QuiltViews:
-    """The tiles of a quilt [H, W, C] as views, the left-most camera's first.
+    """The tiles of a quilt as views, the left-most camera's first.
 
-    count: of views, where fewer than the tiles. top_first: rows go on downwards from the top. right_to_left: views
-    begin with the right-most camera's. Raises InputError where the tiles do not divide the quilt.
+    Args:
+        pixels: [H, W, C].
+        layout: columns, rows and aspect.
+        where: the file, for messages.
+        background: behind pixels with alpha.
+        count: number of views, where some tiles are empty.
+        top_first: whether rows go on downwards from the top.
+        right_to_left: whether the first view is the right-most camera's.
+
+    Raises:
+        InputError: where the tiles do not divide the quilt.
     """
 
     def __init__(
@@ -58,13 +67,12 @@ class QuiltViews:
         self.width_px, self.height_px = self.layout.tile_px()
 
     def view(self, number: int) -> np.ndarray:
-        """[H, W, 3] of a view."""
-        place = self.count - 1 - number if self.right_to_left else number
-        return in_colour(self.pixels[self.layout.tile(place, self.top_first)], self.background)
+        """Return a view, [H, W, 3]."""
+        tile_number = self.count - 1 - number if self.right_to_left else number
+        return in_colour(self.pixels[self.layout.tile(tile_number, self.top_first)], self.background)
 
     def leave_out_plain(self, where: str) -> None:
-        """Leaves out the last tiles where these are plain and others are not, as of 45 views in 8 x 6 tiles; that is
-        told (Assumption)."""
+        """Leave out the last tiles where these alone are plain, as of 45 views in 8 x 6 tiles, with a note."""
         plain = 0
         while plain < self.count // 2 and self._is_plain(self.count - 1 - plain):
             plain += 1
@@ -76,12 +84,12 @@ class QuiltViews:
                 f"(else tiles={columns}x{rows})"
             )
 
-    def _is_plain(self, place: int) -> bool:
-        tile = as_floats(self.pixels[self.layout.tile(place, self.top_first)])
+    def _is_plain(self, tile_number: int) -> bool:
+        tile = as_floats(self.pixels[self.layout.tile(tile_number, self.top_first)])
         return bool((np.ptp(tile, (0, 1)) <= _PLAIN).all())
 
-    def tell_of_joins(self, where: str) -> None:
-        """Tells (Assumption) where the rows look as if they were taken in the wrong order."""
+    def note_row_order(self, where: str) -> None:
+        """Note rows that look as if they were in the wrong order."""
         columns, rows = self.layout.columns, self.count // self.layout.columns
 
         def tile(row: int, column: int) -> np.ndarray:
@@ -97,21 +105,21 @@ class QuiltViews:
             )
 
 
-Stated = tuple[QuiltLayout, bool, int]  # layout; whether the aspect is known; number of views
+FileLayout = tuple[QuiltLayout, bool, int]  # layout; whether the aspect is known; number of views
 
 
-def read_quilt_layout(path: Path, tiles: tuple[int, int] | None) -> Stated | None:
-    """What `tiles`, the name of a quilt, or its Exif says of it; None where nothing does. Raises InputError.
+def read_quilt_layout(path: Path, tiles: tuple[int, int] | None) -> FileLayout | None:
+    """Return the layout of a quilt by `tiles`, its file name, or its Exif; None where nothing tells it.
 
-    Exif has it as Looking Glass' programs wrote it: a UserComment in JSON with LKGColumns, LKGRows, LKGAspect and
-    LKGNumViews.
+    Looking Glass' programs wrote a UserComment in JSON with LKGColumns, LKGRows, LKGAspect and LKGNumViews. Raises
+    InputError.
     """
     try:
         named = stated_layout(path)
     except InputError:
         if tiles is None:
             raise
-        named = None  # which `tiles` is there to mend
+        named = None  # `tiles` overrides the name
     if tiles is not None:
         layout = QuiltLayout(*tiles, 1.0 if named is None else named.aspect)
         return layout, named is not None, layout.views
@@ -126,8 +134,8 @@ def read_quilt_layout(path: Path, tiles: tuple[int, int] | None) -> Stated | Non
     return named, True, named.views
 
 
-def _exif_layout(path: Path) -> Stated | None:
-    """What the Exif of a quilt says. Raises InputError where it cannot be used."""
+def _exif_layout(path: Path) -> FileLayout | None:
+    """Return the layout in the Exif of a quilt. Raises InputError where it cannot be used."""
     tags = _comment(path)
     if not {"LKGColumns", "LKGRows"} <= tags.keys():
         return None
@@ -145,11 +153,11 @@ def _exif_layout(path: Path) -> Stated | None:
 
 
 def _comment(path: Path) -> dict[str, Any]:
-    """The object that the Exif UserComment of a file holds in JSON; empty where there is none."""
+    """Return the object in the Exif UserComment of a file, JSON; empty where there is none."""
     from PIL import Image
 
     comment: object = b""
-    # Other readers see to files that are no images
+    # Other readers report files that are no images
     with contextlib.suppress(InputError), pillow_errors(str(path)):
         refuse_large_non_image(path)
         with Image.open(path) as image:
@@ -160,7 +168,7 @@ def _comment(path: Path) -> dict[str, Any]:
         return {}
     code = _COMMENT_CODES.get(comment[:8])
     text = comment if code is None else comment[8:]
-    if code == "utf-16" and text[:1] == b"\0":  # of "{", in files of the other byte order
+    if code == "utf-16" and text[:1] == b"\0":  # "{" in the other byte order
         code = "utf-16-be"
     try:
         data = parse_json(text.decode(code or "utf-8", errors="replace").strip("\0 \r\n"))
@@ -171,8 +179,14 @@ def _comment(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ViewSet:
-    """Views, the left-most camera's first. aspect: width by height of one as it is seen, None where nothing says it.
-    description: what was found. colours: what was done to their colours."""
+    """Views, the left-most camera's first.
+
+    Attributes:
+        views: the views.
+        aspect: width by height of a displayed view; None where nothing tells it.
+        description: of what was found.
+        colours: the conversion of their colours.
+    """
 
     views: QuiltViews | FileViews | FrameViews
     aspect: float | None
@@ -181,11 +195,26 @@ class ViewSet:
 
 
 class QuiltMovie:
-    """The frames of a movie of quilts. aspect: as ViewSet's. fps: frames a second, None where not said. numbers: of the
-    frames that are taken. Raises InputError."""
+    """The frames of a movie of quilts.
+
+    Attributes:
+        layout: of each quilt.
+        aspect: see ViewSet.
+        fps: frames a second; None where the file does not tell.
+        numbers: of the frames in the range.
+
+    Raises:
+        InputError: where the range has no frames.
+    """
 
     def __init__(
-        self, movie: Movie, stated: Stated, span: Span, colours: ViewColours, top_first: bool, right_to_left: bool
+        self,
+        movie: Movie,
+        stated: FileLayout,
+        span: FrameRange,
+        colours: ViewColours,
+        top_first: bool,
+        right_to_left: bool,
     ):
         self.layout, is_known, self._count = stated
         self.aspect = self.layout.aspect if is_known else None
@@ -198,10 +227,10 @@ class QuiltMovie:
         self._top_first, self._right_to_left = top_first, right_to_left
 
     def frames(self) -> Iterator[QuiltViews]:
-        """The views of each frame; fewer frames than the file says are told (Assumption). Raises InputError."""
+        """Yield the views of each frame; note frames that are missing at the end. Raises InputError."""
         made = 0
         for _, pixels in self._movie.frames(self.numbers):
-            picture = self.colours.of(Picture(pixels), self._movie.path)
+            picture = self.colours.convert(Picture(pixels), self._movie.path)
             yield QuiltViews(
                 picture,
                 self.layout,
@@ -227,17 +256,26 @@ def open_views(
     row: int | None = None,
     top_first: bool = False,
     right_to_left: bool = False,
-    span: Span | None = None,
+    span: FrameRange | None = None,
     background: Sequence[float] = (0, 0, 0),
     keeps_linear: bool = False,
 ) -> ViewSet | QuiltMovie:
-    """The views of a quilt, a folder, or a movie: of quilts, or with a frame for each view.
+    """Open the views of a quilt, a folder, or a movie: of quilts, or with a frame for each view.
 
-    tiles: columns and rows of a quilt, in place of what its file says, or of the cameras of a folder. row: which of a
-    grid's rows of cameras, 0 the top one (None: the middle one). top_first: rows of a quilt go on downwards from the
-    top. right_to_left: the views begin with the right-most camera's. span: of a movie, the frames that are taken, each
-    a view where it is no movie of quilts. background: behind pictures with alpha. keeps_linear: see ViewColours.
-    What is assumed is told (Assumption). Raises InputError, also for views that are missing or of several sizes.
+    Assumptions are noted.
+
+    Args:
+        path: the file or folder.
+        tiles: columns and rows of a quilt, in place of those that its file tells, or of the cameras of a folder.
+        row: the row of a grid of cameras, 0 the top one; None: the middle one.
+        top_first: whether rows of a quilt go on downwards from the top.
+        right_to_left: whether the first view is the right-most camera's.
+        span: the frames of a movie; each is a view, unless it is a movie of quilts.
+        background: red, green and blue in 0..1 behind images with alpha.
+        keeps_linear: see ViewColours.
+
+    Raises:
+        InputError: also for missing views, and views of several sizes.
     """
     path, colours = checked_path(path), ViewColours(background, keeps_linear)
     if path.is_dir():
@@ -282,7 +320,7 @@ def _read_quilt(
     views = QuiltViews(pixels, layout, str(path), count=count, top_first=top_first, right_to_left=right_to_left)
     if tiles is None:
         views.leave_out_plain(str(path))
-    views.tell_of_joins(str(path))
+    views.note_row_order(str(path))
     used = "" if views.count == layout.views else f", {views.count} used"
     description = f"a quilt of {layout.columns} x {layout.rows} views{used}"
     if any(left := views.layout.left_over_px()):
@@ -296,14 +334,14 @@ def _read_movie(
     path: Path,
     colours: ViewColours,
     tiles: tuple[int, int] | None,
-    span: Span | None,
+    span: FrameRange | None,
     top_first: bool,
     right_to_left: bool,
 ) -> ViewSet | QuiltMovie:
     stated = read_quilt_layout(path, tiles)
-    movie = Movie(path, in_time=stated is not None)  # what is no quilt is a view, and each comes once
+    movie = Movie(path, in_time=stated is not None)  # frames that are no quilts are views, and come once each
     if stated is not None:
-        return QuiltMovie(movie, stated, span or Span(), colours, top_first, right_to_left)
+        return QuiltMovie(movie, stated, span or FrameRange(), colours, top_first, right_to_left)
     if span is None:
         raise InputError(
             f"{path}: has {movie.count} frames, and nothing says what they are; where each is a view, as the camera "

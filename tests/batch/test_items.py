@@ -9,8 +9,7 @@ from command_line import scene
 from fit_capture import write_capture
 
 from lightfield_gs import InputError
-from lightfield_gs.batch.item import Item
-from lightfield_gs.batch.items import read_items
+from lightfield_gs.batch.items import Item, read_items
 
 PHOTO = Path(__file__).resolve().parents[2] / "lightfield_gs/data/cat.png"
 OUT = Path("out")

@@ -5,13 +5,17 @@ import json
 import pytest
 
 from lightfield_gs import InputError
-from lightfield_gs.batch.hashes import facts, stamp
-from lightfield_gs.batch.item import Item
-from lightfield_gs.batch.manifest import Manifest
-from lightfield_gs.batch.plan import Known, make_plan
+from lightfield_gs.batch import manifest as manifest_module
+from lightfield_gs.batch.items import Item
+from lightfield_gs.batch.manifest import Known, Manifest, facts, make_plan, stamp
 
 RECORD = {"item": "a", "status": "done", "job": "", "inputs": {}, "outputs": {}}
 LINE = json.dumps(RECORD).encode() + b"\n"
+
+
+@pytest.fixture(autouse=True)
+def without_patience(monkeypatch):
+    monkeypatch.setattr(manifest_module, "_PATIENCE_S", 0.0)
 
 
 def test_the_last_line_of_an_item_counts(tmp_path):
@@ -85,3 +89,32 @@ def test_what_is_to_be_done_again(tmp_path):
         manifest.append({"item": "a.png", "status": "failed", "job": job})
     assert json.loads((tmp_path / "out/batch.jsonl").read_text().splitlines()[-1])["status"] == "failed"
     assert todo() == Known()
+
+
+def test_shards_work_side_by_side_and_not_beside_a_whole_batch(tmp_path):
+    with Manifest(tmp_path, (1, 2)) as one, Manifest(tmp_path, (2, 2)) as two:
+        one.append(RECORD | {"at": "1"})
+        two.append(RECORD | {"item": "b", "at": "1"})
+        for shard in ((1, 2), (1, 1)):
+            with pytest.raises(InputError, match="another batch is at work"), Manifest(tmp_path, shard):
+                pass
+    with Manifest(tmp_path) as whole:
+        assert whole.last("a") is not None and whole.last("b") is not None
+        whole.append(RECORD | {"status": "failed", "at": "2"})
+        with pytest.raises(InputError, match="another batch is at work"), Manifest(tmp_path, (2, 2)):
+            pass
+    with Manifest(tmp_path, (2, 2)) as manifest:
+        assert manifest.last("a")["status"] == "failed" and manifest.last("b")["status"] == "done"
+
+
+def test_what_ended_a_run_is_done_first_and_fails_after_another(tmp_path):
+    items, options = [Item(name, f"{name}.png") for name in "abcd"], {"all": {}}
+    with Manifest(tmp_path) as manifest:
+        jobs = make_plan(items, manifest, options).jobs
+        for name, tries in (("b", 1), ("c", 2)):
+            manifest.append({"item": name, "status": "begun", "tries": tries, "job": jobs[name]})
+        manifest.append({"item": "d", "status": "stopped", "job": jobs["d"]})
+    with Manifest(tmp_path) as manifest:
+        plan = make_plan(items, manifest, options)
+    assert [item.name for item, _ in plan.todo] == ["b", "a", "d"] and plan.suspects == 1
+    assert plan.failed == [items[2]] and plan.tries == {"b": 1, "c": 2}

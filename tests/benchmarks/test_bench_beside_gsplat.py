@@ -16,7 +16,7 @@ from benchmarks.gsplat_fit import RATES
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import dense, timing
 from lightfield_gs.commands import bench as command
-from lightfield_gs.fitting.evaluate import evaluated
+from lightfield_gs.fitting.evaluate import evaluate
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.io.captures.capture import read_capture
@@ -154,7 +154,7 @@ def test_marks_are_those_within_the_fit_and_its_end():
 def test_scores_are_those_of_a_fit(photographs):
     ours = fit.ARMS["ours"](photographs, FitSettings(steps=10, cap_max=200))
     ours.advance(10)
-    expected = evaluated(ours.gaussians(), photographs.test, (0.0, 0.0, 0.0))
+    expected = evaluate(ours.gaussians(), photographs.test, (0.0, 0.0, 0.0))
     found = fit.scores(ours, photographs.test)
     assert found["psnr_db"] == pytest.approx(expected.mean_psnr_db, abs=1e-4)
     assert found["ssim"] == pytest.approx(expected.mean_ssim, abs=1e-6)

@@ -21,11 +21,14 @@ from lightfield_gs.io.images import read_image
 pytestmark = pytest.mark.not_sanitized  # what draws is in other processes, and the same as that of `encode`
 PHOTO = Path(__file__).resolve().parents[2] / "lightfield_gs/data/cat.png"
 LIKE = "--panel p.yaml --threads 1"
+PROGRAM = (sys.executable, "-m", "lightfield_gs", "batch")
 ONE = f"{LIKE} --processes 1 --devices cpu"
 
 
 def lines() -> list[dict]:
-    return [json.loads(line) for line in Path("out/batch.jsonl").read_text().splitlines()]
+    paths = sorted(Path("out").glob("batch*.jsonl"))
+    found = [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    return [line for line in found if line.get("status") != "begun"]
 
 
 def of_items(since: int = 0) -> dict[str, str]:
@@ -105,13 +108,13 @@ COUNT = 60  # items, of which each takes some time
 
 
 def start(line: str) -> subprocess.Popen:
-    program = [sys.executable, "-m", "lightfield_gs", "batch", *line.split(), *ONE.replace("1 --d", "2 --d").split()]
+    program = [*PROGRAM, *line.split(), *ONE.replace("1 --d", "2 --d").split()]
     return subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def wait_for(running: subprocess.Popen, count: int) -> None:
     """Until so many items are done."""
-    while not Path("out/batch.jsonl").exists() or Path("out/batch.jsonl").read_text().count('"status": "done"') < count:
+    while sum(path.read_text().count('"status": "done"') for path in Path("out").glob("batch*.jsonl")) < count:
         assert running.poll() is None, running.communicate()
         time.sleep(0.01)
 
@@ -185,23 +188,20 @@ def test_captures_and_videos(folder, capsys):
     line[-3] = fit.replace("4", "5", 1)
     assert cli.main(line) == 0
     ended = [line["status"] for line in lines()[entries:] if "item" in line]
-    assert sorted(ended) == ["begun"] * 3 + ["done"] * 3
+    assert ended == ["done"] * 3
     assert json.loads(Path("out/turn/frames.json").read_text())["fps"] == 6
 
 
 @pytest.mark.slow
-def test_two_processes_of_a_ray_cluster_make_the_same(inputs, capsys):
-    pytest.importorskip("ray", reason="clusters need the extra `ray`")
-    told = []
-    for more, code in (("--ray local", 1), ("--ray local", 1)):
-        assert cli.main(f"batch list -o out {LIKE} --processes 2 {more}".split()) == code
-        output = capsys.readouterr()
-        told.append(output.out + output.err)
-    assert "out: 3 of 4 items are done, 0 of them before" in told[0] and "failed: bad.png" in told[0]
-    assert "out: 3 of 4 items are done, 3 of them before" in told[1]
+def test_shards_make_the_same_side_by_side(inputs, capsys):
+    shards = [subprocess.Popen([*PROGRAM, *f"list -o out {LIKE} --devices cpu --shard {n}/2".split()]) for n in (1, 2)]
+    assert [shard.wait() for shard in shards] == [0, 1]  # the second has bad.png
+    assert of_items() == {"cat.png": "done", "deep/one.png": "done", "s0.png": "done", "bad.png": "failed"}
+    assert len({line["where"] for line in lines() if "item" in line}) == 2
     same_as(capsys, "encode cat.png -o 1.png", "out/cat.png", "1.png")
     same_as(capsys, "encode s1.ply -o 3.png --depth-amount 0.5", "out/deep/one.png", "3.png")
-    assert len({line["where"] for line in lines() if line.get("item", "bad.png") != "bad.png"}) == 2
+    told = batch(capsys, "list -o out", code=1)  # which goes by their manifests
+    assert "out: 3 of 4 items are done, 3 of them before" in told and "failed: bad.png" in told
 
 
 def test_what_cannot_be_done_is_said_at_once(folder, capsys):
@@ -216,4 +216,5 @@ def test_what_cannot_be_done_is_said_at_once(folder, capsys):
     assert "--devices: expected cpu, or GPUs" in refused("in -o out --panel p.yaml --devices gpu")
     assert "--fit-options: expected options" in refused("in -o out --panel p.yaml --fit-options '")
     assert "it is a file; give a folder" in refused("in -o s.ply --panel p.yaml")
-    assert "places its processes itself" in refused("in -o out --panel p.yaml --ray auto --devices cuda:0")
+    assert "expected I/N, such as 1/8 to 8/8, got '9/8'" in refused("in -o out --panel p.yaml --shard 9/8")
+    assert "leave out --processes" in refused("in -o out --panel p.yaml --shard 1/2 --processes 2")

@@ -20,7 +20,7 @@ from lightfield_gs import Gaussians, cli, encode, render
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.show.preview import to_integers
-from lightfield_gs.video.camera_path import turned, turntable
+from lightfield_gs.video.camera_path import orbit, turntable
 from lightfield_gs.video.frame_folder import frame_name
 from lightfield_gs.video.video_file import VideoFile
 
@@ -68,7 +68,7 @@ def test_frames_are_those_of_encode(folder, capsys):
     gaussians = Gaussians.load("s.ply")
     rig = frame_scene(gaussians, PANEL)
     for number, degrees in ((1, 60), (5, 300)):
-        expected = turned(rig, PANEL, degrees)
+        expected = orbit(rig, PANEL, degrees)
         assert (frame("frames", number) == encode(gaussians, PANEL, expected).numpy()).all()
         told = read_info(Path("frames") / frame_name(number)).metadata
         assert json.loads(told["rig"]) == expected.to_dict() and json.loads(told["panel"])["views"] == 12

@@ -92,7 +92,7 @@ def test_light_field_is_that_of_the_cpu(scene, panel, views):
 def test_every_kernel_draws_the_light_field_of_the_cpu(scene, panel, views, kernel, monkeypatch):
     monkeypatch.setattr(frame_cuda, "forced_kernel", kernel)
     panel = Panel(**{**LENS, **PANELS[panel]})
-    if kernel == "ordinal" and (panel.line_number < 4 or panel.subpixel_cells == MIRRORED):
+    if kernel == "lens-column" and (panel.line_number < 4 or panel.subpixel_cells == MIRRORED):
         pytest.skip("lenses of fewer than 4 sub-pixels, or places of several colours, are not for this kernel")
     options = dict(views=views, background=BACKGROUND, output="float32")
     expected, found = (encode(s, panel, rig(panel), **options) for s in (scene, on_gpu(scene)))

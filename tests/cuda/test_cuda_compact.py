@@ -39,7 +39,7 @@ def layout(panel: Panel) -> str:
         torch.zeros(3, device="cuda"),
         lenticular_camera(panel, rig(panel), False),
     )
-    return frame_cuda.Frame(job, EXACT, 0, 0).native.ordinal_layout
+    return frame_cuda.Frame(job, EXACT, 0, 0).native.lens_column_layout
 
 
 def test_the_layout_is_the_largest_that_stands_twice_on_a_multiprocessor(monkeypatch):
@@ -57,7 +57,7 @@ def test_the_layout_is_the_largest_that_stands_twice_on_a_multiprocessor(monkeyp
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_the_compact_layout_draws_the_light_field_of_the_cpu(degree, panel, views, monkeypatch):
     limit(monkeypatch, cases.SMALL_SHARED_MEMORY)
-    monkeypatch.setattr(frame_cuda, "forced_kernel", "ordinal")
+    monkeypatch.setattr(frame_cuda, "forced_kernel", "lens-column")
     scene, panel = scene_of(degree), Panel(**{**LENS, **PANELS[panel]})
     options = dict(views=views, background=BACKGROUND)
     expected, found = (encode(s, panel, rig(panel), output="float32", **options) for s in (scene, on_gpu(scene)))
@@ -84,14 +84,14 @@ def test_a_wide_cone_keeps_80_db_in_both_layouts(degree, monkeypatch):
         options = dict(background=BACKGROUND, output="float32", stats=stats)
         images.append(encode(on_gpu(scene), panel, at, **options).cpu())
         errors.append(np.abs(images[-1].numpy()[tuple(where)] - expected))
-        assert stats["kernel"] == "ordinal" and (errors[-1] ** 2).mean() < 1e-8
+        assert stats["kernel"] == "lens-column" and (errors[-1] ** 2).mean() < 1e-8
     assert errors[1].mean() < 1.05 * errors[0].mean() + 1e-8  # as exact as the full layout
     assert (images[0] - images[1]).abs().max() < 1e-3
 
 
 def test_compensated_opacities_in_the_compact_layout(monkeypatch):
     limit(monkeypatch, cases.SMALL_SHARED_MEMORY)
-    monkeypatch.setattr(frame_cuda, "forced_kernel", "ordinal")
+    monkeypatch.setattr(frame_cuda, "forced_kernel", "lens-column")
     panel = Panel(**LENS)
     for degree in (0, 3):
         scene = cases.fine(degree)
@@ -102,9 +102,9 @@ def test_compensated_opacities_in_the_compact_layout(monkeypatch):
 
 def test_a_kernel_without_room_is_refused(monkeypatch):
     limit(monkeypatch, 48 * 1024)
-    monkeypatch.setattr(frame_cuda, "forced_kernel", "ordinal")
+    monkeypatch.setattr(frame_cuda, "forced_kernel", "lens-column")
     panel = Panel(**LENS)
-    with pytest.raises(ValueError, match="ordinal kernel cannot draw"):
+    with pytest.raises(ValueError, match="lens-column kernel cannot draw"):
         encode(on_gpu(scene_of(0)), panel, rig(panel))
     monkeypatch.setenv(frame_cuda.SHARED_MEMORY_LIMIT, "99 KB")
     with pytest.raises(InputError, match="LFGS_SHARED_MEMORY_LIMIT: expected a number of bytes"):

@@ -49,7 +49,7 @@ def test_an_encoder_makes_room_when_a_scene_grows(scene):
         torch.cuda.synchronize()
         assert most_apart(image, encode(scene, panel, rig(panel))) <= 1  # a frame of the same kind, that makes room
     frame = encoder._frames.captured.frame
-    assert frame.capacity >= frame.state()["pairs"]
+    assert frame.capacity >= frame.state()["intersections"]
 
 
 @pytest.mark.parametrize("versioned", [False, True])

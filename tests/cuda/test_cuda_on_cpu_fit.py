@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from cuda_on_cpu import cases, fit_cases, slot_cases
+from cuda_on_cpu import cases, fit_cases, intersection_cases
 from cuda_on_cpu.drawings import EMULATED
 
 from lightfield_gs import reference
@@ -23,12 +23,12 @@ def test_images_and_gradients_are_those_of_float64(drawn):
 
 def test_splats_that_fill_images_and_room_for_pairs(drawn):
     """Slots that a block adds up together; and with too little room nothing but the images is wrong, which is said."""
-    found, expected = drawn("rooms"), slot_cases.images_and_gradients(torch.float64)[0]
+    found, expected = drawn("rooms"), intersection_cases.images_and_gradients(torch.float64)[0]
     for name, right in expected.items():
         error = (found["waited"][name].double() - right).norm() / right.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
         assert torch.equal(found["enough"][name], found["waited"][name]), name
-    assert found["pairs"] > slot_cases.SCENES * slot_cases.VIEWS * 4 * 256
+    assert found["pairs"] > intersection_cases.SCENES * intersection_cases.VIEWS * 4 * 256
     for short in found["short"]:
         assert short["pairs"] == found["pairs"] and short["buffers"] > 10 and short["intact"]
 

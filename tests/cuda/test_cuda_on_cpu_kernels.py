@@ -20,7 +20,7 @@ DRAWN = (
     "pixel-quadratic",
     "pixel-small",
     "pixel-quadratic-small",
-    "ordinal",
+    "lens-column",
     "compact",
     "shapes",
     "chosen",
@@ -41,7 +41,7 @@ DRAWN = (
         ("pixel-quadratic", 1e-8),
         ("pixel-small", 1e-7),
         ("pixel-quadratic-small", 1e-8),
-        ("ordinal", 1e-8),
+        ("lens-column", 1e-8),
     ],
 )
 def test_frames_are_those_of_the_cpu(drawn, kernel, mean_square):
@@ -57,7 +57,7 @@ def test_frames_are_those_of_the_cpu(drawn, kernel, mean_square):
         )
         error = (found["image"] - expected).abs()
         assert found["kernel"] == kernel and (error > 1 / 255).sum() <= 1, name
-        assert kernel != "ordinal" or found["layout"] == "full"
+        assert kernel != "lens-column" or found["layout"] == "full"
         assert (error**2).mean() < mean_square, (name, degree, views)
         if name == "narrow cone" and "quadratic" in kernel:  # both fits meet in a batch of hits
             assert 0.5 < found["curved"] < 0.8
@@ -74,7 +74,9 @@ def mean_error_of_piece(image: torch.Tensor) -> float:
 
 def test_half_of_100_kb_of_shared_memory_draws_as_exactly(drawn):
     *frames, antialiased, piece = drawn("compact")
-    assert all(found["kernel"] == "ordinal" and found["layout"] == "compact" for found in (*frames, antialiased, piece))
+    assert all(
+        found["kernel"] == "lens-column" and found["layout"] == "compact" for found in (*frames, antialiased, piece)
+    )
     for (name, degree, views), floats, bytes_ in zip(cases.COMPACT_FRAMES, frames[::2], frames[1::2], strict=True):
         panel = cases.panel_of(name)
         options = dict(views=views, background=cases.BACKGROUND, output="float32")
@@ -97,13 +99,13 @@ def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(drawn):
         assert (found["image"] - expected).abs().max() < 0.4 / 255, kernel
 
 
-def test_shapes_that_vary_within_an_ordinal_are_evaluated_as_they_are(drawn):
-    assert set(drawn("chosen")) == {"ordinal"}
+def test_shapes_that_vary_within_a_lens_column_are_evaluated_as_they_are(drawn):
+    assert set(drawn("chosen")) == {"lens-column"}
     for (kernel, views, changes), found in zip(cases.WIDEST, drawn("widest"), strict=True):
         expected = encode(*cases.widest(changes), background=cases.BACKGROUND, output="float32", views=views)
         error = (found["image"] - expected).abs()
         if kernel is None:  # so much varies that frames choose other kernels
-            assert found["kernel"] != "ordinal" and error.max() < 0.4 / 255, changes
+            assert found["kernel"] != "lens-column" and error.max() < 0.4 / 255, changes
             continue
         # Some alphas are on the cut
         assert (error > 1 / 255).float().mean() < 1e-3 and error.max() < 1.5 / 255, (changes, views)
@@ -147,8 +149,8 @@ def test_colours_near_the_cameras_are_exact(drawn):
     for nearest, found in zip(cases.NEAR, drawn("near"), strict=True):
         expected = encode(*cases.near(nearest), "sorted", background=cases.BACKGROUND, output="float32")
         assert (found["image"] - expected).abs().max() < 0.5 / 255, nearest
-        # By ordinals colours would be parabolas within each
-        assert found["kernel"] != "ordinal" and found["bent_colours"] > 0 and found["colour_error"] < 2e-4
+        # By lens columns colours would be parabolas within each
+        assert found["kernel"] != "lens-column" and found["bent_colours"] > 0 and found["colour_error"] < 2e-4
 
 
 def test_harmonics_of_a_wide_cone_keep_80_db(drawn):

@@ -21,12 +21,12 @@ DRAWN = ("memory", "lattice", "words", "half empty", "opaque", "crowd", "pruned"
 
 def test_a_work_buffer_takes_what_the_documents_say(drawn):
     empty, gaussians, with_pairs, only_pairs, harmonics = drawn("memory")
-    ordinals = 12  # of the default panel, in whole groups
+    lens_columns = 12  # of the default panel, in whole groups
     tolerance = 2000  # parts begin at multiples of 256 bytes
     assert empty < 1e6
     assert abs((gaussians - empty) - 1e6 * (48 + 16 + 4 + 4)) < tolerance  # splat, colour, depth, place in a list
     assert abs((with_pairs - gaussians) - 1e6 * 4 * (26 - 1)) < tolerance
-    assert abs((harmonics - only_pairs) - 1e6 * (48 + 16 * 9 + 4 + 4 + 24 * ordinals)) < tolerance
+    assert abs((harmonics - only_pairs) - 1e6 * (48 + 16 * 9 + 4 + 4 + 24 * lens_columns)) < tolerance
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_tiles_with_nothing_in_them_are_background(drawn):
         assert (bytes_["image"][:, right] - 255 * background).abs().max() <= 0.5 + 1e-3 * 255, kernel
         assert (floats["image"].clamp(0, 1) - expected.clamp(0, 1)).abs().max() < 4 * QUALITIES[quality].lattice_error
         drawn_tiles = floats["lattice_tiles"] + floats["refused_tiles"]
-        assert 2 <= drawn_tiles <= (-(-120 // 64) * -(-71 // 32) if kernel != "ordinal" else 8)
+        assert 2 <= drawn_tiles <= (-(-120 // 64) * -(-71 // 32) if kernel != "lens-column" else 8)
 
 
 def test_where_no_lattice_fits_few_are_tried(lattice_frames):

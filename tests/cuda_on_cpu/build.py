@@ -56,7 +56,7 @@ def host_code(path: Path) -> str:
         text,
     )
     text = re.sub(r"__shared__ (alignas\(\d+\))", r"\1 __shared__", text)
-    if path.name == "ordinal_operands.cuh":  # its tensor cores are in include/tensor_cores.h
+    if path.name == "lens_column_operands.cuh":  # its tensor cores are in include/tensor_cores.h
         begin, end = text.index("__device__ inline void multiply("), text.index("template <bool Limit>")
         text = f"{text[:begin]}}}\n#include <tensor_cores.h>\nnamespace lfgs::cuda {{\n{text[end:]}"
     return f"#include <cuda_runtime.h>\n{text}" if path.suffix == ".cu" else text

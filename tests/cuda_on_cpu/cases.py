@@ -33,7 +33,7 @@ PRUNING = Quality(contribution_cut=0.6, opacity_cut=0.02)
 
 def frames_of(kernel: str) -> list[tuple[str, int, str]]:
     """Panel, SH degree and views of every frame; fewer of the kernel with tensor cores, which take seconds here."""
-    names = [*list(PANELS)[:2], "cells"] if kernel == "ordinal" else PANELS
+    names = [*list(PANELS)[:2], "cells"] if kernel == "lens-column" else PANELS
     frames = [(name, degree, views) for name in names for degree, views in ((0, "integer"), (3, "continuous"))]
     return [*frames, ("default", 0, "continuous")]  # with harmonics or without, lists of more than fits at a time
 
@@ -65,14 +65,14 @@ def panel_of(name: str) -> Panel:
 
 
 # Kernels, and cones (degrees) in which a colour is nearly a parabola
-PARABOLAS = [("pixel", 1.0), ("pixel-small", 1.0), ("pixel-quadratic", 2.0), ("ordinal", 2.0)]
+PARABOLAS = [("pixel", 1.0), ("pixel-small", 1.0), ("pixel-quadratic", 2.0), ("lens-column", 2.0)]
 
 # Kernel that draws what is not smooth, quality, views, panel: see lattice_frame
 LATTICE_FRAMES = [
     ("pixel", "high", "integer", dict(cone_deg=1.0)),
     ("pixel-quadratic", "fast", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18)),
-    ("ordinal", "high", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18, line_number=16.013)),
-    ("ordinal", "fast", "integer", dict(invert_views=True)),
+    ("lens-column", "high", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18, line_number=16.013)),
+    ("lens-column", "fast", "integer", dict(invert_views=True)),
     ("pixel", "high", "integer", dict(line_number=61.7)),
     ("pixel", "fast", "integer", dict(line_number=0.7, cone_deg=4.0)),
 ]
@@ -128,8 +128,8 @@ def harmonic_piece() -> tuple[Gaussians, Panel, Rig]:
     return Gaussians(*(field[near] for field in scene.fields().values())), panel, rig
 
 
-# Kernels that go on behind where a sample ends, and panels on which few splats are for their careful way
-OPAQUE_FRAMES = [("pixel", "narrow cone"), ("pixel-small", "narrow cone"), ("ordinal", "default")]
+# Kernels that go on behind where a sample ends, and panels on which few splats are for their exact formulas
+OPAQUE_FRAMES = [("pixel", "narrow cone"), ("pixel-small", "narrow cone"), ("lens-column", "default")]
 
 
 def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
@@ -160,7 +160,7 @@ def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
 # Kernel (None: the frame chooses), views, panel
 WIDEST = [
     (*how, changes)
-    for how in (("ordinal", "integer"), ("ordinal", "continuous"), (None, "integer"))
+    for how in (("lens-column", "integer"), ("lens-column", "continuous"), (None, "integer"))
     for changes in (dict(cone_deg=150.0), dict(cone_deg=179.9), dict(views=2))
 ]
 
@@ -215,9 +215,9 @@ ANTIALIASED = [
     ("pixel-quadratic", "default", 0, "integer", "exact"),
     (None, "narrow cone", 1, "integer", "draft"),
     ("pixel-quadratic-small", "leaning the other way, BGR", 3, "continuous", "exact"),
-    ("ordinal", "default", 0, "integer", "exact"),
-    ("ordinal", "default", 3, "continuous", "exact"),
-    ("ordinal", "leaning the other way, BGR", 1, "continuous", "exact"),
+    ("lens-column", "default", 0, "integer", "exact"),
+    ("lens-column", "default", 3, "continuous", "exact"),
+    ("lens-column", "leaning the other way, BGR", 1, "continuous", "exact"),
 ]
 COMPACT_ANTIALIASED = ANTIALIASED[4]
 # Of the same, with a view filter of this many views and without anti-aliasing

@@ -21,9 +21,9 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 import cases
 import crop_cases
 import fit_cases
+import intersection_cases
 import png_cases
 import sheet_cases
-import slot_cases
 import surface_cases
 import torch
 
@@ -82,22 +82,22 @@ def drawn(
     probe = with_places(0)
     probe.project(), probe.bin()
     image = torch.full((job.height, job.width, 3), 7, dtype=dtype)
-    frame = with_places(int(share * probe.state()["pairs"]))
+    frame = with_places(int(share * probe.state()["intersections"]))
     frame.draw(job.background, image)
-    return {"image": image, "layout": frame.native.ordinal_layout, **frame.state()}
+    return {"image": image, "layout": frame.native.lens_column_layout, **frame.state()}
 
 
 def compact() -> list[dict[str, object]]:
     """On a device of small shared memory: frames as floats and as bytes, an anti-aliased one, the piece of a cloud."""
     os.environ[frame_cuda.SHARED_MEMORY_LIMIT] = str(cases.SMALL_SHARED_MEMORY)
     dtypes = torch.float32, torch.uint8
-    frames = [frame("ordinal", *case, dtype) for case in cases.COMPACT_FRAMES for dtype in dtypes]
+    frames = [frame("lens-column", *case, dtype) for case in cases.COMPACT_FRAMES for dtype in dtypes]
     antialiased = compensated(*cases.COMPACT_ANTIALIASED, antialiased=True)
     return [*frames, antialiased, harmonic_piece()]
 
 
 def harmonic_piece() -> dict[str, object]:
-    return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=8)
+    return drawn(*cases.harmonic_piece(), "integer", "lens-column", EXACT, 1.0, colour_order=8)
 
 
 def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
@@ -108,7 +108,7 @@ def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
         torch.tensor(cases.BACKGROUND),
         lenticular_camera(panel, cases.rig_of(panel), False),
     )
-    frame = lightfield_gs._core.cuda.LensFrame(
+    frame = lightfield_gs._core.cuda.DirectFrame(
         gaussians=gaussians, sh_degree=degree, colour_order=order, rig=job.native.rig, lens=job.native.lens,
         capacity=pairs, quality=EXACT.native, colour_error=1e-5, left_out=1e-5, shared_memory=0,
     )  # fmt: skip
@@ -148,12 +148,12 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
     job = DirectRender(
         scene.fields().values(), torch.tensor(cases.BACKGROUND), lenticular_camera(panel, rig, views == "continuous")
     )
-    frame = frame_cuda.Frame(job, Quality.of(quality), 8, int(share * expected["pairs"]), kernel)
+    frame = frame_cuda.Frame(job, Quality.of(quality), 8, int(share * expected["intersections"]), kernel)
     image = torch.full((job.height, job.width, 3), 7.0)
     frame.draw(job.background, image)
     scene.sh.copy_(right)
     frame.draw(job.background, image, keep_lists=True)
-    found = {"image": image, "layout": frame.native.ordinal_layout, **frame.state()}
+    found = {"image": image, "layout": frame.native.lens_column_layout, **frame.state()}
     return {"expected": expected, "found": found}
 
 
@@ -190,7 +190,7 @@ def main(what: str) -> object:
     if what == "fit":
         return fit_cases.fitted(torch.float32)
     if what == "rooms":
-        return slot_cases.with_rooms()
+        return intersection_cases.with_capacities()
     if what == "dense":
         return cases.dense_step(torch.float32)
     if what == "words":
@@ -264,7 +264,7 @@ def main(what: str) -> object:
     if what == "png":
         return {name: png_cases.compressed(name) for name in png_cases.IMAGES}
     if what == "settings":
-        return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
+        return [settings(kernel) for kernel in ("pixel-quadratic", "lens-column")]
     if what == "near":
         return [drawn(*cases.near(nearest), "integer", None, EXACT, 1.01) for nearest in cases.NEAR]
     if what == "parabolas":

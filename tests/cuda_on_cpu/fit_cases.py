@@ -9,12 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs.fitting.dropout import dropout
+from lightfield_gs.fitting.optimizer import Gradients, RawParameters, activate, update, update_table
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
-from lightfield_gs.fitting.random import normals, uniforms
-from lightfield_gs.fitting.update import Gradients, RawFields, activated, update, update_table
+from lightfield_gs.fitting.random import dropout, normals, uniforms
 
-# Views, height, width, share of SSIM, photos of bytes, weights; more and less than a strip of the kernels
+# Images, height, width, lambda of SSIM, photos of bytes, weights; more and less than a strip of the kernels
 LOSSES = [
     (1, 1, 1, 0.2, False, False),
     (2, 45, 67, 0.2, True, True),
@@ -60,9 +59,11 @@ def update_case(harmonics: int, count: int, special: str, dtype: torch.dtype, de
         drawn = torch.randn(shape, generator=random).to(device, dtype)
         return _unaligned(drawn) if special == "unaligned" else drawn
 
-    fields = RawFields(draw(count, 3), draw(count, 3) - 2, draw(count, 4), draw(count) - 4, draw(count, harmonics, 3))
+    fields = RawParameters(
+        draw(count, 3), draw(count, 3) - 2, draw(count, 4), draw(count) - 4, draw(count, harmonics, 3)
+    )
     first, second = fields.zeros_like(), fields.zeros_like()
-    scales, opacities = activated(fields)
+    scales, opacities = activate(fields)
     shares = dict(noise_lr=300.0, opacity_reg=0.5, scale_reg=0.5)
     table = update_table(3, **RATES, **shares, dtype=dtype, device=device)
     step, skipped = (torch.zeros((), dtype=torch.int64, device=device) for _ in range(2))

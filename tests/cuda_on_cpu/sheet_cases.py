@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.harmonics import rotations
-from lightfield_gs.models.detail import DetailLevel, SheetSurface, _flat, _sheet, along_surface
+from lightfield_gs.models.detail import DetailLevel, SheetSurface, _flat, _sheet, upsample_along_surface
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.sheet import lay_texels
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
@@ -76,7 +76,7 @@ def expected(case: Case) -> Gaussians:
     surface, photo, camera = inputs(case)
     photo, camera = photo.float().double(), camera.float().double()
     channels = torch.cat(list(surface), 1).float().double()
-    fine = along_surface(channels, channels[:, :1], (1 / camera[:, 0])[:, None, None, None], case.factor)
+    fine = upsample_along_surface(channels, channels[:, :1], (1 / camera[:, 0])[:, None, None, None], case.factor)
     texels = describe_pixels(photo, case.factor * camera)
     *fields, constant = _sheet(fine[:, :1], texels, case.texel_px)
     return from_tensors([*fields, torch.cat([constant, _flat(fine[:, 1:]).unflatten(2, (-1, 3))], 2)])

@@ -12,7 +12,7 @@ from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.encoding.weave_sampling import TorchPasses
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.framing import frame_scene
-from lightfield_gs.panels.quilt import QUILT_PRESETS, layout_of_panel, stated_layout, with_suffix
+from lightfield_gs.panels.quilt import QUILT_PRESETS, panel_quilt, stated_layout, with_suffix
 from lightfield_gs.view_sets.view_set import QuiltViews, open_views
 
 SIZE = PANEL.height_px, PANEL.width_px
@@ -45,23 +45,23 @@ def test_presets_fill_their_quilts_but_for_what_no_tile_takes():
     assert QUILT_PRESETS["portrait"].tile_px() == (420, 560)
     assert QUILT_PRESETS["16"].tile_px() == (819, 455)
     assert QUILT_PRESETS["16"].tile(0) == (slice(3641, 4096), slice(0, 819))
-    assert layout_of_panel(PANEL).views == PANEL.views and layout_of_panel(PANEL).tile_px() == SIZE[::-1]
+    assert panel_quilt(PANEL).views == PANEL.views and panel_quilt(PANEL).tile_px() == SIZE[::-1]
 
 
 def test_numbers_of_views_without_factors_have_a_quilt_all_the_same():
     panel = Panel.load("65in-8k-96v")
-    assert layout_of_panel(panel).views == 96
+    assert panel_quilt(panel).views == 96
     for views, columns, rows in ((97, 7, 14), (53, 6, 9), (94, 5, 19), (2, 1, 2)):
         odd = replace(panel, views=views)
         if columns * rows == views:
-            found = layout_of_panel(odd)
+            found = panel_quilt(odd)
         else:
             with pytest.warns(Assumption, match=f"{columns} x {rows} = {columns * rows} views for the {views} of"):
-                found = layout_of_panel(odd)
+                found = panel_quilt(odd)
         assert (found.columns, found.rows) == (columns, rows)
-        assert layout_of_panel(odd, (1, views)).views == views
+        assert panel_quilt(odd, (1, views)).views == views
     # Small tiles fit side by side: nothing is lost
-    assert layout_of_panel(replace(PANEL, views=13)).tile_px() == SIZE[::-1]
+    assert panel_quilt(replace(PANEL, views=13)).tile_px() == SIZE[::-1]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -192,7 +192,7 @@ def test_a_view_map_takes_the_place_of_the_lens():
 @pytest.mark.parametrize("inverted", [False, True])
 def test_the_weave_of_a_quilt_is_what_classic_draws(inverted, width):
     panel = replace(PANEL, invert_views=inverted)
-    gaussians, layout = scene(), layout_of_panel(panel)
+    gaussians, layout = scene(), panel_quilt(panel)
     rig = frame_scene(gaussians, panel)
     image = quilt(gaussians, layout, rig, panel, view_filter=width).numpy()
     got = weave(QuiltViews(image, layout, "quilt"), panel)

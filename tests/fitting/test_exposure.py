@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import torch
-from fit_scene import first_fields, known_scene, psnr_db, views_of
+from fit_scene import first_state, known_scene, photograph_scene, psnr_db
 
-from lightfield_gs.fitting.exposure import Exposure
+from lightfield_gs.fitting.image_optimizers import ExposureOptimizer
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 
 CPU = torch.device("cpu")
 
 
-def some_exposure(photographs: int = 4) -> Exposure:
-    exposure = Exposure(photographs, FitSettings(), CPU)
+def some_exposure(photographs: int = 4) -> ExposureOptimizer:
+    exposure = ExposureOptimizer(photographs, FitSettings(), CPU)
     random = torch.Generator().manual_seed(0)
     exposure.values += 0.2 * torch.randn(exposure.values.shape, generator=random)
     exposure.values, exposure._adam.first = exposure.values.double(), exposure._adam.first.double()
     return exposure
 
 
-def test_the_reverse_is_the_gradient():
+def test_the_backward_pass_is_the_gradient():
     """Against differences in double; photograph 2 stands twice in the step."""
     exposure, chosen = some_exposure(), torch.tensor([2, 0, 2])
     random = torch.Generator().manual_seed(1)
@@ -29,18 +29,18 @@ def test_the_reverse_is_the_gradient():
 
     def exposed(values, colours):
         exposure.values = values
-        return exposure.exposed(colours, chosen)
+        return exposure.apply(colours, chosen)
 
     assert torch.autograd.gradcheck(exposed, (values, colours))
     weights = torch.randn(3, 2, 3, 3, generator=random, dtype=torch.float64)
     right = torch.autograd.grad((exposed(values, colours) * weights).sum(), (colours, values))
-    found = exposure.reverse(colours.detach(), weights, chosen)
+    found = exposure.backward(colours.detach(), weights, chosen)
     torch.testing.assert_close(found[0], right[0])
     torch.testing.assert_close(found[1].detach(), right[1].flatten(1))
 
 
 def test_photographs_keep_the_scenes_colour_in_the_mean():
-    exposure, random = Exposure(5, FitSettings(), CPU), torch.Generator().manual_seed(2)
+    exposure, random = ExposureOptimizer(5, FitSettings(), CPU), torch.Generator().manual_seed(2)
     for step in range(20):
         gradient = torch.randn(5, 12, generator=random) + 3
         exposure.update(gradient, torch.tensor([step]), torch.tensor([1]))
@@ -52,17 +52,17 @@ def test_photographs_keep_the_scenes_colour_in_the_mean():
 
 
 def test_a_fit_finds_the_scene_behind_exposures():
-    """Photographs brighter and darker by turns: with exposures the scene is nearer to what it is at the mean one."""
+    """Photographs brighter and darker by turns: with exposures the scene is nearer to its colours at the mean one."""
     scene = known_scene()
-    right, views = views_of(scene), views_of(scene)
+    right, images = photograph_scene(scene), photograph_scene(scene)
     gains = torch.tensor([0.7, 1.3, 0.7, 1.3, 0.7, 1.3])[:, None, None, None]
-    views.photos = (right.photos * gains).clamp(0, 255).to(torch.uint8)
+    images.photos = (right.photos * gains).clamp(0, 255).to(torch.uint8)
     scores = []
     for exposure in (False, True):
         settings = FitSettings(steps=300, cap_max=300, sh_degree=1, exposure=exposure)
-        trainer = Trainer(first_fields(scene, settings, 300), views, settings)
+        trainer = Trainer(first_state(scene, settings, 300), images, settings)
         trainer.advance(settings.steps)
-        scores.append(psnr_db(trainer.fields, right))
+        scores.append(psnr_db(trainer.state, right))
     assert scores[1] > scores[0] + 1
-    grey = trainer.exposure.exposed(torch.full((6, 3), 0.4), torch.arange(6)).mean(1)
+    grey = trainer.exposure.apply(torch.full((6, 3), 0.4), torch.arange(6)).mean(1)
     assert (grey[1::2] > 1.3 * grey[::2]).all()

@@ -1,4 +1,4 @@
-"""A fit from a capture on disk: the same bits whatever happens on the way, and what it says and refuses."""
+"""A fit from a capture on disk: the same bits after any stops, its messages and its refusals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from fit_capture import write_capture
-from fit_scene import first_fields, known_scene, views_of
+from fit_scene import first_state, known_scene, photograph_scene
 from safetensors.torch import save
 
 import lightfield_gs as lf
@@ -47,12 +47,12 @@ def in_one_go(capture, tmp_path_factory) -> bytes:
 
 
 def trainer(settings: FitSettings = SETTINGS) -> Trainer:
-    return Trainer(first_fields(known_scene(), settings), views_of(known_scene()), settings)
+    return Trainer(first_state(known_scene(), settings), photograph_scene(known_scene()), settings)
 
 
 def bits(trainer: Trainer) -> dict[str, bytes]:
-    counters = {f"counters.{name}": t for name, t in vars(trainer.counters).items() if name != "pairs"}
-    tensors = {**trainer.fields.tensors(), **trainer.tally.tensors(), **counters, **trainer.extra}
+    counters = {f"counters.{name}": t for name, t in trainer.counters.tensors().items() if name != "pairs"}
+    tensors = {**trainer.state.tensors(), **trainer.statistics.tensors(), **counters, **trainer.extra}
     return {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
 
 
@@ -62,7 +62,7 @@ def test_steps_do_not_depend_on_how_they_are_cut(kind):
     whole.advance(60)
     for until in (1, 9, 10, 11, 12, 13, 20, 21, 40, 59, 60):
         cut.advance(until)
-    assert whole.fields.count > 150 and whole.fields.degree == 2
+    assert whole.state.count > 150 and whole.state.degree == 2
     assert bits(cut) == bits(whole)
 
 
@@ -70,7 +70,7 @@ def test_steps_do_not_depend_on_how_they_are_cut(kind):
 def test_a_checkpoint_goes_on_to_the_same_bits(kind, step, capture, tmp_path):
     """Also at steps after which the density changes or harmonics are added, which must happen once."""
     settings = KINDS[kind]
-    identity = Identity.of(settings, read_capture(capture), [0])
+    identity = Identity.make(settings, read_capture(capture), [0])
     whole, first, second = (trainer(settings) for _ in range(3))
     whole.advance(45)
     first.advance(step)
@@ -196,7 +196,7 @@ def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
 
 
 def test_memory_is_that_of_the_formula():
-    need = memory.needed(FitSettings(cap_max=1000, sh_degree=1, batch_size=2), 10, 40, 30)
+    need = memory.estimate_memory(FitSettings(cap_max=1000, sh_degree=1, batch_size=2), 10, 40, 30)
     assert need == (10 * 40 * 30 * 4, 6 * 4 * 1000 * 23, 4 * 1000 * 23, 2 * (450 * 1000 + 90 * 1200))
 
 

@@ -7,35 +7,35 @@ from dataclasses import replace
 
 import pytest
 import torch
-from fit_scene import known_cameras, known_scene, views_of
+from fit_scene import known_cameras, known_scene, photograph_scene
 
 import lightfield_gs as lf
-from lightfield_gs.fitting.evaluate import Scores, evaluated, weighted_psnr_db
-from lightfield_gs.fitting.pictures import beside
+from lightfield_gs.fitting.evaluate import Scores, evaluate, weighted_psnr_db
+from lightfield_gs.fitting.progress import side_by_side
 from lightfield_gs.reference.metrics import ssim
 
 BLACK = (0.0, 0.0, 0.0)
 
 
 def test_scores_are_those_of_the_definition():
-    other, views = known_scene(seed=1), views_of(known_scene())
-    scores = evaluated(other, views, BLACK)
+    other, images = known_scene(seed=1), photograph_scene(known_scene())
+    scores = evaluate(other, images, BLACK)
     drawn = lf.render(other, known_cameras(), background=BLACK).image.clamp(0, 1)
-    photos = views.photos / 255
+    photos = images.photos / 255
     psnr = [-10 * math.log10(float((d - p).double().square().mean())) for d, p in zip(drawn, photos)]
     assert scores.psnr_db == pytest.approx(psnr, abs=1e-4)
     assert scores.ssim == pytest.approx(ssim(drawn.permute(0, 3, 1, 2), photos.permute(0, 3, 1, 2)).tolist(), abs=1e-5)
-    assert scores.names == views.names and scores.mean_psnr_db == pytest.approx(sum(psnr) / len(psnr), abs=1e-4)
+    assert scores.names == images.names and scores.mean_psnr_db == pytest.approx(sum(psnr) / len(psnr), abs=1e-4)
 
 
 def test_what_a_mask_leaves_out_says_nothing():
-    other, views = known_scene(seed=1), views_of(known_scene())
-    weights = torch.full(views.photos.shape[:3], 255, dtype=torch.uint8)
+    other, images = known_scene(seed=1), photograph_scene(known_scene())
+    weights = torch.full(images.photos.shape[:3], 255, dtype=torch.uint8)
     weights[:, :, :16] = 0
-    spoiled = views.photos.clone()
+    spoiled = images.photos.clone()
     spoiled[:, :, :16] = 200
-    one, two = (evaluated(other, replace(views, photos=p, weights=weights), BLACK) for p in (views.photos, spoiled))
-    assert one == two != evaluated(other, views, BLACK)
+    one, two = (evaluate(other, replace(images, photos=p, weights=weights), BLACK) for p in (images.photos, spoiled))
+    assert one == two != evaluate(other, images, BLACK)
 
 
 def test_a_plain_error_has_its_psnr():
@@ -46,11 +46,11 @@ def test_a_plain_error_has_its_psnr():
 
 def test_a_smaller_photograph_is_judged_in_its_own_frame():
     """It stands in the upper left of the size that all have."""
-    views = views_of(known_scene())
-    small = replace(views, sizes=[(30, 20)] * views.count)
-    edge = views.photos.clone()
+    images = photograph_scene(known_scene())
+    small = replace(images, sizes=[(30, 20)] * images.count)
+    edge = images.photos.clone()
     edge[:, 20:], edge[:, :, 30:] = 255, 255
-    assert evaluated(known_scene(seed=1), replace(small, photos=edge), BLACK) == evaluated(
+    assert evaluate(known_scene(seed=1), replace(small, photos=edge), BLACK) == evaluate(
         known_scene(seed=1), small, BLACK
     )
 
@@ -67,6 +67,6 @@ def test_a_table_has_a_row_for_each_and_one_of_means():
 def test_a_picture_shows_view_photograph_and_four_times_their_difference():
     image, photo, weights = torch.full((2, 3, 3), 0.5), torch.full((2, 3, 3), 0.4), torch.ones(2, 3)
     weights[:, 0] = 0
-    found = beside(image, photo, weights)
+    found = side_by_side(image, photo, weights)
     assert found.shape == (2, 9, 3)
     assert found[0, :, 0].tolist() == pytest.approx([0.5] * 3 + [0.4] * 3 + [0, 0.4, 0.4], abs=1e-6)

@@ -1,4 +1,4 @@
-"""Masks as the target of alpha, over any background; and what a background has no say in."""
+"""Masks as the target of alpha over any background, and masks that leave nothing."""
 
 from __future__ import annotations
 
@@ -9,62 +9,61 @@ import numpy as np
 import pytest
 import torch
 from fit_capture import write_capture
-from fit_scene import first_fields, known_scene, views_of
+from fit_scene import first_state, known_scene, photograph_scene
 from PIL import Image
 
 import lightfield_gs as lf
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
+from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.fitting.views import Views
-from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import read_capture
 
 
-def cut_out(views: Views, scene: lf.Gaussians) -> tuple[Views, torch.Tensor]:
+def cut_out(images: PosedImages, scene: lf.Gaussians) -> tuple[PosedImages, torch.Tensor]:
     """Views whose masks are the alpha of the scene, their photographs of straight colours; and that alpha."""
-    image, alpha, *_ = lf.render(scene, views.cameras(), background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha, *_ = lf.render(scene, images.cameras(), background=(0.0, 0.0, 0.0), alpha=True)
     straight = image / alpha.clamp_min(1e-3)[..., None]
-    views.photos = straight.clamp(0, 1).mul(255).round().to(torch.uint8)
-    views.opacity = alpha.mul(255).round().to(torch.uint8)
-    return views, alpha
+    images.photos = straight.clamp(0, 1).mul(255).round().to(torch.uint8)
+    images.opacity = alpha.mul(255).round().to(torch.uint8)
+    return images, alpha
 
 
 def test_the_scene_itself_is_the_target_over_any_background():
     scene = known_scene()
     scene.sh = scene.sh.clamp(-1.5, 1.5)  # colours that a photograph can show
-    views, _ = cut_out(views_of(scene), scene)
-    everything = torch.arange(views.count)
+    images, _ = cut_out(photograph_scene(scene), scene)
+    everything = torch.arange(images.count)
     for background in ((0.0, 0.0, 0.0), (1.0, 0.2, 0.6)):
-        target, weights = views.targets(everything, torch.tensor([background]).expand(6, 3))
-        image = lf.render(scene, views.cameras(), background=background).image
+        target, weights = images.targets(everything, torch.tensor([background]).expand(6, 3))
+        image = lf.render(scene, images.cameras(), background=background).image
         assert weights is None and (image - target).abs().max() < 0.006
-        assert photo_loss_and_gradient(image, target)[0] / views.count < 0.002
+        assert photo_loss_and_gradient(image, target)[0] / images.count < 0.002
 
 
 def test_a_random_background_empties_what_masks_leave_out():
     """Black photographs with a hole: over black nothing is wrong with opaque black, over others it is."""
     scene = known_scene()
-    views = views_of(scene)
-    views.photos = views.photos.clone()
-    views.photos[:, :, :24] = 0
-    views.opacity = torch.full_like(views.photos[..., 0], 255)
-    views.opacity[:, :, :24] = 0
+    images = photograph_scene(scene)
+    images.photos = images.photos.clone()
+    images.photos[:, :, :24] = 0
+    images.opacity = torch.full_like(images.photos[..., 0], 255)
+    images.opacity[:, :, :24] = 0
     settings = FitSettings(steps=250, cap_max=300, sh_degree=0, masks="alpha", background=None)
-    trainer = Trainer(first_fields(scene, settings, 300), views, settings)
-    alpha = [cut_out(views_of(scene), gaussians)[1] for gaussians in (scene, trainer.fields.gaussians())]
+    trainer = Trainer(first_state(scene, settings, 300), images, settings)
+    alpha = [cut_out(photograph_scene(scene), gaussians)[1] for gaussians in (scene, trainer.state.gaussians())]
     trainer.advance(settings.steps)
-    alpha.append(cut_out(views_of(scene), trainer.fields.gaussians())[1])
+    alpha.append(cut_out(photograph_scene(scene), trainer.state.gaussians())[1])
     assert alpha[2][:, :, :20].mean() < 0.4 * alpha[1][:, :, :20].mean()
     assert alpha[2][:, :, 28:].mean() > 0.8 * alpha[0][:, :, 28:].mean()
 
 
 def test_masks_are_read_as_what_they_are_to_be(tmp_path):
     capture = read_capture(write_capture(tmp_path / "capture", masked=True))
-    world, some = World.of(capture.centres, capture.extent), [0, 3]
-    ignored, alpha = (Views.load(capture, some, world, "cpu", some, masks) for masks in ("ignore", "alpha"))
+    world, some = Normalization.from_centres(capture.centres, capture.extent), [0, 3]
+    ignored, alpha = (PosedImages.load(capture, some, world, "cpu", some, masks) for masks in ("ignore", "alpha"))
     assert ignored.opacity is None and alpha.weights is None
     assert ignored.weights.equal(alpha.opacity) and (alpha.opacity[:, :, :16] == 0).all()
     target, weights = alpha.targets(torch.tensor([1]), torch.tensor([[0.25, 0.5, 0.75]]))
@@ -73,7 +72,7 @@ def test_masks_are_read_as_what_they_are_to_be(tmp_path):
 
 
 def blackened(folder: Path, photographs: Sequence[str]) -> Path:
-    """A capture of eight in which the masks of these photographs are black, and those of the others are white."""
+    """Write a capture of eight; the masks of `photographs` are black, the other masks are white."""
     write_capture(folder, masked=True)
     for path in (folder / "masks").iterdir():
         Image.new("L", (48, 32), 0 if path.name in photographs else 255).save(path)
@@ -87,8 +86,10 @@ def test_masks_that_are_grey_all_over_count(tmp_path):
         Image.fromarray(np.maximum(np.asarray(Image.open(path)), 51)).save(path)
     capture = read_capture(folder)
     for masks in ("ignore", "alpha"):
-        views = Views.load(capture, [0, 1], World.of(capture.centres, capture.extent), "cpu", [0, 1], masks)
-        grey = views.weights if masks == "ignore" else views.opacity
+        images = PosedImages.load(
+            capture, [0, 1], Normalization.from_centres(capture.centres, capture.extent), "cpu", [0, 1], masks
+        )
+        grey = images.weights if masks == "ignore" else images.opacity
         assert grey is not None and (grey[:, :, 0] == 51).all() and (grey[:, :, -1] == 255).all()
 
 

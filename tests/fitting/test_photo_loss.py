@@ -1,4 +1,4 @@
-"""The fused loss of images against photographs: its value, its gradient, and what weights do."""
+"""The fused loss of images against photographs: its value, its gradient, and its weights."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lightfield_gs.fitting.photo_loss import photo_loss, photo_loss_and_gradient
 from lightfield_gs.reference.metrics import ssim
 
 
-def views(count: int, height: int, width: int, seed: int = 0) -> tuple[Tensor, Tensor]:
+def make_images(count: int, height: int, width: int, seed: int = 0) -> tuple[Tensor, Tensor]:
     """Images, some of whose values are outside 0..1, and photos; float64."""
     random = torch.Generator().manual_seed(seed)
     photo = torch.rand(count, height, width, 3, dtype=torch.float64, generator=random)
@@ -20,7 +20,7 @@ def views(count: int, height: int, width: int, seed: int = 0) -> tuple[Tensor, T
 
 
 def plain_loss(image: Tensor, photo: Tensor, ssim_lambda: float) -> Tensor:
-    """By torch and the oracle of SSIM, summed over views."""
+    """By torch and the oracle of SSIM, summed over images."""
     similarity = ssim(image.movedim(-1, 1), photo.movedim(-1, 1))
     return ((1 - ssim_lambda) * (image - photo).abs().mean((1, 2, 3)) + ssim_lambda * (1 - similarity)).sum()
 
@@ -28,7 +28,7 @@ def plain_loss(image: Tensor, photo: Tensor, ssim_lambda: float) -> Tensor:
 @pytest.mark.parametrize("size", [(1, 1, 1), (2, 4, 7), (3, 37, 50)])
 @pytest.mark.parametrize("ssim_lambda", [0.0, 0.2, 1.0])
 def test_loss_and_gradient_are_those_of_plain_torch(size, ssim_lambda):
-    image, photo = views(*size)
+    image, photo = make_images(*size)
     image.requires_grad_()
     expected = plain_loss(image, photo, ssim_lambda)
     (gradient,) = torch.autograd.grad(expected, image)
@@ -42,7 +42,7 @@ def test_loss_and_gradient_are_those_of_plain_torch(size, ssim_lambda):
 
 @pytest.mark.parametrize("weighted", [False, True])
 def test_gradient_passes_gradcheck(weighted):
-    image, photo = views(2, 5, 8)
+    image, photo = make_images(2, 5, 8)
     weights = torch.rand(2, 5, 8, generator=torch.Generator().manual_seed(1)) if weighted else None
     if weighted:
         weights[0, 1:3] = 0
@@ -50,7 +50,7 @@ def test_gradient_passes_gradcheck(weighted):
 
 
 def test_bytes_count_as_255ths():
-    image, _ = views(1, 12, 9)
+    image, _ = make_images(1, 12, 9)
     photo = torch.randint(0, 256, image.shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(2))
     for found, expected in zip(
         photo_loss_and_gradient(image, photo), photo_loss_and_gradient(image, photo.double() / 255)
@@ -59,7 +59,7 @@ def test_bytes_count_as_255ths():
 
 
 def test_what_has_no_weight_says_nothing():
-    image, photo = views(1, 20, 24)
+    image, photo = make_images(1, 20, 24)
     weights = torch.ones(1, 20, 24)
     weights[:, 6:15, 10:] = 0
     hidden = weights[..., None] == 0
@@ -76,7 +76,7 @@ def test_what_has_no_weight_says_nothing():
 
 
 def test_any_number_of_threads_gives_the_same_bits():
-    image, photo = (t.float() for t in views(2, 45, 33))
+    image, photo = (t.float() for t in make_images(2, 45, 33))
     threads, found = torch.get_num_threads(), []
     try:
         for count in (1, 2, 5):

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import pytest
 import torch
-from fit_scene import known_cameras, known_scene, psnr_db, views_of
+from fit_scene import known_cameras, known_scene, photograph_scene, psnr_db
 from torch import Tensor
 
-from lightfield_gs.fitting.align import aligned
-from lightfield_gs.fitting.fields import Fields
-from lightfield_gs.fitting.poses import Poses, moved, rotations_about, twist_gradients, without_common
+from lightfield_gs.fitting.evaluate import align_poses
+from lightfield_gs.fitting.image_optimizers import (
+    PoseOptimizer,
+    apply_twists,
+    remove_common_motion,
+    rotation_matrices,
+    twist_gradients,
+)
+from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageRender
@@ -24,15 +30,15 @@ def random(*shape: int, seed: int = 0) -> Tensor:
 
 def shaken(poses: Tensor, size: float) -> Tensor:
     """Poses after random motions, none of which is common to all."""
-    twists = without_common(poses.double(), size * random(len(poses), 6, seed=3))
-    return moved(poses.double(), twists).to(poses)
+    twists = remove_common_motion(poses.double(), size * random(len(poses), 6, seed=3))
+    return apply_twists(poses.double(), twists).to(poses)
 
 
 def test_rotations_are_exponentials():
     turns = torch.cat([random(20, 3), torch.zeros(1, 3, dtype=DOUBLE), 1e-9 * random(1, 3)])
     x, y, z = turns.unbind(-1)
     cross = torch.stack([0 * x, -z, y, z, 0 * x, -x, -y, x, 0 * x], -1).view(-1, 3, 3)
-    torch.testing.assert_close(rotations_about(turns), torch.linalg.matrix_exp(cross))
+    torch.testing.assert_close(rotation_matrices(turns), torch.linalg.matrix_exp(cross))
 
 
 def test_the_gradient_of_a_motion_is_that_of_autograd():
@@ -40,7 +46,7 @@ def test_the_gradient_of_a_motion_is_that_of_autograd():
     weights[:, 3] = 0
     at_rest = 1e-9 * torch.ones(6, 6, dtype=DOUBLE)  # the norm has no derivative at none at all
     twists = at_rest.requires_grad_()
-    (moved(poses, twists) * weights).sum().backward()
+    (apply_twists(poses, twists) * weights).sum().backward()
     torch.testing.assert_close(twist_gradients(poses, weights), twists.grad, atol=1e-7, rtol=1e-7)
 
 
@@ -53,7 +59,7 @@ def test_the_gradient_of_a_motion_is_that_of_the_image():
 
     def drawn(twists: Tensor) -> tuple[ImageRender, ImageBuffers]:
         job = ImageRender.from_arguments(
-            ImageArguments(*fields, background, moved(poses, twists)[None], *optics, 24, 16)
+            ImageArguments(*fields, background, apply_twists(poses, twists)[None], *optics, 24, 16)
         )
         return job, job.draw()
 
@@ -69,21 +75,21 @@ def test_the_gradient_of_a_motion_is_that_of_the_image():
 
 
 def test_what_cameras_have_in_common_is_no_motion_of_theirs():
-    """All of a rigid motion of the world is removed, and what is left has none of it."""
+    """A rigid motion of the world is removed completely, and the rest has none of it."""
     poses = known_cameras().world_to_camera.double()
     world = 1e-4 * random(6)
-    carried = poses @ moved(torch.eye(4, dtype=DOUBLE), world)
+    carried = poses @ apply_twists(torch.eye(4, dtype=DOUBLE), world)
     shift, turn = carried[:, :3, 3], carried[:, :3, :3] @ poses[:, :3, :3].transpose(1, 2)
     skew = (turn - turn.transpose(1, 2)) / 2
     turns = torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], -1)
     common = torch.cat([shift - (turn @ poses[:, :3, 3:])[..., 0], turns], -1)
-    assert without_common(poses, common).abs().max() < 2e-3 * common.abs().max()
-    rest = without_common(poses, random(6, 6))
-    torch.testing.assert_close(without_common(poses, rest), rest)
+    assert remove_common_motion(poses, common).abs().max() < 2e-3 * common.abs().max()
+    rest = remove_common_motion(poses, random(6, 6))
+    torch.testing.assert_close(remove_common_motion(poses, rest), rest)
 
 
 def test_a_void_step_moves_nothing():
-    poses = Poses(known_cameras().world_to_camera, 10, 1e-3)
+    poses = PoseOptimizer(known_cameras().world_to_camera, 10, 1e-3)
     before = {name: tensor.clone() for name, tensor in poses.tensors().items()}
     poses.update(random(6, 6) * torch.nan, torch.tensor([3]), torch.tensor([0]))
     assert all(tensor.equal(before[name]) for name, tensor in poses.tensors().items())
@@ -97,29 +103,29 @@ def off(poses: Tensor, right: Tensor) -> float:
 def test_cameras_that_are_off_come_back():
     """The scene is known, but for its colours, and all of it is drawn: only the poses can explain the photographs."""
     scene = known_scene()
-    views = views_of(scene)
-    right = views.world_to_camera
-    views.world_to_camera = shaken(right, 0.004)
+    images = photograph_scene(scene)
+    right = images.world_to_camera
+    images.world_to_camera = shaken(right, 0.004)
     settings = FitSettings(steps=150, cap_max=scene.count, sh_degree=0, refine_start_iter=30_000, poses=True)
     still = dict(means_lr=0.0, scales_lr=0.0, quats_lr=0.0, opacities_lr=0.0, noise_lr=0.0)
     settings = FitSettings(**vars(settings) | still | dict(poses_lr=1e-3, opacity_reg=0.0, scale_reg=0.0, dropout=0.0))
-    trainer = Trainer(Fields.of(scene), views, settings)
+    trainer = Trainer(GaussianState.start(scene), images, settings)
     trainer.advance(settings.steps)
-    assert trainer.poses is not None and not trainer.poses.world_to_camera.equal(views.world_to_camera)
-    assert off(trainer.poses.world_to_camera, right) < 0.4 * off(views.world_to_camera, right)
+    assert trainer.poses is not None and not trainer.poses.world_to_camera.equal(images.world_to_camera)
+    assert off(trainer.poses.world_to_camera, right) < 0.4 * off(images.world_to_camera, right)
     rotation = trainer.poses.world_to_camera[:, :3, :3]
     torch.testing.assert_close(rotation @ rotation.transpose(1, 2), torch.eye(3).expand(6, 3, 3), atol=1e-6, rtol=0)
 
 
 def test_held_out_cameras_are_aligned():
     scene = known_scene()
-    views = views_of(scene)
-    right = views.world_to_camera
-    views.world_to_camera = moved(right.double(), 0.004 * random(6, 6, seed=3)).float()
-    before = psnr_db(Fields.of(scene), views)
-    found = aligned(views, scene, FitSettings(), steps=60)
+    images = photograph_scene(scene)
+    right = images.world_to_camera
+    images.world_to_camera = apply_twists(right.double(), 0.004 * random(6, 6, seed=3)).float()
+    before = psnr_db(GaussianState.start(scene), images)
+    found = align_poses(images, scene, FitSettings(), steps=60)
     # What is left is mostly a turn that undoes a shift
-    assert off(found.world_to_camera, right) < 0.45 * off(views.world_to_camera, right)
-    assert psnr_db(Fields.of(scene), found) > before + 10
-    at_once = aligned(views_of(scene), scene, FitSettings(), steps=3)
+    assert off(found.world_to_camera, right) < 0.45 * off(images.world_to_camera, right)
+    assert psnr_db(GaussianState.start(scene), found) > before + 10
+    at_once = align_poses(photograph_scene(scene), scene, FitSettings(), steps=3)
     assert at_once.world_to_camera.equal(right)

@@ -1,11 +1,10 @@
-"""lightfield_gs/_core.pyi says what the native module has: the same names, with the same arguments."""
+"""lightfield_gs/_core/*.pyi are what csrc/bind/stubs.py writes for the native module: `make stubs` writes them anew."""
 
 from __future__ import annotations
 
-import ast
 import re
+import runpy
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -13,61 +12,29 @@ import pytest
 import lightfield_gs
 from lightfield_gs import _core
 
-STUB = ast.parse((Path(lightfield_gs.__file__).parent / "_core.pyi").read_text())
-OF_THE_STUB = {"Address", "_Stages", "_Cuda"}  # alone
-SUBMODULES = {"float32": "_Stages", "float64": "_Stages", "cuda": "_Cuda"}
-Names = dict[str, Any]  # of functions: the arguments of each overload; of classes: their own names; of others: None
+STUBS = Path(lightfield_gs.__file__).parent / "_core"
+GENERATOR = Path(__file__).parents[2] / "csrc/bind/stubs.py"
+SUBMODULES = ["float32", "float64", "cuda"]
 
 
-def in_stub(body: list[ast.stmt]) -> Names:
-    """Names that the stub gives to a module or a class."""
-    names: Names = {}
-    for node in body:
-        if isinstance(node, ast.ClassDef):
-            names[node.name] = in_stub(node.body)
-        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            names[node.target.id] = None
-        elif isinstance(node, ast.FunctionDef):
-            if any(isinstance(mark, ast.Name) and mark.id == "property" for mark in node.decorator_list):
-                names[node.name] = None
-            else:
-                arguments = [argument.arg for argument in node.args.args + node.args.kwonlyargs]
-                names.setdefault(node.name, []).append([name for name in arguments if name != "self"])
-    return names
+def without_cuda(text: str) -> str:
+    """A stub as a build for the CPU only has it."""
+    return text.replace("from . import cuda\n", "").replace("'cuda', ", "")
 
 
-def arguments_of(function: Any) -> list[list[str]]:
-    """Names of the arguments of each overload, from the signatures that pybind11 writes."""
-    lines = (function.__doc__ or "").strip().splitlines()
-    signatures = [line for line in lines if re.match(r"\d+\. ", line)] or lines[:1]
-    found = [re.findall(r"[(,] ?(\w+): ", re.sub(r"\[[^\]]*\]", "", line)) for line in signatures]
-    return [[name for name in names if name != "self"] for names in found]
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> dict[str, str]:
+    pytest.importorskip("pybind11_stubgen", reason="needs pybind11-stubgen, of the extra `test`")
+    write = runpy.run_path(str(GENERATOR))["write"]
+    return {path.name: path.read_text() for path in write(tmp_path_factory.mktemp("stubs"))}
 
 
-def in_module(owner: Any) -> Names:
-    """The same of a module, or of a class of it."""
-    names: Names = {}
-    for name, value in vars(owner).items():
-        signed = callable(value) and f"{name}(" in (value.__doc__ or "")
-        if isinstance(value, ModuleType) or (name.startswith("_") and not (name == "__init__" and signed)):
-            continue
-        if isinstance(value, type):
-            names[name] = in_module(value)
-        else:
-            names[name] = arguments_of(value) if signed else None
-    return names
-
-
-def test_the_module_is_as_its_stub_says():
-    names = {name: what for name, what in in_stub(STUB.body).items() if name not in OF_THE_STUB | set(SUBMODULES)}
-    assert in_module(_core) == names
-
-
-@pytest.mark.parametrize("submodule", SUBMODULES)
-def test_submodules_are_as_the_stub_says(submodule):
-    if not hasattr(_core, submodule):
-        pytest.skip("built for the CPU only")
-    assert in_module(getattr(_core, submodule)) == in_stub(STUB.body)[SUBMODULES[submodule]]
+def test_stubs_are_what_the_generator_writes(written):
+    expected = {path.name: path.read_text() for path in STUBS.glob("*.pyi")}
+    if not hasattr(_core, "cuda"):
+        del expected["cuda.pyi"]
+        expected = {name: without_cuda(text) for name, text in expected.items()}
+    assert written == expected
 
 
 @pytest.mark.parametrize("submodule", ["", *SUBMODULES])

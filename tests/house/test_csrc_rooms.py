@@ -14,23 +14,23 @@ ROOMS = {  # and what each may include beside itself
     "math/photo": "base scene math",
     "stages": "base scene math math/fit math/photo",
     "cpu": "base scene math stages",
-    "cpu/dense": "base scene math stages cpu",
+    "cpu/image": "base scene math stages cpu",
     "cpu/fit": "base math/fit stages",
-    "cpu/lens": "base scene math stages cpu",
+    "cpu/direct": "base scene math stages cpu",
     "cpu/photo": "base math/photo stages",
     "cpu/sorted": "base scene math stages cpu",
     "cpu/weave": "base scene stages",
     "cuda/common": "base scene math",
     "cuda/stages": "base scene math stages cuda/common",
-    "cuda/dense": "base scene math stages cuda/common cuda/stages",
+    "cuda/image": "base scene math stages cuda/common cuda/stages",
     "cuda/fit": "base math/fit cuda/common cuda/stages",
-    "cuda/lens": "base scene math stages cuda/common cuda/stages",
+    "cuda/direct": "base scene math stages cuda/common cuda/stages",
     "cuda/photo": "base math/photo cuda/common cuda/stages",
     "cuda/png": "base cuda/common cuda/stages",
     "cuda/sorted": "base scene math stages cuda/common cuda/stages",
-    "cuda/frame": "base scene math stages cuda/common cuda/stages cuda/lens",
+    "cuda/frame": "base scene math stages cuda/common cuda/stages cuda/direct",
     "cuda/frame/pixel": "base scene math stages cuda/common cuda/stages cuda/frame",
-    "cuda/frame/ordinal": "base scene math stages cuda/common cuda/stages cuda/frame",
+    "cuda/frame/lens_column": "base scene math stages cuda/common cuda/stages cuda/frame",
     "cuda/frame/lattice": "base scene math stages cuda/common cuda/stages cuda/frame",
     "network": "base cuda/common cuda/stages",
     "bind": "base scene math math/fit math/photo stages cuda/common cuda/fit cuda/photo cuda/png cuda/stages "
@@ -84,7 +84,7 @@ def test_every_include_is_there():
 def test_an_include_that_runs_back_up_is_found():
     text = '#include "base/config.h"\n#include <vector>\n  #  include "cpu/tile_lists.h"\n#include "hwy/highway.h"\n'
     assert wrong_includes("math/footprint.h", text) == ["cpu/tile_lists.h"]
-    assert wrong_includes("cpu/lens/lens_run.h", text) == []
+    assert wrong_includes("cpu/direct/lens_layout.h", text) == []
     assert wrong_includes("cuda/frame/pixel/pixel_fit.cuh", '#include "cuda/frame/lattice/lattice_rows.cuh"') == [
         "cuda/frame/lattice/lattice_rows.cuh"
     ]

@@ -9,7 +9,7 @@ from photo_cases import PANEL, photo, tiny_net
 from lightfield_gs import Cameras, Gaussians, InputError, Panel, PhotoEncoder, render
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models import ModelConfig
-from lightfield_gs.models.detail import along_surface, visible_surface, with_detail
+from lightfield_gs.models.detail import upsample_along_surface, visible_surface, with_detail
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.photo.detail_level import count, detail_level
 
@@ -98,14 +98,14 @@ def test_texels_lie_on_the_plane_and_along_it():
 def test_nothing_is_interpolated_across_an_edge():
     disparity = torch.full((1, 1, 8, 8), 0.5, dtype=torch.float64)
     disparity[..., 4:] = 1.0
-    fine = along_surface(disparity, disparity, torch.full((1, 1, 1, 1), 0.02, dtype=torch.float64), 4)
+    fine = upsample_along_surface(disparity, disparity, torch.full((1, 1, 1, 1), 0.02, dtype=torch.float64), 4)
     assert fine.shape == (1, 1, 32, 32)
     assert (fine[..., :16] == 0.5).all() and (fine[..., 16:] == 1.0).all()
 
 
 def test_a_slope_is_interpolated():
     columns = (torch.arange(8, dtype=torch.float64) + 0.5).expand(1, 1, 8, 8)
-    fine = along_surface(columns, 1 + 0.01 * columns, torch.full((1, 1, 1, 1), 0.02, dtype=torch.float64), 4)
+    fine = upsample_along_surface(columns, 1 + 0.01 * columns, torch.full((1, 1, 1, 1), 0.02, dtype=torch.float64), 4)
     expected = ((torch.arange(32, dtype=torch.float64) + 0.5) / 4).clamp(0.5, 7.5)
     torch.testing.assert_close(fine, expected.expand_as(fine))
 

@@ -42,8 +42,8 @@ def test_the_network_lays_it_natively_as_it_does_with_gradients(factor, monkeypa
     assert sheet.is_native(crops[1]) is not torch.is_grad_enabled()
     # PyTorch's spread of a fog is a difference of squares, of which float32 leaves little in an untrained network's
     torch.testing.assert_close(found.opacities, expected.opacities, rtol=0, atol=0.03)
-    seen = expected.opacities > 1e-3
+    visible = expected.opacities > 1e-3
     for name in ("means", "sh", "scales"):
-        mine, right = (gaussians.fields()[name][seen] for gaussians in (found, expected))
+        mine, right = (gaussians.fields()[name][visible] for gaussians in (found, expected))
         torch.testing.assert_close(mine, right, rtol=0.02, atol=1e-4)
     torch.testing.assert_close(found.quaternions.norm(dim=1), torch.ones_like(found.opacities))

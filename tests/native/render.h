@@ -19,7 +19,7 @@ inline constexpr double kPose[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0
 inline constexpr double kLimits[5] = {-1.5, 1.5, -1, 1, 0};
 inline constexpr Quality kLattice{-5, 0.05, 0.5};
 
-inline Lens lens_of(int64_t views, bool continuous) {
+inline Lens make_lens(int64_t views, bool continuous) {
   const uint64_t step = uint64_t(18446744073709551615.0 / 9.85);
   return {kWidth, kHeight, views, step, step, step / 2, 9.85, 1.0 / 6, 1, false, continuous, 0.7, -1.4 / double(views),
           false,  {}};
@@ -29,7 +29,7 @@ template <class T>
 struct Render {
   std::vector<T> means, quaternions, scales, opacities, sh, image, alpha, depth, gradient;
   std::vector<T> poses, cameras, limits;
-  std::vector<T> colours, pairs, g_means, g_quaternions, g_scales, g_opacities, g_sh, g_pose, g_background;
+  std::vector<T> colours, intersections, g_means, g_quaternions, g_scales, g_opacities, g_sh, g_pose, g_background;
   std::vector<Splat<T>> splats;
   std::vector<int32_t> orders, sorted, lists;
   std::vector<int64_t> drawn, offsets, first;
@@ -71,7 +71,7 @@ struct Render {
   Splats<T> buffers(int64_t images, int order) {
     const size_t n = size_t(images * kCount);
     for (auto* sums : {&g_means, &g_quaternions, &g_scales, &g_opacities, &g_sh, &g_pose, &g_background})
-      std::fill(sums->begin(), sums->end(), T(0));  // the reverse adds to them
+      std::fill(sums->begin(), sums->end(), T(0));  // the backward pass adds to them
     splats.resize(n), orders.resize(n), colours.assign(n * size_t((order + 1) * kColourStride), T(0));
     return {images, kCount, order, splats.data(), colours.data(), orders.data()};
   }
@@ -84,43 +84,43 @@ struct Render {
     lists.resize(size_t(bin_count<T>(s, sorted.data(), drawn.data(), kHeight, bins, threads)));
     bins.band_splats = lists.data();
     bin_fill<T>(s, sorted.data(), drawn.data(), kHeight, bins, threads);
-    first.resize(splats.size()), first_pairs<T>(s, kHeight, bins, first.data(), threads);
-    pairs.assign(lists.size() * size_t(pair_gradient_size(s.colour_order)), T(0));
+    first.resize(splats.size()), first_intersections<T>(s, kHeight, bins, first.data(), threads);
+    intersections.assign(lists.size() * size_t(intersection_gradient_size(s.colour_order)), T(0));
     return bins;
   }
 
   void lens(const std::string& name, bool continuous, const Quality& quality) {
-    const Lens panel = lens_of(24, continuous);
-    View<double> rig = make_view<double>(kPose, kCamera, kLimits);
+    const Lens panel = make_lens(24, continuous);
+    Camera<double> rig = make_camera<double>(kPose, kCamera, kLimits);
     rig.sweep = panel.reach(), rig.inverse_zero_depth = 0.5;
     const Splats<T> s = buffers(1, sizeof(T) == 4 ? 8 : 16);  // as in the package
-    project_lens<T>(scene(), rig, panel, quality, 5e-5, s, threads);
+    project_direct<T>(scene(), rig, panel, quality, 5e-5, s, threads);
     const Bins bins = order_and_bin(s);
-    composite_lens<T>(s, bins, panel, quality, background, image.data(), nullptr, threads);
+    composite_direct<T>(s, bins, panel, quality, background, image.data(), nullptr, threads);
     if (quality.ends_early()) return record(name + " image", image);
-    composite_lens_backward<T>(s, bins, panel, background, image.data(), gradient.data(), first.data(), pairs.data(),
-                               g_background.data(), threads);
-    project_lens_backward<T>(scene(), rig, panel, s, first.data(), pairs.data(), gradients(), threads);
+    composite_direct_backward<T>(s, bins, panel, background, image.data(), gradient.data(), first.data(),
+                                 intersections.data(), g_background.data(), threads);
+    project_direct_backward<T>(scene(), rig, panel, s, first.data(), intersections.data(), gradients(), threads);
     keep(name);
   }
 
   void dense() {
     const Cameras<T> cameras = views(1);
     const Splats<T> s = buffers(1, 0);
-    project_dense<T>(scene(), cameras, s, threads);
+    project_images<T>(scene(), cameras, s, threads);
     const Bins bins = order_and_bin(s);
-    composite_dense<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()}, threads);
-    composite_dense_backward<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()},
-                                {gradient.data(), alpha.data(), depth.data()}, false, first.data(), pairs.data(),
-                                g_background.data(), threads);
-    project_dense_backward<T>(scene(), cameras, s, first.data(), pairs.data(), gradients(), nullptr, false,
-                              g_pose.data(), threads);
+    composite_images<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()}, threads);
+    composite_images_backward<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()},
+                                 {gradient.data(), alpha.data(), depth.data()}, false, first.data(),
+                                 intersections.data(), g_background.data(), threads);
+    project_images_backward<T>(scene(), cameras, s, first.data(), intersections.data(), gradients(), nullptr, false,
+                               g_pose.data(), threads);
     record("dense alpha", alpha), record("dense depth", depth), record("dense g_pose", g_pose);
     keep("dense");
   }
 
   void by_view() {
-    const ViewMap map{kWidth, kHeight, kViews, nullptr, lens_of(kViews, false)};
+    const ViewMap map{kWidth, kHeight, kViews, nullptr, make_lens(kViews, false)};
     const SubpixelTile tile{50, 4};
     const int64_t tiles = tile.count(kWidth, kHeight);
     const std::vector<int32_t> places{0, 1, 2};
@@ -132,7 +132,7 @@ struct Render {
     std::vector<uint16_t> codes(size_t(starts.back()));
     plan_sorted_fill(map, tile, places.data(), kViews, starts.data(), codes.data(), threads);
     const Splats<T> s = buffers(kViews, 0);
-    project_dense<T>(scene(), views(kViews), s, threads);
+    project_images<T>(scene(), views(kViews), s, threads);
     const Bins bins = order_and_bin(s);
     composite_sorted<T>(s, bins, views(kViews), {tile, starts.data(), codes.data()}, background, image.data(), nullptr,
                         threads);
@@ -150,16 +150,17 @@ struct Render {
     photo_loss<T>(loss, threads);
 
     std::vector<T> values(23 * kCount, T(-1)), first_moments(values.size()), second_moments(values.size());
-    auto fields_in = [](std::vector<T>& of) {
+    auto parameters_in = [](std::vector<T>& of) {
       T* at = of.data();
-      return Fields<T>{at, at + 3 * kCount, at + 6 * kCount, at + 10 * kCount, at + 11 * kCount};
+      return Parameters<T>{at, at + 3 * kCount, at + 6 * kCount, at + 10 * kCount, at + 11 * kCount};
     };
     const StepNumbers<T> row{T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.1), T(0.001), 100, 1, 1};
     const int64_t step = 0;
     int64_t skipped = 0;
     Update<T> job;
     job.gradients = {kCount, 1, g_means.data(), g_quaternions.data(), g_scales.data(), g_opacities.data(), g_sh.data()};
-    job.fields = fields_in(values), job.first = fields_in(first_moments), job.second = fields_in(second_moments);
+    job.fields = parameters_in(values), job.first = parameters_in(first_moments),
+    job.second = parameters_in(second_moments);
     std::vector<T> drawn_scales(scales), drawn_opacities(opacities);
     job.scales = drawn_scales.data(), job.opacities = drawn_opacities.data();
     job.table = &row, job.rows = 1, job.step = &step, job.skipped = &skipped;
@@ -180,7 +181,7 @@ struct Render {
     for (int64_t view = 0; view < kViews; ++view)
       for (T number : gradient) pictures.push_back(0.5f + float(number) / float(2 + view));
     WeaveFan fan;
-    fan.map = {kWidth, kHeight, 24, nullptr, lens_of(24, true)};
+    fan.map = {kWidth, kHeight, 24, nullptr, make_lens(24, true)};
     fan.continuous = true, fan.views = kViews, fan.box = 1;
     std::vector<float> out(3 * kWidth * kHeight);
     weave<float>({pictures.data(), 0, kViews, kViews, kHeight, kWidth}, {}, fan, out.data(), threads);

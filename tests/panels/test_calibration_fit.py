@@ -11,7 +11,7 @@ from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_fit import implausible_places
 from lightfield_gs.panels.calibration_fit import fit_lens
-from lightfield_gs.panels.calibration_photos import Place, bilinear, find_corners, homography
+from lightfield_gs.panels.calibration_photos import Viewpoint, bilinear, find_corners, homography
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.patterns import bars
 from lightfield_gs.panels.simulate import simulate
@@ -48,10 +48,10 @@ def photograph(image, true, eye, corners=CORNERS, size=(520, 780), noise=0.01, s
     return np.rint(255 * np.clip(code, 0, 1)).astype(np.uint8)
 
 
-def places(true, eyes=EYES, start=START, corners=CORNERS, shifts=(0, 1, 2), **options) -> list[Place]:
+def places(true, eyes=EYES, start=START, corners=CORNERS, shifts=(0, 1, 2), **options) -> list[Viewpoint]:
     shown = [bars(start, shift) for shift in shifts]
     return [
-        Place(
+        Viewpoint(
             eye, tuple(photograph(one, true, eye, seed=k, **options) for k, one in enumerate(shown)), corners, f"{eye}"
         )
         for eye in eyes
@@ -78,12 +78,12 @@ def test_the_lens_is_found_to_a_fraction_of_a_view(change, corners):
     assert worst_views(fit.panel, true) < 0.02
     assert fit.panel.line_number == pytest.approx(true.line_number, rel=1e-5)
     assert fit.panel.slant_tan == pytest.approx(true.slant_tan, rel=1e-4)
-    assert all(abs(place.offset_views) < 0.02 for place in fit.places)
+    assert all(abs(place.offset_views) < 0.02 for place in fit.viewpoints)
 
 
 def test_one_image_in_three_colours_will_do():
     true = perturbed(START)
-    sights = [Place(eye, (photograph(bars(START), true, eye),), CORNERS) for eye in EYES]
+    sights = [Viewpoint(eye, (photograph(bars(START), true, eye),), CORNERS) for eye in EYES]
     assert worst_views(fit_lens(sights, START).panel, true) < 0.02
 
 
@@ -97,9 +97,9 @@ def test_what_says_nothing_is_refused():
     good = places(true)
     with pytest.raises(InputError, match="one place"):
         fit_lens(good[:1], START)
-    assert worst_views(fit_lens(good[:1], START, one_place=True).panel, true) < 0.02
+    assert worst_views(fit_lens(good[:1], START, one_viewpoint=True).panel, true) < 0.02
     with pytest.raises(InputError, match="three photographs.*got 2"):
-        Place(EYES[0], good[0].photos[:2])
+        Viewpoint(EYES[0], good[0].photos[:2])
     with pytest.raises(InputError, match="can be seen on"):
         fit_lens([replace(place, photos=place.photos[:1] * 3) for place in good], START)
     with pytest.raises(InputError, match="order 0, 2, 1"):

@@ -11,7 +11,7 @@ from look_cases import RIG, sheet
 
 from lightfield_gs import Look, depth_report
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, place_of, sharp_depths
+from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, locate_depth, sharp_depths
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
@@ -46,7 +46,7 @@ def eyes_see(rig: Rig, panel: Panel, depth: float) -> tuple[float, float]:
 def test_a_place_is_where_two_lines_of_sight_meet(depth, invert):
     panel = replace(PANEL, invert_views=invert)
     rig = Look(cone_deg=25, zoom=1.3).applied(RIG, panel)
-    place = place_of(depth, panel, rig)
+    place = locate_depth(depth, panel, rig)
     right_most = panel.views - 0.5 if invert else 0.5
     edge = column(rig, panel, depth, right_most) - column(rig, panel, depth, panel.views / 2)
     assert place.edge_px == pytest.approx(edge, abs=1e-11) and place.edge_mm == pytest.approx(4 * edge, abs=1e-11)
@@ -70,7 +70,7 @@ def test_a_place_is_where_two_lines_of_sight_meet(depth, invert):
 def test_the_report_finds_near_and_far():
     report = depth_report(SCENE, PANEL, RIG)
     assert (report.near.depth, report.far.depth) == pytest.approx((NEAR, FAR), rel=1e-6)
-    assert (report.near, report.far) == tuple(place_of(of.depth, PANEL, RIG) for of in (report.near, report.far))
+    assert (report.near, report.far) == tuple(locate_depth(of.depth, PANEL, RIG) for of in (report.near, report.far))
     assert report.near.behind_mm < 0 < report.far.behind_mm and report.zero_depth == 2.0
     assert json.loads(json.dumps(report.to_dict(), allow_nan=False))["near"]["depth"] == report.near.depth
     text = "\n".join(report.lines())
@@ -93,15 +93,15 @@ def test_sharp_is_what_moves_by_a_lens_a_step_at_most():
     for depth in report.sharp_depths:
         moved = column(RIG, PANEL, depth, 4) - column(RIG, PANEL, depth, 5)
         assert abs(moved) == pytest.approx(9.8 / 3, rel=1e-9)
-        assert place_of(depth, PANEL, RIG).blur_lenses == pytest.approx(1)
-        assert place_of(2 / (1 + 2 * (2 / depth - 1)), PANEL, RIG).blur_lenses == pytest.approx(2)
+        assert locate_depth(depth, PANEL, RIG).blur_lenses == pytest.approx(1)
+        assert locate_depth(2 / (1 + 2 * (2 / depth - 1)), PANEL, RIG).blur_lenses == pytest.approx(2)
     many = replace(PANEL, views=900)  # then it is a sub-pixel
     first, last = depth_report(SCENE, many, RIG).sharp_depths
     assert 2 / first - 1 == pytest.approx((2 / report.sharp_depths[0] - 1) * 9.8 / views)
     assert last > report.sharp_depths[1] > 2
     # A plane at the limit is displaced, between the eyes, as what stands that far before and behind the panel is
     for depth, reach in zip(report.sharp_depths, (-report.sharp_mm[0], report.sharp_mm[1])):
-        assert place_of(depth, PANEL, RIG).behind_mm == pytest.approx(reach)
+        assert locate_depth(depth, PANEL, RIG).behind_mm == pytest.approx(reach)
 
 
 def test_an_eye_before_the_lenses_sees_as_much_blur_as_is_said():
@@ -123,7 +123,7 @@ def test_an_eye_before_the_lenses_sees_as_much_blur_as_is_said():
     assert width(sharp_depths(panel, rig)[1]) < 1.1 * sharp
     for depth in (1.6, 2.6):
         wider = math.sqrt(8 * math.log(2) * (width(depth) ** 2 - sharp**2))
-        assert wider == pytest.approx(place_of(depth, panel, rig).blur_lenses, rel=0.1)
+        assert wider == pytest.approx(locate_depth(depth, panel, rig).blur_lenses, rel=0.1)
 
 
 def test_a_flat_picture_is_sharp_and_comfortable():

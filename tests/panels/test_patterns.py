@@ -12,12 +12,12 @@ from lightfield_gs.base.paths import config_names
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.patterns import (
-    _written,
+    _format_signed,
     bars,
     depth_ramp,
+    displayed_numbers,
     fan,
     lens_phases,
-    number_of_view,
     number_picture,
     numbers,
     single,
@@ -53,7 +53,7 @@ def read_number(seen: np.ndarray, panel: Panel) -> int:
     where = np.ix_((rows * panel.height_px).astype(int), (columns * panel.width_px).astype(int))
     grey = seen.mean(2) - seen.mean()
     likeness = {}
-    for number in np.unique(number_of_view(panel)):
+    for number in np.unique(displayed_numbers(panel)):
         expected = number_picture(panel, number)[where] * 1.0
         likeness[int(number)] = np.corrcoef(grey.ravel(), expected.ravel())[0, 1]
     return max(likeness, key=likeness.__getitem__)
@@ -68,7 +68,7 @@ def test_digits_look_like_digits():
 @pytest.mark.parametrize("source", PANELS, ids=lambda source: Path(source).stem)
 def test_five_eyes_read_their_numbers(source):
     panel = at_hand(source)
-    image, shown = numbers(panel), number_of_view(panel)
+    image, shown = numbers(panel), displayed_numbers(panel)
     different = np.unique(shown)
     eyes = [different[round(share * (len(different) - 1))] for share in (0, 0.25, 0.5, 0.75, 1)]
     for number, y_mm in zip(eyes, (0, 20, -35, 0, 60)):
@@ -77,10 +77,10 @@ def test_five_eyes_read_their_numbers(source):
 
 
 def test_numbers_are_those_of_the_views():
-    assert number_of_view(TOY).tolist() == list(range(8))
+    assert displayed_numbers(TOY).tolist() == list(range(8))
     panel = replace(TOY, views=96)  # 9.4 views a sub-pixel: numbers every twelfth, of the view in the middle
-    assert np.unique(number_of_view(panel)).tolist() == [5, 17, 29, 41, 53, 65, 77, 89]
-    assert number_of_view(panel, 1).tolist() == list(range(96))
+    assert np.unique(displayed_numbers(panel)).tolist() == [5, 17, 29, 41, 53, 65, 77, 89]
+    assert displayed_numbers(panel, 1).tolist() == list(range(96))
     with pytest.raises(InputError, match="step must be 1..8, got 9"):
         numbers(TOY, 9)
 
@@ -139,6 +139,6 @@ def test_depth_ramp_moves_as_far_as_it_says(invert):
 def test_labels_are_numbers_without_exponents():
     """So that every band has one, whatever the span and the lens."""
     for span, expected in ((1e-6, "+0.0000002"), (0.5, "+0.1"), (50, "+10"), (1e5, "+20000")):
-        assert _written(span / 5, span) == expected
+        assert _format_signed(span / 5, span) == expected
     panel = Panel(width_px=30, height_px=20, views=4096, line_number=9e5, slant_tan=0.1)
     assert depth_ramp(panel).shape == fan(panel, "pitch", span=1e-6, bands=99).shape == (20, 30, 3)

@@ -9,7 +9,7 @@ from rasterizer_cases import CELLS
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import Psf, row_of_eyes, simulate, simulate_eyes
+from lightfield_gs.panels.simulate import Psf, eye_row, simulate, simulate_eyes
 
 BASE = dict(
     TEMPLATE_LENS,
@@ -172,14 +172,14 @@ def test_the_file_of_a_measured_spread(tmp_path):
 
 def test_a_row_of_eyes_sees_what_each_of_them_sees():
     panel = Panel(**BASE)
-    eyes = row_of_eyes(panel, -90, 60, 4)
+    eyes = eye_row(panel, -90, 60, 4)
     assert eyes.tolist() == [[-90, 0, 2000], [-40, 0, 2000], [10, 0, 2000], [60, 0, 2000]]
     image = np.random.default_rng(0).random((300, 600, 3))
     pictures = simulate_eyes(image, panel, eyes)
     assert all(np.array_equal(picture, simulate(image, panel, eye)) for picture, eye in zip(pictures, eyes.tolist()))
     for count, words in ((0, "1..1000"), (1.5, "whole number")):
         with pytest.raises(InputError, match=words):
-            row_of_eyes(panel, 0, 1, count)
+            eye_row(panel, 0, 1, count)
 
 
 def test_number_types_agree_and_white_is_white():

@@ -127,10 +127,10 @@ def test_with_a_pose_the_zero_plane_lies_in_the_subject():
     wall = blobs(random.uniform(-1, 1, (3000, 3)) * [30, 20, 0] + [0, 0, 60], 0.6)
     scene = joined(thing((0, 0, 3)), wall)
     assert frame_scene(scene, PANEL, UPRIGHT).zero_depth == pytest.approx(3, abs=0.3)
-    given = framing.look_from(scene, PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0))
+    given = framing.frame_from_camera(scene, PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0))
     assert given.zero_depth == pytest.approx(3, abs=0.3) and given.focal_px == (80, 80)
     with pytest.raises(InputError, match="in front"):
-        framing.look_from(thing((0, 0, -3)), PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0))
+        framing.frame_from_camera(thing((0, 0, -3)), PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0))
 
 
 def test_what_hides_the_content_counts():

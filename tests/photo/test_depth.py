@@ -14,7 +14,7 @@ import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.photo.depth import depth_map, ray_lengths, read_depth, read_numbers
-from lightfield_gs.photo.margin import place
+from lightfield_gs.photo.margin import fit_to_panel
 from lightfield_gs.show.preview import to_integers
 
 Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
@@ -187,7 +187,7 @@ def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
         "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
         "--device cpu --save-rig r.yaml --save-gaussians g.ply",
     )
-    placed = place(torch.from_numpy(depth), (50, 50), (30, 20), PANEL, "cover")
+    placed = fit_to_panel(torch.from_numpy(depth), (50, 50), (30, 20), PANEL, "cover")
     gaussians, rig = lf.from_depth(photo, depth, (50, 50), (30, 20), margin_px=placed.margin_px), placed.rig
     expected = lf.encode(gaussians, PANEL, rig, output="float32").numpy()
     assert np.array_equal(read_image("o.exr"), expected) and "depth" in out and "network" not in out

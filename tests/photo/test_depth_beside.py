@@ -17,10 +17,10 @@ from lightfield_gs import cli
 from lightfield_gs.io.depth_names import depth_maps_beside, is_sidecar_name
 from lightfield_gs.io.images import read_picture, write_image
 from lightfield_gs.io.pillow_images import count_pictures
-from lightfield_gs.photo.embedded_depth import depth_inside, facts_inside, notes_inside
-from lightfield_gs.photo.joint_upsampling import at_size_of_photo
-from lightfield_gs.photo.load import photo_of
-from lightfield_gs.photo.side_by_side import beside_numbers, depth_side, is_named_so, stereo_layout
+from lightfield_gs.photo.embedded_depth import embedded_facts, embedded_notes, find_embedded_depth
+from lightfield_gs.photo.joint_upsampling import resize_to_photo
+from lightfield_gs.photo.load import cut_out_photo
+from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name, read_depth_half, stereo_layout
 from lightfield_gs.show.preview import to_integers
 
 REST = "-o o.png --panel p.yaml"
@@ -55,7 +55,7 @@ def test_a_jpeg_of_photo_and_map_is_taken_as_everyone_saves_it(tmp_path, side, w
     Image.fromarray(joined((photo, grey), side)).save(tmp_path / "a.jpg", quality=quality, subsampling=2)
     pixels = read_picture(tmp_path / "a.jpg").pixels
     assert depth_side(pixels, is_named=True) == side
-    values = beside_numbers("a.jpg", pixels, side).values
+    values = read_depth_half("a.jpg", pixels, side).values
     assert values.dtype == np.uint8 and np.abs(values.astype(int) - grey[..., 0]).mean() < 6
 
 
@@ -126,7 +126,7 @@ def test_a_smaller_map_gets_the_edges_of_the_photo(turned):
     small[:, :3] = np.nan
     if turned:
         photo, true, small = photo.transpose(1, 0, 2).copy(), true.T, small.T.copy()
-    z = at_size_of_photo(small, photo)
+    z = resize_to_photo(small, photo)
     assert z.shape == true.shape
     off = np.abs(z - true) > 0.02
     hole = np.isnan(z)
@@ -235,14 +235,14 @@ def test_xmp_as_other_programs_write_it_is_read(tmp_path):
     for name, more in (("a", f">{elements}</rdf:Description>"), ("b", f" {attributes}/>")):
         path = tmp_path / f"{name}.jpg"
         path.write_bytes(jpeg_with(f"<rdf:Description {space}{more}", photo))
-        inside = depth_inside(path)
+        inside = find_embedded_depth(path)
         assert inside is not None and (inside.is_inverse, inside.near, inside.far) == (True, 1, 4)
         assert np.array_equal(inside.numbers(path).values, grey[..., 0])
 
 
 def test_a_second_copy_of_a_download_is_known_by_its_name():
-    assert all(is_named_so(Path(name)) for name in ("a_rgbd.png", "a_rgbd (1).png", "a_RGBD(2).jpg"))
-    assert not any(is_named_so(Path(name)) for name in ("a_rgb (1).png", "argbd.png", "a_rgbd (copy).png"))
+    assert all(is_rgbd_name(Path(name)) for name in ("a_rgbd.png", "a_rgbd (1).png", "a_RGBD(2).jpg"))
+    assert not any(is_rgbd_name(Path(name)) for name in ("a_rgb (1).png", "argbd.png", "a_rgbd (copy).png"))
 
 
 def test_a_depth_map_inside_is_left_out_where_others_are_asked_for_and_that_is_said(folder, capsys):
@@ -279,7 +279,7 @@ def test_the_depth_map_behind_the_picture_is_read(folder, capsys):
         f'DepthMap:DepthURI="android/depthmap">{items}</x>'
     )
     Path("a.jpg").write_bytes(jpeg_with(xmp, photo, behind=data + other))
-    inside = depth_inside("a.jpg")
+    inside = find_embedded_depth("a.jpg")
     assert inside is not None and inside.data == data and (inside.near, inside.far) == (1, 4)
     assert "depth inside it (Dynamic Depth RangeInverse)" in run(capsys, f"encode a.jpg {REST}")
     Path("a.jpg").write_bytes(jpeg_with(xmp, photo))
@@ -298,10 +298,10 @@ def test_the_depth_map_behind_the_picture_is_read(folder, capsys):
 def test_depth_maps_that_are_not_read_are_said(tmp_path, behind, words):
     path = tmp_path / "a.jpg"
     path.write_bytes(jpeg_with("", photo_and_map()[0], behind=behind))
-    notes = notes_inside(path, is_depth_used=False)
+    notes = embedded_notes(path, is_depth_used=False)
     assert len(notes) == (words is not None)
     assert words is None or f"a depth map is in it ({words}), and is not read" in notes[0]
-    assert dict(facts_inside(path)).keys() == ({"depth inside"} if words else set())
+    assert dict(embedded_facts(path)).keys() == ({"depth inside"} if words else set())
 
 
 # Pictures in a row, and stereo
@@ -319,10 +319,10 @@ def test_of_several_pictures_the_first_is_taken_and_that_is_said(tmp_path):
         ("b.tif", 1),
     ):
         frames[0].save(tmp_path / name, save_all=count > 1, append_images=frames[1:count])
-        notes = notes_inside(tmp_path / name, is_depth_used=False)
+        notes = embedded_notes(tmp_path / name, is_depth_used=False)
         assert len(notes) == (count > 1) and all(f"holds {count} pictures" in words for words in notes)
     frames[0].save(tmp_path / "c.tif", save_all=True, append_images=[frames[1].resize((12, 8))])
-    assert not notes_inside(tmp_path / "c.tif", is_depth_used=False)  # a small copy beside it
+    assert not embedded_notes(tmp_path / "c.tif", is_depth_used=False)  # a small copy beside it
 
 
 def test_the_second_eye_of_a_stereo_photo_is_said(tmp_path):
@@ -335,7 +335,7 @@ def test_the_second_eye_of_a_stereo_photo_is_said(tmp_path):
     ):
         left.save(tmp_path / name, "MPO", save_all=True, append_images=[second])
         assert count_pictures(tmp_path / name) == expected
-    assert "stereo photo" in notes_inside(tmp_path / "a.mpo", is_depth_used=False)[0]
+    assert "stereo photo" in embedded_notes(tmp_path / "a.mpo", is_depth_used=False)[0]
 
 
 @pytest.mark.parametrize("axis, words", [(1, "side by side"), (0, "one above the other")])
@@ -385,11 +385,11 @@ def test_a_mask_that_is_inverted_is_noted(tmp_path):
     masks["inverted"] = 255 - masks["object"]
     for name, mask in masks.items():
         write_image(tmp_path / f"{name}.png", mask)
-        notes = photo_of(tmp_path / "a.png", picture, tmp_path / f"{name}.png").notes
+        notes = cut_out_photo(tmp_path / "a.png", picture, tmp_path / f"{name}.png").notes
         assert [("is it inverted?" in words) for words in notes] == [True] * (name == "inverted")
     rgba = np.concatenate([picture.pixels, masks["inverted"]], 2)
     write_image(tmp_path / "b.png", rgba)
-    assert "is it inverted?" in photo_of(tmp_path / "b.png", read_picture(tmp_path / "b.png")).notes[0]
+    assert "is it inverted?" in cut_out_photo(tmp_path / "b.png", read_picture(tmp_path / "b.png")).notes[0]
 
 
 def test_names_of_depth_maps_beside_photos():

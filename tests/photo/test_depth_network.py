@@ -12,10 +12,10 @@ import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.base.options import DEPTH_MODEL
 from lightfield_gs.io.images import read_info, write_image
-from lightfield_gs.panels.framing import frame_photo, on_subject
+from lightfield_gs.panels.framing import focus_on_subject, frame_photo
 from lightfield_gs.photo import depth_network
 from lightfield_gs.photo.depth_network import depth_from_network, estimated_depth
-from lightfield_gs.photo.joint_upsampling import z_of_disparities, z_of_distances
+from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z
 
 LINE = "encode busy.png -o o.png --panel p.yaml --device cpu"
 
@@ -83,7 +83,7 @@ def test_a_photo_becomes_a_scene_through_the_pipeline(folder, capsys, transforme
     # The panel's plane is in what is nearest in the middle, and not at the harmonic mean of near and far
     scene = lf.from_depth(photo / np.float32(255), z)
     panel = lf.Panel.load("p.yaml")
-    subject = on_subject(frame_photo(scene, panel), scene, panel).zero_depth
+    subject = focus_on_subject(frame_photo(scene, panel), scene, panel).zero_depth
     assert lf.Rig.from_yaml("r.yaml").zero_depth == pytest.approx(subject, rel=0.02)
 
 
@@ -92,7 +92,7 @@ def test_metric_networks_give_distances(folder, transformers):
     found = estimated_depth(photo, model, "cpu")
     with torch.no_grad():
         network = depth_network._network(model, "cpu")
-        values = depth_network._predicted(model, network, photo)
+        values = depth_network._predict(model, network, photo)
     assert "distances" in found.description and found.focal_px is None
     assert float(values.min()) * 0.999 <= found.z.min() <= found.z.max() <= float(values.max()) * 1.001
     with pytest.raises(lf.InputError, match="--depth-range is for disparities"):
@@ -140,17 +140,19 @@ def test_options_that_do_not_go_with_it(folder, capsys):
 def test_disparities_are_normalized_by_percentiles():
     values = torch.linspace(5, 15, 1001).reshape(7, 143)
     values[0, 0], values[-1, -1] = -1e6, 1e6  # outliers
-    found = z_of_disparities(values, (2.0, 4.0))
+    found = disparities_to_z(values, (2.0, 4.0))
     low, high = 5.1, 14.9
     expected = 1 / (0.25 + 0.25 * ((values - low) / (high - low)).clamp(0, 1.25))
-    assert torch.allclose(found.z(values), expected, atol=1e-5) and found.spread == pytest.approx(high - low, rel=1e-4)
-    flat = z_of_disparities(torch.full((4, 5), 3.0))
+    assert torch.allclose(found.z(values), expected, atol=1e-5) and found.value_range == pytest.approx(
+        high - low, rel=1e-4
+    )
+    flat = disparities_to_z(torch.full((4, 5), 3.0))
     assert "flat" in flat.notes[0] and torch.equal(flat.z(flat.disparities), torch.full((4, 5), 1.6))
 
 
 def test_distances_stay_as_they_are():
     values = torch.tensor([[0.5, 2.0], [80.0, 0.0]])
-    found = z_of_distances(values)
+    found = distances_to_z(values)
     z = found.z(found.disparities)
     assert torch.allclose(z[values > 0], values[values > 0]) and torch.isnan(z[1, 1])
     assert "25.0% have no distance" in found.notes[0]
@@ -169,9 +171,9 @@ def test_models_that_do_not_say_what_their_numbers_are():
         model_type = "chmv2"
 
     with pytest.raises(lf.InputError, match="--depth-kind"):
-        depth_network._kind("trees", Config())
+        depth_network._model_kind("trees", Config())
     Config.model_type = "dpt"
-    assert depth_network._kind("dpt", Config()) == "disparity"
+    assert depth_network._model_kind("dpt", Config()) == "disparity"
 
 
 def test_the_image_says_which_network(folder, transformers, monkeypatch):

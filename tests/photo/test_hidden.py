@@ -9,10 +9,10 @@ import torch
 
 import lightfield_gs as lf
 from lightfield_gs.photo import inpainting
-from lightfield_gs.photo.depth_edges import edges, find_matte, opacity_of_coverage
-from lightfield_gs.photo.hidden import filled, find_hidden
+from lightfield_gs.photo.depth_edges import coverage_to_opacity, edges, find_matte
+from lightfield_gs.photo.hidden import fill_hidden, find_hidden
 from lightfield_gs.photo.inpainting import complete, solve_membrane
-from lightfield_gs.photo.margin import made_up, place
+from lightfield_gs.photo.margin import extend_with_margin, fit_to_panel
 from lightfield_gs.photo.rgbd import from_depth
 
 HEIGHT, WIDTH, FOCAL = 90, 150, 130.0
@@ -35,7 +35,7 @@ def test_a_plane_goes_on_behind_a_square(slope):
     behind = found.hole & SQUARE
     assert (behind == SQUARE).all()  # a camera at the end of the cone sees all of it
     assert torch.allclose(found.disparity[behind], 1 / PLANE[behind], rtol=5e-3)
-    colours = filled(found, PLANE)
+    colours = fill_hidden(found, PLANE)
     assert (colours - image)[behind].abs().mean() < 0.01 + 3 * slope  # a patch is a step of the gradient off, no more
     assert colours[behind][:, 0].max() < 0.75  # nothing of the red square
 
@@ -44,7 +44,7 @@ def test_a_texture_goes_on_as_a_texture():
     """Stripes of 6 pixels behind the square: as strong as beside it, where a smooth filling has none."""
     image = (0.5 + 0.4 * torch.sin(COLUMNS * 2 * math.pi / 6))[..., None].expand(-1, -1, 3).contiguous()
     found = find_hidden(*before_the_plane(image), (FOCAL, FOCAL))
-    colours = filled(found, PLANE)
+    colours = fill_hidden(found, PLANE)
     inner = slice(35, 55), slice(65, 85)
     assert colours[inner].std() > 0.8 * image[inner].std()
     assert (colours - image)[inner].abs().mean() < 0.15
@@ -72,7 +72,7 @@ def test_the_alpha_of_a_blurred_edge_is_recovered():
 def test_opacities_cover_as_much_as_they_should():
     """A field of Gaussians, one per pixel, all of the opacity for a coverage of a half, covers a half."""
     wanted = torch.tensor([0.0, 0.25, 0.5, 0.9, 1.0])
-    opacity = opacity_of_coverage(wanted, 0.65, 0.99)
+    opacity = coverage_to_opacity(wanted, 0.65, 0.99)
     offsets = torch.arange(-4, 5).double()
     kernel = torch.exp(-(offsets[:, None] ** 2 + offsets**2) / 2 / 0.65**2)
     covered = 1 - (1 - opacity.double()[:, None, None] * kernel).prod(2).prod(1)
@@ -85,7 +85,7 @@ def test_all_views_are_covered(fit):
     image = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(1))
     image, depth = before_the_plane(image * 0.3 + 0.3)
     panel = replace(lf.Panel.load("toy-8v"), width_px=100, height_px=140)
-    placed = place(depth, (FOCAL, FOCAL), (WIDTH / 2, HEIGHT / 2), panel, fit)
+    placed = fit_to_panel(depth, (FOCAL, FOCAL), (WIDTH / 2, HEIGHT / 2), panel, fit)
     assert (placed.cropped > 0.5) == (fit == "cover") and (placed.made_up > 0.4) == (fit == "contain")
     gaussians = from_depth(image, depth, (FOCAL, FOCAL), margin_px=placed.margin_px)
     alphas = lf.render(gaussians, placed.rig.cameras_at(panel, [0.0, 4.0, 8.0]), alpha=True).alpha
@@ -94,14 +94,14 @@ def test_all_views_are_covered(fit):
 
 def test_the_margin_of_a_plane_is_the_plane():
     image = torch.full((20, 30, 3), 0.4)
-    colours, z, outside = made_up(image, torch.full((20, 30), 2.0), (7, 5, 3, 1))
+    colours, z, outside = extend_with_margin(image, torch.full((20, 30), 2.0), (7, 5, 3, 1))
     assert colours.shape == (26, 40, 3) and not outside[5:25, 7:37].any() and outside.sum() == 26 * 40 - 600
     assert torch.allclose(colours, torch.tensor(0.4)) and torch.allclose(z, torch.tensor(2.0))
 
 
 def test_what_is_no_fit_is_refused():
     with pytest.raises(lf.InputError, match="cover or contain"):
-        place(PLANE, (FOCAL, FOCAL), (75, 45), lf.Panel.load("toy-8v"), "stretch")
+        fit_to_panel(PLANE, (FOCAL, FOCAL), (75, 45), lf.Panel.load("toy-8v"), "stretch")
 
 
 def test_the_same_photo_gives_the_same_filling():

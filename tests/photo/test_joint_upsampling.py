@@ -3,7 +3,7 @@
 import torch
 from torch.nn.functional import avg_pool2d, interpolate
 
-from lightfield_gs.photo.joint_upsampling import upsampled
+from lightfield_gs.photo.joint_upsampling import upsample
 
 HEIGHT, WIDTH = 240, 320
 
@@ -25,7 +25,7 @@ def soft_and_small(disparities: torch.Tensor) -> torch.Tensor:
 def test_edges_go_where_the_photo_has_them_and_slopes_stay():
     disparities, photo = ball_before_a_slope()
     small = soft_and_small(disparities)
-    found = upsampled(small, photo, 1.0)
+    found = upsample(small, photo, 1.0)
     bilinear = interpolate(small[None, None], size=(HEIGHT, WIDTH), mode="bilinear")[0, 0]
     wrong = [float(((values - disparities).abs() > 0.1).double().mean()) for values in (found, bilinear)]
     assert wrong[1] > 0.02 and wrong[0] < wrong[1] / 8
@@ -37,8 +37,8 @@ def test_edges_go_where_the_photo_has_them_and_slopes_stay():
 
 def test_a_photo_of_one_colour_keeps_the_map_within_its_range_and_without_edges_it_is_bilinear():
     small = soft_and_small(ball_before_a_slope()[0])
-    found = upsampled(small, torch.full((HEIGHT, WIDTH, 3), 0.5), 1.0)
+    found = upsample(small, torch.full((HEIGHT, WIDTH, 3), 0.5), 1.0)
     assert found.min() >= small.min() and found.max() <= small.max()
     flat = torch.linspace(0, 1, 200).expand(10, 200)
     bilinear = interpolate(flat[None, None], size=(20, 390), mode="bilinear")[0, 0]
-    assert torch.equal(upsampled(flat, torch.rand(20, 390, 3), 1.0), bilinear)
+    assert torch.equal(upsample(flat, torch.rand(20, 390, 3), 1.0), bilinear)

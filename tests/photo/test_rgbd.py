@@ -1,5 +1,7 @@
 """A photo and its depth map as Gaussians: against a scene whose views are known, and the geometry of a plane."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -63,7 +65,7 @@ def test_the_hidden_layer_is_what_fills(monkeypatch):
 
     image, depth = photo_and_depth()
     whole = from_depth(image, depth, (FOCAL, FOCAL))
-    monkeypatch.setattr(hidden, "_REACH", 0.0)
+    monkeypatch.setattr(hidden, "_CONSTANTS", replace(hidden._CONSTANTS, reach=0.0))
     torn = from_depth(image, depth, (FOCAL, FOCAL))
     assert WIDTH * HEIGHT <= torn.count < whole.count < 1.3 * WIDTH * HEIGHT
     seen_by = camera(WIDTH, HEIGHT, FOCAL, 0.3)

@@ -6,7 +6,7 @@ import torch
 from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import _core, encode, reference, render
-from lightfield_gs.panels.lens import lens_of
+from lightfield_gs.panels.lens import panel_lens
 from lightfield_gs.rasterizer.quality import EXACT
 from lightfield_gs.reference.blend import Eye, Projection, Scene
 from lightfield_gs.scene.cameras import Cameras
@@ -50,7 +50,7 @@ class Stages:
         self.camera_arrays = [np.ascontiguousarray(view.numpy(), self.dtype) for view in views]
         batch, per_scene = views[0].shape[:2]
         self.cameras = self.core.Cameras(batch, per_scene, width, height, *map(address, self.camera_arrays))
-        self.core.project_dense(self.gaussians(scene), self.cameras, self.splats, 2)
+        self.core.project_images(self.gaussians(scene), self.cameras, self.splats, 2)
 
     def project_lens(self, scene, shown, fan, continuous=False, tolerance=1e-4):
         self.lens = native_lens(shown, fan, continuous)
@@ -62,7 +62,7 @@ class Stages:
             zero_depth=fan.zero_depth,
             lens=self.lens,
         )
-        return self.core.project_lens(self.gaussians(scene), view, self.lens, EXACT.native, tolerance, self.splats, 2)
+        return self.core.project_direct(self.gaussians(scene), view, self.lens, EXACT.native, tolerance, self.splats, 2)
 
     def colours_at(self, s):
         """The colours [N, 3] of the first image from the place s of the rig: polynomials, or on circles near it."""
@@ -91,7 +91,7 @@ class Stages:
 def native_lens(shown, fan, continuous=False):
     start = float(reference.lens_offsets(shown, fan, np.array(0.0)))
     end = float(reference.lens_offsets(shown, fan, np.array(float(shown.views))))
-    return lens_of(shown, continuous, start, (end - start) / shown.views).native()
+    return panel_lens(shown, continuous, start, (end - start) / shown.views).native()
 
 
 @pytest.mark.parametrize("name", PANELS)
@@ -102,7 +102,7 @@ def test_lens_phase_is_that_of_the_panel(name):
     for row, column, channel in zip(
         random.integers(0, shown.height_px, 300), random.integers(0, shown.width_px, 300), random.integers(0, 3, 300)
     ):
-        assert native.view_at(row, native.subpixel_of(row, column, channel)) == views[row, column, channel]
+        assert native.view_at(row, native.subpixel_index(row, column, channel)) == views[row, column, channel]
 
 
 @pytest.mark.parametrize("precision", DTYPES)
@@ -117,7 +117,7 @@ def test_project_dense_gives_the_conditional_form(precision):
     for image in range(batch * per_scene):
         b, v = divmod(image, per_scene)
         eye = Eye(views[0][b, v], views[1][b, v], views[2][b, v, :4], 0.0)
-        projection = Projection(Scene.of(scenes[b]), eye)
+        projection = Projection(Scene.from_gaussians(scenes[b]), eye)
         index = torch.arange(50)
         u, row, xx, xy, yy = projected(projection, index, zero)
         drawn = stages.field("reach_y")[image] >= 0
@@ -155,7 +155,7 @@ def test_project_lens_holds_for_all_offsets(name, precision, continuous):
     fan = rig(shown, 0.1, 0.2)
     stages = Stages(precision, 1, 60, order, lens=True)
     bound = stages.project_lens(scene, shown, fan, continuous, tolerance=5e-5)
-    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
+    projection = Projection(Scene.from_gaussians(scene), reference.rig_eye(shown, fan))
     index, drawn = torch.arange(60), stages.field("reach_y")[0] >= 0
     reach = stages.lens.reach()
     assert reach == pytest.approx(fan.half_width(shown))
@@ -192,7 +192,7 @@ def test_the_bound_of_the_colour_fit_falls_with_its_order():
     for order in (2, 4, 6):  # which have no room for a colour on a circle
         stages = Stages("float64", 1, 60, order, lens=True)
         bounds.append(stages.project_lens(scene, shown, rig(shown)))
-        projection = Projection(Scene.of(scene), reference.rig_eye(shown, rig(shown)))
+        projection = Projection(Scene.from_gaussians(scene), reference.rig_eye(shown, rig(shown)))
         drawn = torch.from_numpy(np.flatnonzero(stages.field("reach_y")[0] >= 0))
         worst = 0.0
         for s in np.linspace(-1, 1, 41):
@@ -244,7 +244,7 @@ def test_bins_hold_who_touches_a_band_near_ones_first(precision, height):
 
     # Where the gradients of a splat's bands begin: splat after splat, as many places as it has bands.
     first = np.zeros((2, 300), np.int64)
-    stages.core.first_pairs(stages.splats, height, stages.bins, address(first), 2)
+    stages.core.first_intersections(stages.splats, height, stages.bins, address(first), 2)
     times = [
         np.bincount(stages.members[stages.offsets[i * bands] : stages.offsets[(i + 1) * bands]], minlength=300)
         for i in range(2)
@@ -279,8 +279,8 @@ def test_composite_dense_of_two_round_spots(precision):
     identity = [torch.eye(4)[None, None], torch.ones(1, 1, 4), torch.ones(1, 1, 5)]
     arrays = [np.ascontiguousarray(array.numpy(), stages.dtype) for array in identity]
     cameras = stages.core.Cameras(1, 1, width, height, *map(address, arrays))
-    counters = stages.core.composite_dense(
-        stages.splats, stages.bins, cameras, address(background), stages.core.DenseImages(*map(address, pictures)), 2
+    counters = stages.core.composite_images(
+        stages.splats, stages.bins, cameras, address(background), stages.core.Images(*map(address, pictures)), 2
     )
     row, column = np.mgrid[:height, :width] + 0.5
 
@@ -295,7 +295,7 @@ def test_composite_dense_of_two_round_spots(precision):
     np.testing.assert_allclose(pictures[0], image, atol=atol)
     np.testing.assert_allclose(pictures[1], 1 - left, atol=atol)
     np.testing.assert_allclose(pictures[2], near * 1 + (1 - near) * far * 2, atol=atol)
-    assert counters.evaluations >= np.count_nonzero(near) and counters.pairs > 0
+    assert counters.evaluations >= np.count_nonzero(near) and counters.intersections > 0
 
 
 TARGETS = _core.simd_targets()

@@ -55,7 +55,7 @@ def test_a_million_on_one_pixel(opacity):
     assert torch.isfinite(image).all()
     rows, columns, channels = (index.ravel() for index in np.indices((7, 9, 3)))
     offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, rows, columns, channels))
-    one = Projection(Scene.of(on_one_pixel(1, 1.0)), reference.rig_eye(shown, fan))
+    one = Projection(Scene.from_gaussians(on_one_pixel(1, 1.0)), reference.rig_eye(shown, fan))
     u, v, across, down = one.footprint(torch.tensor([0]), torch.from_numpy(offsets))
     assert max(across.abs().max(), down.abs().max()) < 0.01  # the low pass is all there is of them
     squares = (torch.from_numpy(columns) + 0.5 - u) ** 2 + (torch.from_numpy(rows) + 0.5 - v) ** 2

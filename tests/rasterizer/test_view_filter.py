@@ -22,8 +22,7 @@ from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.reference.blend import LOW_PASS_PX2, Projection, Scene, square
 from lightfield_gs.reference.light_field import rig_eye
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.page.controls import Controls
-from lightfield_gs.show.page.stage import Stage
+from lightfield_gs.show.page.stage import Controls, Stage
 from lightfield_gs.show.preview import contact_sheet, look_around
 
 BACKGROUND = (0.1, 0.6, 0.3)
@@ -53,7 +52,10 @@ def test_the_oracle_has_the_second_moments_of_footprints_integrated_over_the_vie
     """Mean, variance and covariance in pixels of footprints averaged over 4001 cameras within a box of forty views."""
     shown, scene = panel(cone_deg=12.0), deep_scene(30)
     fan, width = rig(shown, 0.1, -0.15), 40.0
-    projection, everything = Projection(Scene.of(scene), rig_eye(shown, fan, width)), torch.arange(scene.count)
+    projection, everything = (
+        Projection(Scene.from_gaussians(scene), rig_eye(shown, fan, width)),
+        torch.arange(scene.count),
+    )
     middle = 0.3 * fan.half_width(shown)
     box = width * 2 * fan.half_width(shown) / shown.views
     offsets = middle + box * ((torch.arange(4001, dtype=torch.float64) + 0.5) / 4001 - 0.5)

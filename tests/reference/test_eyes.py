@@ -11,7 +11,7 @@ from rasterizer_cases import random_scene, rig
 
 from lightfield_gs import InputError, Panel, encode
 from lightfield_gs.panels.simulate import simulate, zone_width_mm
-from lightfield_gs.reference.eyes import EyeReference, eyes_across, views_of
+from lightfield_gs.reference.eyes import EyeReference, eyes_across, view_coordinates
 
 PANEL = replace(Panel.load("toy-8v"), width_px=160, height_px=80)
 
@@ -21,7 +21,7 @@ def test_eyes_see_the_views_they_are_said_to(invert):
     panel = replace(PANEL, views=64, invert_views=invert)
     eyes = eyes_across(panel, 7)
     assert eyes[0, 0] == pytest.approx(-0.375 * zone_width_mm(panel)) and (eyes[:, 2] == 1000).all()
-    for eye, x in zip(eyes, views_of(panel, eyes)):
+    for eye, x in zip(eyes, view_coordinates(panel, eyes)):
         seen = simulate(panel.view_map(continuous=True) / panel.views, panel, eye.tolist(), 0.6)
         assert panel.views * seen[2:-2, 2:-2].mean() == pytest.approx(x, abs=0.02 * panel.views)
 

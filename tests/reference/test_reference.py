@@ -138,7 +138,7 @@ def test_footprint_is_the_jacobian_of_the_projection():
 
 def test_jacobian_is_clamped_against_the_union_of_the_frusta():
     # Far outside, to the right: t_x is held at 30 % of the half width beyond the widest view's frustum.
-    scene = Scene.of(balls((30.0, 0, 1.0, 0.4, 0.9, 0)))
+    scene = Scene.from_gaussians(balls((30.0, 0, 1.0, 0.4, 0.9, 0)))
     projection = Projection(scene, reference.rig_eye(PANEL, RIG))
     limit = (64 - 30.5) / 64 + 0.15 + math.tan(math.radians(20))
     _, _, across, _ = projection.footprint(torch.tensor([0]), torch.tensor([0.25], dtype=torch.float64))

@@ -19,15 +19,13 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.quilt import layout_of_panel
+from lightfield_gs.panels.quilt import panel_quilt
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.show.page import routes
-from lightfield_gs.show.page.controls import Controls, orbited
-from lightfield_gs.show.page.exports import exports
-from lightfield_gs.show.page.routes import shown_routes, steering_routes
+from lightfield_gs.show.page.routes import exports, shown_routes, steering_routes
 from lightfield_gs.show.page.server import Server
-from lightfield_gs.show.page.stage import Stage, cut_out
+from lightfield_gs.show.page.stage import Controls, Stage, cut_out, orbited
 from lightfield_gs.show.preview import to_integers
 
 CELLS = replace(
@@ -131,7 +129,7 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         (tmp_path / "rig.yaml").write_bytes(get(server, f"/export/rig.yaml?{controls}")[1])
         drawn = encode(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"), quality="high").numpy()
         np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "native.png")), drawn)
-        layout = layout_of_panel(PANEL)
+        layout = panel_quilt(PANEL)
         name = f"quilt{layout.suffix}.png"
         (tmp_path / name).write_bytes(get(server, f"/export/{name}?{controls}")[1])
         left_most = np.asarray(Image.open(tmp_path / name))[layout.tile(0)]

@@ -81,14 +81,14 @@ def test_one_process_resumes_the_checkpoint_of_two(small_set, tmp_path):
 
 
 def test_a_step_is_shared_out_completely():
-    shares = [range(12)[Team(torch.device("cpu"), rank, 4).share(12)] for rank in range(4)]
+    shares = [range(12)[Team(torch.device("cpu"), rank, 4).split(12)] for rank in range(4)]
     assert [len(share) for share in shares] == [3, 3, 3, 3]
     assert [example for share in shares for example in share] == list(range(12))
 
 
 def test_unequal_shares_are_refused():
     with pytest.raises(InputError, match="3 processes cannot share the 8 objects .* multiple of 3"):
-        Team(torch.device("cpu"), 0, 3).share(8)
+        Team(torch.device("cpu"), 0, 3).split(8)
 
 
 def test_one_process_needs_no_torchrun(monkeypatch):

@@ -8,7 +8,7 @@ import yaml
 from command_line import PANEL
 
 from lightfield_gs import InputError, Rig
-from lightfield_gs.video.camera_path import CameraPath, turned
+from lightfield_gs.video.camera_path import CameraPath, orbit
 
 RIG = Rig(np.eye(4), (100.0, 110.0), (48.0, 30.0), 2.0)
 
@@ -16,7 +16,7 @@ STEP_S = 1e-5
 
 
 def rigs(*degrees: float) -> list[Rig]:
-    return [turned(RIG, PANEL, angle) for angle in degrees]
+    return [orbit(RIG, PANEL, angle) for angle in degrees]
 
 
 def place(rig: Rig) -> np.ndarray:
@@ -35,7 +35,7 @@ def test_a_path_through_a_turntable_goes_round_the_subject():
     """No corner is cut: all the way the camera is as far from the middle of the panel, at the angle of the time."""
     path = CameraPath([0, 1, 2, 3], rigs(0, 30, 60, 90), PANEL)
     for time in np.linspace(0, 3, 13):
-        expected = place(turned(RIG, PANEL, 30 * time))
+        expected = place(orbit(RIG, PANEL, 30 * time))
         np.testing.assert_allclose(place(path.at(time)), expected, atol=0.01)
         assert np.linalg.norm(place(path.at(time)) - (0, 0, 2)) == pytest.approx(2, abs=1e-9)
 

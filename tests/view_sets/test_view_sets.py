@@ -15,15 +15,15 @@ from lightfield_gs.base.assumptions import collect_assumptions
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.quilt import QuiltLayout
-from lightfield_gs.view_sets.file_names import arranged
-from lightfield_gs.view_sets.movies import Span
+from lightfield_gs.view_sets.file_names import arrange
+from lightfield_gs.view_sets.movies import FrameRange
 from lightfield_gs.view_sets.view_set import QuiltViews, open_views
 
 
 def in_order(*names):
     """The names as they are arranged, given by name, and what is told of it."""
     with collect_assumptions() as lines:
-        found = arranged(Path("d"), [Path(name) for name in sorted(names)])
+        found = arrange(Path("d"), [Path(name) for name in sorted(names)])
     assert not isinstance(found, dict)
     return [path.name for path in found], " ".join(lines)
 
@@ -31,7 +31,7 @@ def in_order(*names):
 def rows_of(*names):
     """The grid of cameras that names make, as rows of names."""
     with collect_assumptions() as lines:
-        found = arranged(Path("d"), [Path(name) for name in sorted(names)])
+        found = arrange(Path("d"), [Path(name) for name in sorted(names)])
     assert isinstance(found, dict) and "of a grid of cameras" in lines[0]
     rows = sorted({row for row, _ in found})
     return [[found[place].name for place in sorted(found) if place[0] == row] for row in rows]
@@ -277,7 +277,7 @@ def test_what_holds_no_views_is_refused_with_a_way_out(tmp_path):
         open_views(tmp_path / "set")
     Image.fromarray(camera(0)).save(tmp_path / "pages.tif", save_all=True, append_images=[Image.fromarray(camera(1))])
     with pytest.raises(InputError, match="give its pictures as files in a folder"):
-        open_views(tmp_path / "pages.tif", span=Span())
+        open_views(tmp_path / "pages.tif", span=FrameRange())
 
 
 def test_what_is_done_to_the_frames_of_a_video_is_told(tmp_path):
@@ -288,7 +288,7 @@ def test_what_is_done_to_the_frames_of_a_video_is_told(tmp_path):
         for k in range(3):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(camera(k), format="rgb24")))
         container.mux(stream.encode(None))
-    assert "a.mp4: pixels of 4:3 are made square" in shown(tmp_path / "a.mp4", span=Span())[1]
+    assert "a.mp4: pixels of 4:3 are made square" in shown(tmp_path / "a.mp4", span=FrameRange())[1]
 
 
 def test_each_frame_of_a_video_is_one_view_whenever_it_comes(tmp_path):
@@ -303,7 +303,7 @@ def test_each_frame_of_a_video_is_one_view_whenever_it_comes(tmp_path):
             frame.pts, frame.time_base = time, Fraction(1, 10)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
-    views, said = shown(tmp_path / "a.mkv", span=Span())
+    views, said = shown(tmp_path / "a.mkv", span=FrameRange())
     assert len(views) == 4 and "repeated" not in said
     with collect_assumptions() as lines:
         assert len(open_views(tmp_path / "a.mkv", (2, 2)).numbers) == 7 and "repeated to 7" in lines[0]
@@ -313,7 +313,7 @@ def test_frames_that_come_back_are_noticed(tmp_path):
     for name, there, words in (("fro.gif", [0, 2, 4, 6, 8, 6, 4, 2], "span=0:4:1"), ("to.gif", range(8), "")):
         first, *rest = (Image.fromarray(camera(k)) for k in there)
         first.save(tmp_path / name, save_all=True, append_images=rest, duration=100)
-        said = shown(tmp_path / name, span=Span())[1]
+        said = shown(tmp_path / name, span=FrameRange())[1]
         assert words in said and ("there and back" in said) == bool(words)
 
 
@@ -333,5 +333,5 @@ def test_damaged_animations_and_exif_are_refused_in_a_line(tmp_path):
                 damaged[place] = rng.integers(256)
             path.write_bytes(damaged)
             with collect_assumptions(), contextlib.suppress(InputError):
-                found = open_views(path, span=Span() if path.suffix == ".gif" else None)
+                found = open_views(path, span=FrameRange() if path.suffix == ".gif" else None)
                 [found.views.view(k) for k in range(found.views.count)]

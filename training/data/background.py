@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from lightfield_gs.photo.plain import Components, full_squares
+from lightfield_gs.photo.plain import Components, find_full_squares
 
 Choice = Literal["auto", "white", "black", "none"]
 CHOICES = get_args(Choice)
@@ -125,7 +125,7 @@ def _plain_alpha(rgb: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     drifted = own is not None and np.linalg.norm(own - shared) < _DRIFT
     distance = np.linalg.norm(rgb / np.float32(255) - (own if drifted else shared), axis=2)
     components = Components(distance < _FAR, diagonal=False)
-    outside = components.mask(components.touching(border | full_squares(distance < _SAME, _hole_side(rgb))))
+    outside = components.mask(components.touching(border | find_full_squares(distance < _SAME, _hole_side(rgb))))
     return np.rint(255 * np.where(outside, np.clip((distance - _NEAR) / (_FAR - _NEAR), 0, 1), 1)).astype(np.uint8)
 
 
@@ -174,7 +174,7 @@ def _holes(off: np.ndarray, outside: np.ndarray, side: int) -> np.ndarray:
     """
     enclosed = (off == 0) & ~outside
     components = Components(enclosed, diagonal=False)
-    open_ = components.touching(full_squares(enclosed, side))
+    open_ = components.touching(find_full_squares(enclosed, side))
     for piece in np.flatnonzero(open_):
         patch = components.mask(np.arange(components.count) == piece)
         edge = _grown(patch, 2) & ~patch

@@ -1,7 +1,7 @@
-// The loss of images against photographs, and its gradient. Two passes, each over bands of rows: the first blurs the
-// five moments and finds SSIM and its derivatives, the second blurs those and writes the gradient. Samples of a row lie
-// side by side, red, green, blue, so that a tap of the window is three samples from the next, and the loops run over
-// whole rows; the compiler turns them into vectors, once for every instruction set.
+// The loss of images against photographs, and its gradient. There are two passes over bands of rows. The first blurs
+// the five moments and finds SSIM and its derivatives; the second blurs the derivatives and writes the gradient.
+// Samples of a row lie side by side, red, green, blue. So taps of the window are three samples apart, and the loops run
+// over whole rows. The compiler vectorizes them, once for every instruction set.
 #include <algorithm>
 #include <vector>
 
@@ -32,8 +32,8 @@ struct Rows {
   const T* operator[](int64_t r) const { return numbers.data() + r * pitch + kMargin; }
 };
 
-// What a worker keeps: the band with the rows around it that windows reach, of up to three quantities; and up to five
-// of one row, blurred across the rows, and along the row as well.
+// Memory of a worker. It has up to three quantities of the band and of the rows around it that windows reach. It has up
+// to five quantities of one row, blurred across rows, then along the row.
 template <class T>
 struct LossScratch {
   Rows<T> band[3], across, blurred, weights, losses;
@@ -118,20 +118,20 @@ HWY_ATTR void read_row(const PhotoLoss<T>& job, int64_t view, int64_t r, T* __re
 
 // SSIM, its derivatives and the loss of a row, from blurred moments.
 template <class T>
-HWY_ATTR void finish_row(const Rows<T>& moments, const T* x, const T* y, const T* weights, int64_t row, T ssim_share,
+HWY_ATTR void finish_row(const Rows<T>& moments, const T* x, const T* y, const T* weights, int64_t row, T ssim_lambda,
                          T* __restrict by_x, T* __restrict by_xx, T* __restrict by_xy, T* __restrict losses) {
   const T *mx = moments[0], *my = moments[1], *mxx = moments[2], *myy = moments[3], *mxy = moments[4];
   for (int64_t j = 0; j < row; ++j) {
-    const Ssim<T> ssim = ssim_of(SsimMoments<T>{mx[j], my[j], mxx[j], myy[j], mxy[j]});
+    const Ssim<T> ssim = compute_ssim(SsimMoments<T>{mx[j], my[j], mxx[j], myy[j], mxy[j]});
     const T w = weights[j];
     by_x[j] = w * ssim.by_x, by_xx[j] = w * ssim.by_xx, by_xy[j] = w * ssim.by_xy;
-    losses[j] = sample_loss(x[j], y[j], w, ssim.value, ssim_share);
+    losses[j] = sample_loss(x[j], y[j], w, ssim.value, ssim_lambda);
   }
 }
 
 // The sum of a row in a fixed order, of eight interleaved sums.
 template <class T>
-HWY_ATTR double sum_of(const T* numbers, int64_t count) {
+HWY_ATTR double sum_numbers(const T* numbers, int64_t count) {
   double sums[8] = {};
   int64_t j = 0;
   for (; j + 8 <= count; j += 8)
@@ -159,20 +159,20 @@ HWY_ATTR void find_derivatives(const PhotoLoss<T>& job, const LossBand& band, Lo
     T* out = job.derivatives + line * row;
     blur_moments(x[top], y[top], x.pitch, row, across[0], across[1], across[2], across[3], across[4]);
     for (int m = 0; m < 5; ++m) blur_along<T>(across[m], row, blurred[m]);
-    finish_row(blurred, x[own], y[own], weights[own], row, T(job.ssim_share), out, out + size, out + 2 * size,
+    finish_row(blurred, x[own], y[own], weights[own], row, T(job.ssim_lambda), out, out + size, out + 2 * size,
                scratch.losses[0]);
-    job.partials[line] = sum_of(scratch.losses[0], row);
+    job.partials[line] = sum_numbers(scratch.losses[0], row);
   }
 }
 
 // The gradient of a row, from blurred derivatives.
 template <class T>
 HWY_ATTR void gradient_row(const Rows<T>& derivatives, const T* x, const T* y, const T* weights, int64_t row,
-                           T ssim_share, T sample_share, T* __restrict out) {
+                           T ssim_lambda, T sample_weight, T* __restrict out) {
   const T *by_x = derivatives[0], *by_xx = derivatives[1], *by_xy = derivatives[2];
   for (int64_t j = 0; j < row; ++j) {
     const T ssim_by_x = ssim_gradient(by_x[j], by_xx[j], by_xy[j], x[j], y[j]);
-    out[j] = sample_share * sample_gradient(x[j], y[j], weights[j], ssim_by_x, ssim_share);
+    out[j] = sample_weight * sample_gradient(x[j], y[j], weights[j], ssim_by_x, ssim_lambda);
   }
 }
 
@@ -195,7 +195,7 @@ HWY_ATTR void find_gradient(const PhotoLoss<T>& job, const LossBand& band, LossS
       blur_along<T>(across[d], row, blurred[d]);
     }
     read_row(job, band.view, r, x, y, weights);
-    gradient_row(blurred, x, y, weights, row, T(job.ssim_share), T(job.share_of_sample()),
+    gradient_row(blurred, x, y, weights, row, T(job.ssim_lambda), T(job.sample_weight()),
                  job.gradient + (band.view * job.height_px + r) * row);
   }
 }
@@ -229,11 +229,11 @@ void gradient(const PhotoLoss<double>& job, const LossBand& band, LossScratch<do
 
 }  // namespace
 
-int64_t photo_loss_partials(int64_t views, int64_t height_px, int64_t) { return views * height_px; }
+int64_t photo_loss_partials(int64_t images, int64_t height_px, int64_t) { return images * height_px; }
 
 template <class T>
 void photo_loss(const PhotoLoss<T>& job, int threads) {
-  const int64_t bands = (job.height_px + kLossBand - 1) / kLossBand, items = job.views * bands;
+  const int64_t bands = (job.height_px + kLossBand - 1) / kLossBand, items = job.images * bands;
   std::vector<LossScratch<T>> scratch(std::min<int64_t>(threads, items), LossScratch<T>(job.row()));
   auto band_of = [&](int64_t item) {
     const int64_t first = item % bands * kLossBand;
@@ -242,8 +242,8 @@ void photo_loss(const PhotoLoss<T>& job, int threads) {
   parallel_for(items, threads, [&](int64_t item, int worker) { derivatives(job, band_of(item), scratch[worker]); });
   parallel_for(items, threads, [&](int64_t item, int worker) { gradient(job, band_of(item), scratch[worker]); });
   double sum = 0;
-  for (int64_t line = 0; line < job.views * job.height_px; ++line) sum += job.partials[line];
-  *job.loss = T(sum * job.share_of_sample());
+  for (int64_t line = 0; line < job.images * job.height_px; ++line) sum += job.partials[line];
+  *job.loss = T(sum * job.sample_weight());
 }
 
 template void photo_loss<float>(const PhotoLoss<float>&, int);

@@ -2,7 +2,7 @@
 #include <algorithm>
 
 #include "base/parallel.h"
-#include "math/fit/normal.h"
+#include "math/fit/random.h"
 #include "stages/fit.h"
 
 namespace lfgs {
@@ -14,8 +14,8 @@ void uniforms(const RandomStream& stream, int64_t count, double* out, int thread
   parallel_for_chunks(count, 2 * kIndices, threads, [&](int64_t begin, int64_t end, int) {
     for (int64_t i = begin; i < end; i += 2) {
       const Words4 words = stream.words(uint64_t(i) / 2);
-      out[i] = uniform_of(words.x0, words.x1);
-      if (i + 1 < end) out[i + 1] = uniform_of(words.x2, words.x3);
+      out[i] = to_uniform(words.x0, words.x1);
+      if (i + 1 < end) out[i + 1] = to_uniform(words.x2, words.x3);
     }
   });
 }

@@ -24,14 +24,14 @@ HWY_ATTR bool all_usable(const T* gradients, int size) {
   return bad == 0;
 }
 
-// Moves the harmonics of a Gaussian; rates [size].
+// Move the harmonics of a Gaussian; rates [size].
 template <class T>
 HWY_ATTR void move_harmonics(const AdamStep<T>& adam, int size, const T* rates, const T* __restrict gradients,
                              T* __restrict values, T* __restrict first, T* __restrict second) {
   for (int k = 0; k < size; ++k) values[k] = adam.moved(values[k], gradients[k], rates[k], first[k], second[k]);
 }
 
-// Gaussians [begin, end). Returns how many were skipped.
+// Gaussians [begin, end). Return how many were skipped.
 template <class T>
 HWY_ATTR int64_t move_chunk(const Update<T>& job, int64_t begin, int64_t end) {
   const Step<T> step(job);
@@ -40,13 +40,13 @@ HWY_ATTR int64_t move_chunk(const Update<T>& job, int64_t begin, int64_t end) {
   for (int k = 0; k < size; ++k) rates[k] = step.sh_rate(k);
   int64_t skipped = 0;
   for (int64_t i = begin; i < end; ++i) {
-    const FieldGradient<T> gradient(job, step, i);
+    const ParameterGradients<T> gradient(job, step, i);
     const int64_t at = i * size;
     if (!gradient.usable() || !all_usable(job.gradients.sh + at, size)) {
       ++skipped;
       continue;
     }
-    move_harmonics(step.adam, size, rates, job.gradients.sh + at, job.fields.sh + at, job.first.sh + at,
+    move_harmonics(step.adam, size, rates, job.gradients.sh + at, job.parameters.sh + at, job.first.sh + at,
                    job.second.sh + at);
     move_gaussian(job, step, gradient, i);
   }

@@ -1,6 +1,6 @@
 // The sheet over a photo: a work item has a row of texels.
 #include "base/parallel.h"
-#include "cpu/photo/blur_weights.h"
+#include "math/photo/blur.h"
 #include "stages/photo.h"
 
 namespace lfgs {

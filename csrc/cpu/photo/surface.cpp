@@ -1,19 +1,19 @@
 // Where the sheet over a photo lies: a work item has a row of pixels, of a layer or of a plane.
 #include "base/parallel.h"
-#include "cpu/photo/blur_weights.h"
+#include "math/photo/blur.h"
 #include "stages/photo.h"
 
 namespace lfgs {
 namespace {
 
-// Calls visit(plane, row) for the rows of all planes.
+// Call visit(plane, row) for the rows of all planes.
 template <class Visit>
 void for_each_row(const Surface& job, int planes, int threads, const Visit& visit) {
   parallel_for(planes * job.height, threads,
                [&](int64_t item, int) { visit(int(item / job.height), item % job.height); });
 }
 
-// Blurs planes of a set, by way of `between`, into a third set.
+// Blur planes of a set, by way of `between`, into a third set.
 void blur_planes(const Surface& job, int planes, int from, int between, int to, int threads) {
   const BlurWeights weight(job.look.averaged);
   for_each_row(job, planes, threads, [&](int plane, int64_t row) {

@@ -1,7 +1,7 @@
-// Stage composite for sub-pixels sorted by view, where each view is an ordinary camera. Reads splats and lists of
-// sub-pixels, writes the image. A work item is a group of bands of one view. A tile has only a few samples of the view;
-// they are loaded in batches, which are cut into patches of one vector each, and splats are blended into a batch
-// nearest first. The lists run along the columns, so that a patch is compact.
+// Stage composite for sub-pixels sorted by view, where each view is an ordinary camera. Read splats and lists of
+// sub-pixels, write the image. A work item is a group of bands of one view. A tile has only a few samples of the view.
+// They are loaded in batches, with patches of one vector each, and splats are blended into a batch nearest first. The
+// lists run along the columns, so that a patch is compact.
 #include <algorithm>
 #include <numeric>
 #include <vector>
@@ -10,7 +10,7 @@
 #include "base/parallel.h"
 #include "cpu/dispatch.h"
 #include "cpu/tile_lists.h"
-#include "math/image_byte.h"
+#include "math/saturate.h"
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -25,8 +25,8 @@
 #ifndef LFGS_COMPOSITE_SORTED_ONCE
 #define LFGS_COMPOSITE_SORTED_ONCE
 namespace lfgs {
-// Bands of a work item: the splats of a view that they share are read from memory once, while the lines of the image,
-// which all views write to, still fit a large cache.
+// Bands of a work item. The splats that they share are read from memory once. The lines of the image, which all views
+// write to, still fit a large cache.
 constexpr int64_t kBandsPerItem = 8;
 
 template <class T>
@@ -64,7 +64,7 @@ struct SubpixelBatch {
   int count = 0;
   Patches<T, kPatches> patches;
 
-  // Loads `count_` samples, which are whole blocks; (x0, y0) is the tile's corner.
+  // Load `count_` samples, which are whole blocks; (x0, y0) is the tile's corner.
   void load(const SubpixelTile& tile, const uint16_t* codes, int count_, int64_t x0, int64_t y0, int64_t width_px) {
     count = count_;
     Subpixel s{};  // the tile's corner, if a list has no sub-pixel: its map changed after counting
@@ -89,7 +89,7 @@ struct SubpixelBatch {
     patches.reopen(count / kLanes);
   }
 
-  // Blends a splat into the patches that find() has marked.
+  // Blend a splat into the patches that find() has marked.
   HWY_INLINE void add(const SplatTerms<T>& s, const T* colour) {
     const D d;
     const hn::RebindToSigned<D> di;
@@ -103,21 +103,21 @@ struct SubpixelBatch {
     });
   }
 
-  // Adds the background and writes to the image.
+  // Add the background and write to the image.
   void store(const SortedJob<T>& job) const {
     for (int i = 0; i < count; ++i) {
       if (place[i] < 0) continue;
       const T left = transmittance[i] > 0 ? transmittance[i] : rest[i];
       const T c = value[i] + left * job.background[channel[i]];
       if (job.out8)
-        job.out8[place[i]] = byte_of(c);
+        job.out8[place[i]] = to_byte(c);
       else
         job.out[place[i]] = c;
     }
   }
 };
 
-// Draws the sub-pixels of one view in one band.
+// Draw the sub-pixels of one view in one band.
 template <class T>
 void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLists& lists, SubpixelBatch<T>& batch,
                    Counters& counters) {
@@ -136,12 +136,12 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
   lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
     T left, right;
-    if (!columns_of(splats[id], low, high, T(0), left, right)) return {0, -1};
+    if (!footprint_columns(splats[id], low, high, T(0), left, right)) return {0, -1};
     const Range pixels = pixels_within(left, right, job.width_px);
     if (pixels.last < pixels.first) return {0, -1};
     return {pixels.first / tile.width_px, pixels.last / tile.width_px};
   });
-  counters.pairs += lists.pairs();
+  counters.intersections += lists.intersections();
 
   // Tile by tile and batch by batch, splats nearest first
   for (int64_t t = 0; t < tiles; ++t) {
@@ -162,8 +162,8 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   }
 }
 
-// The groups of bands in the order of their pairs, most first and the upper of equals: then the last work items to be
-// handed out are small, and threads end together.
+// The groups of bands by their intersections, most first, the upper of equals first. So the last work items are small,
+// and threads end together.
 template <class T>
 std::vector<int64_t> HeaviestFirst(const SortedJob<T>& job) {
   const int64_t bands = band_count(job.height_px), groups = (bands + kBandsPerItem - 1) / kBandsPerItem;

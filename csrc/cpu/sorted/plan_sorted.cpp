@@ -1,4 +1,4 @@
-// Stage plan of the method `sorted`: a counting sort of the panel's sub-pixels by (view, tile), a tile at a time. Reads
+// Stage plan of the method `sorted`: a counting sort of the panel's sub-pixels by (view, tile), a tile at a time. Read
 // which view each sub-pixel shows, writes SubpixelLists. Python sums the counts up to starts between the two passes.
 #include <algorithm>
 #include <vector>
@@ -9,7 +9,7 @@
 namespace lfgs {
 namespace {
 
-// Calls visit(place of its view, code) for the sub-pixels of a tile whose view has a list, in the order of the lists.
+// Call visit(place of its view, code) for the sub-pixels of a tile whose view has a list, in the order of the lists.
 template <class Visit>
 void for_each_subpixel(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t index,
                        const Visit& visit) {
@@ -26,7 +26,7 @@ void for_each_subpixel(const ViewMap& map, const SubpixelTile& tile, const int32
       }
 }
 
-// Calls body(tile, numbers) for all tiles, where the numbers are a worker's own, one for each view that has lists.
+// Call body(tile, numbers) for all tiles, where the numbers are a worker's own, one for each view that has lists.
 template <class Number, class Body>
 void for_each_tile(const ViewMap& map, const SubpixelTile& tile, int64_t views, int threads, const Body& body) {
   std::vector<std::vector<Number>> numbers(size_t(std::max(threads, 1)), std::vector<Number>(size_t(views)));

@@ -1,20 +1,62 @@
-// Stage weave. Each sub-pixel gathers four samples of each view that it mixes: a row of the panel reads a row or two of
-// every view, one after the other, so that these stay in the cache until the next row of the panel wants them again.
+// Stage weave. Each sub-pixel gathers four samples of each view that it mixes. A row of the panel reads a row or two of
+// every view, one after the other. So these rows stay in the cache for the next row of the panel.
 #include "stages/weave.h"
 
 #include <algorithm>
 #include <cmath>
 #include <type_traits>
 #include <vector>
+#include <cstdint>
 
 #include "base/parallel.h"
-#include "cpu/weave/weave_mix.h"
 
 namespace lfgs {
 namespace {
 
+// Views first .. first + count - 1; weights sum to 1.
+struct WeaveMix {
+  int64_t first = 0, count = 0;
+  const float* weights = nullptr;
+};
+
+// How many views a box touches at most.
+inline int64_t most_mixed(const WeaveFan& fan) { return std::min(fan.views, int64_t(std::ceil(fan.box)) + 1); }
+
+// Each view covers the places nearer to it than to another view, and the outermost views cover all beyond. Its weight
+// is the fraction of the box around `place` that it covers. A box of one view is linear interpolation. weights
+// [most_mixed].
+inline WeaveMix mix_at(const WeaveFan& fan, double place, float* weights) {
+  const int64_t last = fan.views - 1;
+  const auto view_of = [&](double x) { return std::clamp(int64_t(x), int64_t(0), last); };
+  if (fan.box == 0) return weights[0] = 1, WeaveMix{view_of(std::floor(place + 0.5)), 1, weights};
+  const double low = place - fan.box / 2, high = place + fan.box / 2;
+  const int64_t first = view_of(std::floor(low + 0.5));
+  const int64_t end = std::min(view_of(std::ceil(high + 0.5) - 1) + 1, first + most_mixed(fan));
+  for (int64_t view = first; view < end; ++view) {
+    const double from = view == 0 ? low : std::max(low, double(view) - 0.5);
+    const double to = view == last ? high : std::min(high, double(view) + 0.5);
+    weights[view - first] = float(std::max(0.0, to - from) / fan.box);
+  }
+  return {first, end - first, weights};
+}
+
+// The mixes of all of a panel's views; made once.
+class WeaveMixes {
+ public:
+  explicit WeaveMixes(const WeaveFan& fan) : weights_(size_t(fan.map.views * most_mixed(fan))) {
+    mixes_.reserve(size_t(fan.map.views));
+    for (int64_t view = 0; view < fan.map.views; ++view)
+      mixes_.push_back(mix_at(fan, fan.places[view], weights_.data() + view * most_mixed(fan)));
+  }
+  const WeaveMix& operator[](int64_t view) const { return mixes_[size_t(view)]; }
+
+ private:
+  std::vector<float> weights_;
+  std::vector<WeaveMix> mixes_;
+};
+
 constexpr int64_t kRows = 8;  // of the panel, a work item
-// Places are rounded to so many parts of a pixel, so that where sizes agree they fall on pixels, whatever the rounding
+// Places are rounded to fractions of a pixel: where sizes agree they fall on pixels, whatever the rounding
 constexpr double kParts = 65536;
 
 // The two pixels beside a place along a side of a picture, and how much of the second is mixed in.
@@ -59,7 +101,7 @@ class Weaver {
       shifts_.push_back(window.shift * ((double(view) + 0.5) / double(fan.views) - 0.5));
   }
 
-  // Calls mix_of(column, channel) for the mix of every sub-pixel of a row, whose count is 0 where nothing is shown.
+  // Call mix_of(column, channel) for the mix of every sub-pixel of a row, whose count is 0 where nothing is shown.
   template <class MixOf>
   void draw_row(int64_t row, const MixOf& mix_of) const {
     const int64_t width = fan_.map.width_px;
@@ -110,7 +152,7 @@ class Weaver {
   WeaveWindow window_;
   WeaveFan fan_;
   T* out_;
-  std::vector<double> places_, shifts_;  // of the panel's columns, in shares of a view; of the views
+  std::vector<double> places_, shifts_;  // of the panel's columns, in fractions of a view; of the views
   std::vector<Tap> columns_;             // of views without a shift
 };
 
@@ -120,7 +162,7 @@ class RowPhases {
   RowPhases(const Lens& lens, int64_t row) : step_(lens.phase_x * 3) {
     for (int64_t column = 0; column < kCellPeriod; ++column)
       for (int channel = 0; channel < 3; ++channel)
-        first_[column][channel] = lens.true_phase(row, lens.subpixel_of(row, column, channel));
+        first_[column][channel] = lens.true_phase(row, lens.subpixel_index(row, column, channel));
   }
   uint64_t at(int64_t column, int channel) const {
     const int64_t within = column % kCellPeriod;

@@ -1,4 +1,4 @@
-// Finds the architectures of this build: nvcc defines the list as a macro.
+// Find the architectures of this build: nvcc defines the list as a macro.
 #include "cuda/common/architectures.h"
 
 namespace lfgs::cuda {

@@ -1,33 +1,34 @@
-// Compensated splats on the device, of anti-aliased scenes and of views with an aperture: their projection, and the
-// share of opacity that they keep; see math/compensation.h.
+// Compensated splats on the device: their projection and their compensation (math/compensation.h), in anti-aliased
+// scenes and for cameras with an aperture.
 #pragma once
 
-#include "cuda/common/widened.cuh"
 #include "math/projection.h"
 
 namespace lfgs::cuda {
 
-// Projects a splat and finds its compensation. It is in double, since the area of a splat that is long and thinner than
+__device__ inline Shape<double> widened(const Shape<float>& s) { return {s.mean, s.quaternion, s.scale, s.opacity}; }
+
+// Project a splat and find its compensation. It is in double, since the area of a splat that is long and thinner than
 // a pixel has few digits left in float. (Without compensation that does not matter: only the blur is seen of it.)
-__device__ inline Splat<float> compensated_splat(const View<double>& view, const Shape<float>& shape,
+__device__ inline Splat<float> compensated_splat(const Camera<double>& camera, const Shape<float>& shape,
                                                  Compensation<float>& out) {
   const Shape<double> wide = widened(shape);
-  const Projection<double> projection(view, wide);
-  Splat<double> splat = projection.splat(view, wide.opacity);
+  const Projection<double> projection(camera, wide);
+  Splat<double> splat = projection.splat(camera, wide.opacity);
   Compensation<double> exact{};
-  if (splat.reach_y >= 0) projection.compensate(view, splat, exact);
+  if (splat.reach_y >= 0) projection.compensate(camera, splat, exact);
   out = {float(exact.D0), float(exact.D1), float(exact.D2)};
   return splat_cast<float>(splat);
 }
 
 // D(s), not below zero.
-__device__ inline float sharpness(const Compensation<float>& c, float s) {
+__device__ inline float unfiltered(const Compensation<float>& c, float s) {
   return fmaxf(fmaf(fmaf(s, c.D2, c.D1), s, c.D0), 0.f);
 }
 
-// Log2 of the share that is left of a splat's opacity seen from s; minus infinity for a disc that is seen edge-on.
-__device__ inline float log2_share(const Compensation<float>& c, float s, float S) {
-  return 0.5f * log2f(sharpness(c, s) / S);
+// Log2 of a splat's compensation seen from s; minus infinity for a disc that is seen edge-on.
+__device__ inline float log2_compensation(const Compensation<float>& c, float s, float S) {
+  return 0.5f * log2f(unfiltered(c, s) / S);
 }
 
 }  // namespace lfgs::cuda

@@ -1,4 +1,4 @@
-// Writes 0, 1, 2, ..., which sorts take for the places that things had before.
+// Write 0, 1, 2, ..., which sorts take for the places that things had before.
 #pragma once
 
 #include <cstdint>

@@ -11,13 +11,13 @@
 namespace lfgs::cuda {
 
 // All of Gaussian i but its harmonics.
-__device__ inline Shape<float> shape_of(const Gaussians<const float>& g, int64_t i) {
+__device__ inline Shape<float> load_shape(const Gaussians<const float>& g, int64_t i) {
   const float *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, g.opacities[i]};
 }
 
-// Reads all harmonics of one Gaussian; those beyond its degree are zero. It reads 16 bytes at a time where they are
-// aligned so: lanes read places far apart, so that each load costs a cache line a lane.
+// Read all harmonics of one Gaussian; those beyond its degree are zero. It reads 16 bytes at a time where they are
+// aligned. Lanes read places far apart, so each load costs a cache line a lane.
 __device__ inline void read_harmonics(const Gaussians<const float>& g, int64_t i, float (&sh)[3 * kMaxShCount]) {
   const int numbers = 3 * g.sh_count();
   const float* from = g.sh + numbers * i;
@@ -33,7 +33,7 @@ __device__ inline void read_harmonics(const Gaussians<const float>& g, int64_t i
   }
 }
 
-// Writes the gradient of one Gaussian, without its harmonics; g.quaternion is the gradient of the unit quaternion.
+// Write the gradient of one Gaussian, without its harmonics; g.quaternion is the gradient of the unit quaternion.
 template <class R>
 __device__ void store_gradient(const Shape<float>& shape, const Shape<R>& g, const Gaussians<float>& out, int64_t i) {
   const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);

@@ -1,4 +1,4 @@
-// Pairs of halves, and the words of 32 bits in which kernels pass and store them.
+// Intersections of halves, and the words of 32 bits in which kernels pass and store them.
 #pragma once
 
 #include <cuda_fp16.h>

@@ -1,4 +1,4 @@
-// Lays several arrays out in one buffer.
+// Lay several arrays out in one buffer.
 #pragma once
 
 #include <cstddef>
@@ -6,7 +6,7 @@
 
 namespace lfgs::cuda {
 
-// Hands out aligned parts of one buffer. When the buffer is null it only counts how long it must be.
+// Hand out aligned parts of one buffer. When the buffer is null it only counts how long it must be.
 struct Parts {
   char* base;
   size_t used = 0;

@@ -1,4 +1,4 @@
-// Gives lists of splats their places in memory, once their lengths are known.
+// Give lists of splats their places in memory, once their lengths are known.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace lfgs::cuda {
 
-// Gives every list a place, as long as its count says but empty at first, and collects the numbers of the long lists. A
+// Give every list a place, as long as its count says but empty at first, and collect the numbers of the long lists. A
 // thread of the launch has a list. The lists of a warp lie side by side in memory, the warps in no particular order.
 //
 // ranges [lists]: with the count of each list in y on entry, and where it begins in x and y afterwards. total and

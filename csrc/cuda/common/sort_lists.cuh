@@ -1,10 +1,9 @@
-// Sorts lists of splats on the device: every list by depth, nearest first, ties by number.
+// Sort lists of splats on the device: every list by depth, nearest first, ties by number.
 //
-// A list is spread over buckets of depth, mostly of a splat or two each; within a bucket every splat counts those
-// before it, which gives its place. Where depths crowd, or the list does not fit shared memory, it is sorted by bitonic
-// merging (Batcher 1968, "Sorting networks and their applications"), in the form in which every comparison sorts
-// upwards: items beyond the end then count as the largest, and need no memory. A team sorts a list: a warp for a short
-// one, a block for a long one.
+// A list is spread over buckets of depth, mostly of a splat or two each. Within a bucket every splat counts the splats
+// before it, which gives its place. Where depths crowd, or the list does not fit shared memory, bitonic merging sorts
+// it (Batcher 1968, "Sorting networks and their applications"). Every comparison sorts upwards: items beyond the end
+// count as the largest, and need no memory. A team sorts a list: a warp for a short one, a block for a long one.
 #pragma once
 
 #include <cstdint>
@@ -53,17 +52,17 @@ struct Same {
   __device__ uint64_t operator()(uint64_t key) const { return key; }
 };
 
-// One step of bitonic merging: in every 2 * half items, compares each of the first half with one of the second and puts
-// the smaller first. Its partner is `half` items on, or when mirrored, the one that is as far from the end as it is
+// Do one step of bitonic merging. In every 2 * half items, compare each of the first half with one of the second, and
+// put the smaller first. Its partner is `half` items on, or when mirrored, the one that is as far from the end as it is
 // from the beginning. A thread of the team has every kSize-th comparison.
-template <class Team, class Item, class KeyOf = Same>
-__device__ void compare_halves(Item* items, unsigned count, unsigned half, bool mirrored, const KeyOf& key_of = {}) {
+template <class Team, class Item, class ToKey = Same>
+__device__ void compare_halves(Item* items, unsigned count, unsigned half, bool mirrored, const ToKey& key = {}) {
   const unsigned pairs = (count + 2 * half - 1) / (2 * half) * half, partner = mirrored ? 2 * half - 1 : half;
   for (unsigned pair = Team::rank(); pair < pairs; pair += Team::kSize) {
     const unsigned low = pair + (pair & ~(half - 1)), high = low ^ partner;
     if (high >= count) continue;
     const Item a = items[low], b = items[high];
-    if (key_of(b) < key_of(a)) items[low] = b, items[high] = a;
+    if (key(b) < key(a)) items[low] = b, items[high] = a;
   }
   Team::wait();
 }
@@ -74,7 +73,7 @@ __device__ void finish_runs(uint64_t* keys, unsigned count, unsigned half) {
   for (; half > 0; half /= 2) compare_halves<Team>(keys, count, half, false);
 }
 
-// Sorts keys by merging, from runs of one key up.
+// Sort keys by merging, from runs of one key up.
 template <class Team>
 __device__ void merge_all(uint64_t* keys, unsigned count) {
   for (unsigned run = 1; run < count; run *= 2) {
@@ -83,33 +82,32 @@ __device__ void merge_all(uint64_t* keys, unsigned count) {
   }
 }
 
-// Calls sort(kept, count) with the keys of a list in shared memory, and writes their order back.
+// Call sort(kept, count) with the keys of a list in shared memory, and write their order back.
 template <class Team, class Sort>
-__device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept, const Sort& sort) {
-  for (unsigned i = Team::rank(); i < count; i += Team::kSize) kept[i] = key_of(ids[i]);
+__device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key, uint64_t* kept, const Sort& sort) {
+  for (unsigned i = Team::rank(); i < count; i += Team::kSize) kept[i] = key(ids[i]);
   Team::wait();
   sort(kept, count);
   for (unsigned i = Team::rank(); i < count; i += Team::kSize) ids[i] = uint32_t(kept[i]);
   Team::wait();
 }
 
-// Sorts a list that is too long for shared memory, by all threads of a block: pieces that fit are sorted there, and
-// steps that reach further are done in the list itself. A list of n keys takes log2(n / kKept)^2 / 2 rounds through
-// memory.
-__device__ inline void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept) {
+// Sort a list that is too long for shared memory, by all threads of a block. Pieces that fit are sorted there; longer
+// steps run in the list itself. A list of n keys takes log2(n / kKept)^2 / 2 rounds through memory.
+__device__ inline void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key, uint64_t* kept) {
   auto in_pieces = [&](auto sort) {
     for (unsigned first = 0; first < count; first += kKept)
-      in_shared_memory<Block>(ids + first, min(kKept, count - first), key_of, kept, sort);
+      in_shared_memory<Block>(ids + first, min(kKept, count - first), key, kept, sort);
   };
   in_pieces(merge_all<Block>);
   for (unsigned run = kKept; run < count; run *= 2) {
-    compare_halves<Block>(ids, count, run, true, key_of);
-    for (unsigned half = run / 2; half >= kKept; half /= 2) compare_halves<Block>(ids, count, half, false, key_of);
+    compare_halves<Block>(ids, count, run, true, key);
+    for (unsigned half = run / 2; half >= kKept; half /= 2) compare_halves<Block>(ids, count, half, false, key);
     in_pieces([](uint64_t* piece, unsigned n) { finish_runs<Block>(piece, n, kKept / 2); });
   }
 }
 
-__device__ inline float depth_of(uint64_t key) { return __uint_as_float(unsigned(key >> 32)); }
+__device__ inline float to_depth(uint64_t key) { return __uint_as_float(unsigned(key >> 32)); }
 
 // Given the least and the largest depth of each thread, finds those of the team.
 template <class Team>
@@ -128,7 +126,7 @@ __device__ void find_extent(float& nearest, float& farthest, const Memory& memor
   Team::wait();
 }
 
-// Turns the number of keys in every bucket into the place where each bucket begins. A thread has kEach buckets in a
+// Turn the number of keys in every bucket into the place where each bucket begins. A thread has kEach buckets in a
 // row.
 template <class Team>
 __device__ void sum_buckets(const Memory& memory) {
@@ -148,9 +146,9 @@ __device__ void sum_buckets(const Memory& memory) {
   Team::wait();
 }
 
-// Sorts a list of at most kEach * kSize splats. Returns false, and leaves the list as it is, where depths crowd.
+// Sort a list of at most kEach * kSize splats. Return false, and leave the list as it is, where depths crowd.
 template <class Team>
-__device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
+__device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key, const Memory& memory) {
   constexpr unsigned kBuckets = kEach * Team::kSize, kBucketBits = 16, kBucket = (1u << kBucketBits) - 1;
   uint64_t mine[kEach];
   unsigned bucket[kEach];  // of each key; in the upper bits, its place there
@@ -161,8 +159,8 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
   for (unsigned k = 0; k < kEach; ++k) {
     const unsigned i = k * Team::kSize + Team::rank();
     memory.buckets[i] = 0;
-    mine[k] = i < count ? key_of(ids[i]) : 0;
-    if (i < count) nearest = fminf(nearest, depth_of(mine[k])), farthest = fmaxf(farthest, depth_of(mine[k]));
+    mine[k] = i < count ? key(ids[i]) : 0;
+    if (i < count) nearest = fminf(nearest, to_depth(mine[k])), farthest = fmaxf(farthest, to_depth(mine[k]));
   }
 
   // Choose their buckets, by equal parts of the depth from the nearest to the farthest
@@ -172,7 +170,7 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
 #pragma unroll
   for (unsigned k = 0; k < kEach; ++k) {
     if (k * Team::kSize + Team::rank() >= count) break;
-    bucket[k] = min(unsigned((depth_of(mine[k]) - nearest) * per_depth), kBuckets - 1);
+    bucket[k] = min(unsigned((to_depth(mine[k]) - nearest) * per_depth), kBuckets - 1);
     const unsigned place = atomicAdd(&memory.buckets[bucket[k]], 1u);
     crowd |= place >= kCrowd, bucket[k] |= place << kBucketBits;
   }
@@ -201,11 +199,11 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
   return true;
 }
 
-// Sorts a list that fits the team's shared memory.
+// Sort a list that fits the team's shared memory.
 template <class Team>
-__device__ void sort_kept(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
-  if (!sort_by_buckets<Team>(ids, count, key_of, memory))
-    in_shared_memory<Team>(ids, count, key_of, memory.keys, merge_all<Team>);
+__device__ void sort_kept(uint32_t* ids, unsigned count, const Keys& key, const Memory& memory) {
+  if (!sort_by_buckets<Team>(ids, count, key, memory))
+    in_shared_memory<Team>(ids, count, key, memory.keys, merge_all<Team>);
 }
 
 // Lists of splats, and where their depths are.
@@ -218,16 +216,16 @@ struct SplatLists {
   unsigned long_count;
 };
 
-// Sorts all lists, by all blocks of a launch: first every block takes long ones, then every warp short ones.
+// Sort all lists, by all blocks of a launch: first every block takes long ones, then every warp short ones.
 __device__ inline void sort_lists(const SplatLists& lists, const Memory& memory) {
-  const Keys key_of{lists.depths};
+  const Keys key{lists.depths};
   for (unsigned i = blockIdx.x; i < lists.long_count; i += gridDim.x) {
     const uint2 range = lists.ranges[lists.long_lists[i]];
     const unsigned count = range.y - range.x;
     if (count <= kKept)
-      sort_kept<Block>(lists.ids + range.x, count, key_of, memory);
+      sort_kept<Block>(lists.ids + range.x, count, key, memory);
     else
-      sort_in_pieces(lists.ids + range.x, count, key_of, memory.keys);
+      sort_in_pieces(lists.ids + range.x, count, key, memory.keys);
   }
 
   const unsigned warp = threadIdx.x / 32, mine = warp * kShortList;
@@ -236,7 +234,7 @@ __device__ inline void sort_lists(const SplatLists& lists, const Memory& memory)
     const uint2 range = lists.ranges[list];
     const unsigned count = range.y - range.x;
     if (count > 0 && count <= kShortList)
-      sort_kept<Warp>(lists.ids + range.x, count, key_of, {memory.keys + mine, memory.buckets + mine, nullptr});
+      sort_kept<Warp>(lists.ids + range.x, count, key, {memory.keys + mine, memory.buckets + mine, nullptr});
   }
 }
 

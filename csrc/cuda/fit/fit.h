@@ -7,13 +7,13 @@
 
 #include "cuda/stages/stages.h"
 #include "math/fit/dropout.h"
-#include "math/fit/philox.h"
+#include "math/fit/random.h"
 #include "math/fit/photo_loss.h"
 #include "math/fit/update.h"
 
 namespace lfgs::cuda {
 
-int64_t photo_loss_partials(int64_t views, int64_t height_px, int64_t width_px);
+int64_t photo_loss_partials(int64_t images, int64_t height_px, int64_t width_px);
 void photo_loss(const PhotoLoss<float>& job, Stream stream);
 
 void update(const Update<float>& job, Stream stream);

@@ -1,7 +1,7 @@
 // Arrays of random numbers on the device: a thread has an index of the stream.
 #include "cuda/common/check.h"
 #include "cuda/fit/fit.h"
-#include "math/fit/normal.h"
+#include "math/fit/random.h"
 
 namespace lfgs::cuda {
 namespace {
@@ -14,8 +14,8 @@ __global__ void uniforms_kernel(RandomStream random, int64_t count, double* out)
   const int64_t i = own_index();
   if (2 * i >= count) return;
   const Words4 words = random.words(uint64_t(i));
-  out[2 * i] = uniform_of(words.x0, words.x1);
-  if (2 * i + 1 < count) out[2 * i + 1] = uniform_of(words.x2, words.x3);
+  out[2 * i] = to_uniform(words.x0, words.x1);
+  if (2 * i + 1 < count) out[2 * i + 1] = to_uniform(words.x2, words.x3);
 }
 
 __global__ void normals_kernel(RandomStream random, int64_t count, float* out) {

@@ -1,18 +1,15 @@
-// The step of the optimiser on the device. A block has kGaussians Gaussians: most of its warps their harmonics, which
-// lie side by side and are read and written four at a time, the others the rest, a thread per Gaussian. All of a block
-// look at the gradients first, for a Gaussian with one that cannot be used keeps all of its numbers.
+// The step of the optimiser on the device. A block has kGaussians Gaussians. Most of its warps have their harmonics,
+// which are read and written four at a time. The other warps have the rest, a thread per Gaussian. All of a block look
+// at the gradients first, for a Gaussian with one that cannot be used keeps all of its numbers.
 //
-// Floor: every number is read with its two moments and its gradient, and written with the moments: 28 bytes. With 59
-// numbers and four that are drawn, read and written, a Gaussian with harmonics of degree 3 takes 1.68 kB: a million
-// take 0.50 ms on an H100 (3.35 TB/s). Arithmetic, about 20 instructions a number and 400 for the noise, is a fifth of
-// that.
+// Floor: every number is read with its two moments and its gradient, and written with the moments: 28 bytes. A Gaussian
+// with harmonics of degree 3 reads and writes 59 parameters and four activated numbers, 1.68 kB. A million take 0.50 ms
+// on an H100 (3.35 TB/s). Arithmetic, about 20 instructions a number and 400 for the noise, is a fifth of that.
 #include "cuda/common/check.h"
 #include "cuda/fit/fit.h"
 
 namespace lfgs::cuda {
 namespace {
-
-using Job = Update<float>;
 
 constexpr int kGaussians = 64;
 constexpr int kHarmonicThreads = 192, kThreads = kHarmonicThreads + kGaussians;
@@ -55,9 +52,9 @@ struct Harmonics {
   __device__ int place(int round) const { return (round * kHarmonicThreads + int(threadIdx.x)) * kWide; }
 };
 
-// Reads the gradients of a thread's harmonics, and marks the Gaussians of which one cannot be used.
+// Read the gradients of a thread's harmonics, and mark the Gaussians of which one cannot be used.
 template <int size>
-__device__ void read_harmonics(const Job& job, const Harmonics<size>& mine, bool aligned, int* bad,
+__device__ void read_harmonics(const Update<float>& job, const Harmonics<size>& mine, bool aligned, int* bad,
                                Four (&gradients)[Harmonics<size>::kRounds]) {
 #pragma unroll
   for (int round = 0; round < Harmonics<size>::kRounds; ++round) {
@@ -70,15 +67,15 @@ __device__ void read_harmonics(const Job& job, const Harmonics<size>& mine, bool
 }
 
 template <int size>
-__device__ void move_harmonics(const Job& job, const Step<float>& step, const Harmonics<size>& mine, bool aligned,
-                               const int* bad, const Four (&gradients)[Harmonics<size>::kRounds]) {
+__device__ void move_harmonics(const Update<float>& job, const Step<float>& step, const Harmonics<size>& mine,
+                               bool aligned, const int* bad, const Four (&gradients)[Harmonics<size>::kRounds]) {
   const float dc = step.sh_rate(0), rest = step.sh_rate(3);
 #pragma unroll
   for (int round = 0; round < Harmonics<size>::kRounds; ++round) {
     const int place = mine.place(round), count = mine.count - place;
     if (count <= 0) return;
     const int64_t at = mine.first + place;
-    Four values = read4(job.fields.sh + at, count, aligned), first = read4(job.first.sh + at, count, aligned);
+    Four values = read4(job.parameters.sh + at, count, aligned), first = read4(job.first.sh + at, count, aligned);
     Four second = read4(job.second.sh + at, count, aligned);
 #pragma unroll
     for (int k = 0; k < kWide; ++k) {
@@ -87,37 +84,37 @@ __device__ void move_harmonics(const Job& job, const Step<float>& step, const Ha
       const float rate = place + k - gaussian * size < 3 ? dc : rest;
       values.n[k] = step.adam.moved(values.n[k], gradients[round].n[k], rate, first.n[k], second.n[k]);
     }
-    write4(values, job.fields.sh + at, count, aligned);
+    write4(values, job.parameters.sh + at, count, aligned);
     write4(first, job.first.sh + at, count, aligned);
     write4(second, job.second.sh + at, count, aligned);
   }
 }
 
-__device__ void count_skipped(const Job& job, int64_t gaussians) {
+__device__ void count_skipped(const Update<float>& job, int64_t gaussians) {
   atomicAdd(reinterpret_cast<unsigned long long*>(job.skipped), static_cast<unsigned long long>(gaussians));
 }
 
 // aligned: whether all arrays of harmonics begin at 16 bytes.
 template <int size>
-__global__ void __launch_bounds__(kThreads) update_kernel(Job job, bool aligned) {
+__global__ void __launch_bounds__(kThreads) update_kernel(Update<float> job, bool aligned) {
   __shared__ int bad[kGaussians];
   if (!job.has_row()) {
     if (blockIdx.x == 0 && threadIdx.x == 0) count_skipped(job, job.count());
     return;
   }
   const int64_t begin = int64_t(blockIdx.x) * kGaussians;
-  const int own = int(threadIdx.x) - kHarmonicThreads;  // whose other fields the thread has, from 0 on
+  const int own = int(threadIdx.x) - kHarmonicThreads;  // whose other parameters the thread has, from 0 on
   const bool has_own = own >= 0 && begin + own < job.count();
   if (own >= 0) bad[own] = 0;
   __syncthreads();
   const Step<float> step(job);
   const Harmonics<size> mine(begin, job.count());
   Four harmonics[Harmonics<size>::kRounds];
-  FieldGradient<float> gradient;
+  ParameterGradients<float> gradient;
   if (own < 0) {
     read_harmonics<size>(job, mine, aligned, bad, harmonics);
   } else if (has_own) {
-    gradient = FieldGradient<float>(job, step, begin + own);
+    gradient = ParameterGradients<float>(job, step, begin + own);
     if (!gradient.usable()) bad[own] = 1;
   }
   __syncthreads();
@@ -133,13 +130,13 @@ bool is_aligned(const float* address) { return reinterpret_cast<uintptr_t>(addre
 
 }  // namespace
 
-void update(const Job& job, Stream stream) {
+void update(const Update<float>& job, Stream stream) {
   if (job.count() == 0) return;
   const auto kernel = job.numbers() == 3    ? update_kernel<3>
                       : job.numbers() == 12 ? update_kernel<12>
                       : job.numbers() == 27 ? update_kernel<27>
                                             : update_kernel<48>;
-  const bool aligned = is_aligned(job.gradients.sh) && is_aligned(job.fields.sh) && is_aligned(job.first.sh) &&
+  const bool aligned = is_aligned(job.gradients.sh) && is_aligned(job.parameters.sh) && is_aligned(job.first.sh) &&
                        is_aligned(job.second.sh);
   kernel<<<unsigned(blocks_for(job.count(), kGaussians)), kThreads, 0, cudaStream_t(stream)>>>(job, aligned);
   check_launch("update");

@@ -5,19 +5,19 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/halves.cuh"
-#include "cuda/frame/lens_frame.h"
+#include "cuda/frame/direct_frame.h"
 #include "math/projection.h"
 
 namespace lfgs::cuda {
 
-// The lists of a frame: splats, nearest first. A frame with more pairs than its lists hold has one list for all tiles,
-// of all splats drawn; then `ranges` is null.
+// The lists of a frame: splats, nearest first. A frame with more intersections than its lists hold has one list for all
+// tiles, of all splats drawn; then `ranges` is null.
 struct Lists {
   const uint32_t* ids;
   const uint2* ranges;
   unsigned drawn;
 
-  __device__ explicit Lists(const LensFrame& frame) {
+  __device__ explicit Lists(const DirectFrame& frame) {
     ids = frame.ids, drawn = frame.state->drawn;
     ranges = frame.overfull() ? nullptr : reinterpret_cast<const uint2*>(frame.ranges);
   }
@@ -26,21 +26,21 @@ struct Lists {
 };
 
 // How many tiles the kernel chosen has to draw, those that a lattice refused or all; and the number of the i-th.
-__device__ inline unsigned tiles_to_draw(const LensFrame& frame, const Tiling& tiling) {
+__device__ inline unsigned tiles_to_draw(const DirectFrame& frame, const Tiling& tiling) {
   return frame.state->lattices ? frame.state->refused_tiles : unsigned(tiling.across * tiling.down);
 }
-__device__ inline unsigned tile_to_draw(const LensFrame& frame, unsigned i) {
+__device__ inline unsigned tile_to_draw(const DirectFrame& frame, unsigned i) {
   return frame.state->lattices ? frame.refused[i] : i;
 }
 
-// Hands out the pieces of work of a kernel. The next piece is asked for while one is drawn, so that nobody waits for
+// Hand out the pieces of work of a kernel. The next piece is asked for while one is drawn, so that nobody waits for
 // it.
 struct WorkQueue {
   unsigned* next;
   unsigned claimed = 0;
 
-  __device__ WorkQueue(const LensFrame& frame, LensKernel kernel) : next(&frame.state->next_tile[int(kernel)]) {}
-  // Asks for the next piece. Called by one of the threads that share it; the first `first` pieces are handed out
+  __device__ WorkQueue(const DirectFrame& frame, FrameKernel kernel) : next(&frame.state->next_tile[int(kernel)]) {}
+  // Ask for the next piece. Called by one of the threads that share it; the first `first` pieces are handed out
   // without asking, one to each block or warp.
   __device__ void claim(unsigned first) { claimed = first + atomicAdd(next, 1u); }
 };
@@ -50,7 +50,7 @@ __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
   return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
 }
 
-// Reads a splat with its centre counted from a point. In a frame, the place of the depth has what rounding took from u0
+// Read a splat with its centre counted from a point. In a frame, the place of the depth has what rounding took from u0
 // and v0, as halves (see place_mean()). Small splats show the difference, so the second function adds it;
 // bounds do without.
 __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
@@ -67,7 +67,7 @@ __device__ inline Splat<float> whole_splat_about(const Splats<float>& splats, ui
   return splat;
 }
 
-// Stores two neighbouring pixels, the first in an even column. values are by place, and are put into the order of the
+// Store two neighbouring pixels, the first in an even column. values are by place, and are put into the order of the
 // channels. Cells: see by_place(). Bytes are stored two at a time where rows allow it.
 template <bool Cells, class Out>
 __device__ void store_pixels(const LensOptics& lens, int column, int row, const float (&values)[6], Out* out) {

@@ -1,12 +1,12 @@
 // Which sub-pixel belongs to which lens, and from which offset of the rig it is seen: twin of scene/lens.h for kernels.
 #pragma once
 
-#include "cuda/frame/lens_frame.h"
+#include "cuda/frame/direct_frame.h"
 
 namespace lfgs::cuda {
 
 // Functions of the offset are fitted over -1..1 through the zeros of Chebyshev's polynomials of the second kind, which
-// gives the least mean error: a line through -+ kLinePlace, a parabola through 0 and -+ kParabolaPlace.
+// minimizes the mean error. A line goes through -+ kLinePlace, a parabola through 0 and -+ kParabolaPlace.
 constexpr float kLinePlace = 0.5f, kParabolaPlace = 0.70710678f;
 
 // The phase of a stripe.
@@ -16,7 +16,7 @@ __device__ inline uint64_t phase_at(const LensOptics& lens, int row, int subpixe
 
 // The camera coordinate x of a phase. It is n + 1/2, where n is the high part of phase * views; with a continuous lens
 // it is x itself.
-__device__ inline float camera_of(const LensOptics& lens, uint64_t phase) {
+__device__ inline float camera_offset(const LensOptics& lens, uint64_t phase) {
   const unsigned views = unsigned(lens.views), high = unsigned(phase >> 32);
   const uint64_t product = uint64_t(high) * views + __umulhi(unsigned(phase), views);
   const unsigned part = lens.continuous ? unsigned(product) : 1u << 31;
@@ -46,11 +46,13 @@ __device__ inline int lens_start(const LensOptics& lens, int row, int number) {
   return m;
 }
 
-// The offsets that a group of ordinals sees: centre -+ half.
-__device__ inline void group_offsets(const Ordinals& ordinals, int group, float& centre, float& half) {
-  const int first = group * ordinals.per_group, last = min(first + ordinals.per_group, ordinals.count) - 1;
-  const float a = fminf(ordinals.centre[first] - ordinals.half[first], ordinals.centre[last] - ordinals.half[last]);
-  const float b = fmaxf(ordinals.centre[first] + ordinals.half[first], ordinals.centre[last] + ordinals.half[last]);
+// The offsets that a group of lens columns sees: centre -+ half.
+__device__ inline void group_offsets(const LensColumns& lens_columns, int group, float& centre, float& half) {
+  const int first = group * lens_columns.per_group, last = min(first + lens_columns.per_group, lens_columns.count) - 1;
+  const float a =
+      fminf(lens_columns.centre[first] - lens_columns.half[first], lens_columns.centre[last] - lens_columns.half[last]);
+  const float b =
+      fmaxf(lens_columns.centre[first] + lens_columns.half[first], lens_columns.centre[last] + lens_columns.half[last]);
   centre = 0.5f * (a + b), half = 0.5f * (b - a);
 }
 
@@ -65,7 +67,7 @@ __device__ inline int in_image(const LensOptics& lens, int m) {
 // Bytes that the sub-pixels of a row of a tile of lenses take, at most.
 LFGS_HD int lens_row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
 
-// Stores the sub-pixels of a row from ends.x to before ends.y in the image, as far as they are on the panel. By a warp.
+// Store the sub-pixels of a row from ends.x to before ends.y in the image, as far as they are on the panel. By a warp.
 __device__ inline void store_row(const LensOptics& lens, int row, int2 ends, const uint8_t* bytes, uint8_t* out) {
   const int width = 3 * lens.width_px, end = min(ends.y, width);
   uint8_t* to = out + int64_t(row) * width;
@@ -74,7 +76,7 @@ __device__ inline void store_row(const LensOptics& lens, int row, int2 ends, con
 }
 
 // A colour in the order of the sub-pixels of a pixel, from the left. Cells: false where the panel has no cells; then an
-// order that is not red, green, blue can only be the reverse.
+// order that is not red, green, blue can only be blue, green, red.
 template <bool Cells = true>
 __device__ float4 by_place(const LensOptics& lens, float4 c) {
   if constexpr (!Cells) return lens.permuted ? make_float4(c.z, c.y, c.x, c.w) : c;
@@ -83,7 +85,7 @@ __device__ float4 by_place(const LensOptics& lens, float4 c) {
   return make_float4(at(0), at(1), at(2), c.w);
 }
 
-// The offset from the middle of an ordinal that v = 1 stands for.
-__device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
+// The offset from the middle of a lens column that v = 1 stands for.
+__device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.lens_columns.view_unit; }
 
 }  // namespace lfgs::cuda

@@ -4,27 +4,27 @@
 #include <cstddef>
 
 #include "cuda/common/check.h"
-#include "cuda/frame/lens_frame.h"
-#include "cuda/frame/lens_plan.cuh"
-#include "cuda/lens/project_lens.cuh"
+#include "cuda/frame/direct_frame.h"
+#include "cuda/frame/kernel_cost.cuh"
+#include "cuda/direct/project_direct.cuh"
 
 namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 128;
 
-// How much the colour of a Gaussian errs as a parabola within an ordinal, at most: looked at in the middles between the
-// places where it does not err, and at the ends of the ordinal.
-__device__ __noinline__ float ordinal_colour_error(const LensFrame& frame, const Gaussians<const float> gaussians,
-                                                   const View<double>& rig, int64_t i) {
+// The largest error of a Gaussian's colour as a parabola within a lens column. It is evaluated at the ends of the lens
+// column, and midway between the points of the fit.
+__device__ __noinline__ float lens_column_colour_error(const DirectFrame& frame, const Gaussians<const float> gaussians,
+                                                       const Camera<double>& rig, int64_t i) {
   constexpr float kNodes[] = {-kParabolaPlace, 0, kParabolaPlace}, kBetween[] = {-1, -0.4082483f, 0.4082483f, 1};
   const CircleOfGaussian colour(gaussians, rig, i);
-  const Ordinals& ordinals = frame.optics.ordinals;
+  const LensColumns& lens_columns = frame.optics.lens_columns;
   float worst = 0;
-  for (int t = 0; t < ordinals.count; ++t) {
+  for (int t = 0; t < lens_columns.count; ++t) {
     auto seen = [&](float part, int c) {
       const CirclePoint<float> point(float(colour.circle.place), float(colour.circle.distance),
-                                     fmaf(part, ordinals.half[t], ordinals.centre[t]));
+                                     fmaf(part, lens_columns.half[t], lens_columns.centre[t]));
       return fmaxf(point.colour([&](int m) { return float(colour.terms[m][c]); }), 0.f);
     };
     for (int c = 0; c < 3; ++c) {
@@ -38,37 +38,37 @@ __device__ __noinline__ float ordinal_colour_error(const LensFrame& frame, const
   return worst;
 }
 
-// Counts the splats whose colours the ordinal kernel would draw too wrong. Within an ordinal of half width w, the error
-// is at most w^3 / 12 times the third derivative by s. By the angle, harmonic k has derivatives of at most k, k^2 and
-// k^3 times its amplitude; by s, the angle has 1 / r, 1 / r^2 and 2 / r^3 at a distance r from the cameras.
-struct OrdinalWatch {
-  const LensFrame& frame;
+// Count the splats whose colours the lens column kernel would draw too wrong. Within a lens column of half width w, the
+// error is at most w^3 / 12 times the third derivative by s. By the angle, harmonic k has derivatives of at most k, k^2
+// and k^3 times its amplitude. By s, the angle has 1 / r, 1 / r^2 and 2 / r^3 at a distance r from the cameras.
+struct LensColumnWatch {
+  const DirectFrame& frame;
   const Gaussians<const float>& gaussians;
-  const View<double>& rig;
+  const Camera<double>& rig;
   int64_t i;
 
   __device__ void operator()(const Splat<float>& splat, const ColourCircle<float>& circle,
                              const glm::vec3& amplitudes) const {
-    if (!(frame.ordinal_error > 0)) return;
-    const float u = fmaxf(fabsf(circle.place) - 1, 0.f), w = frame.optics.ordinals.widest;
+    if (!(frame.lens_column_error > 0)) return;
+    const float u = fmaxf(fabsf(circle.place) - 1, 0.f), w = frame.optics.lens_columns.widest;
     const float inverse = rsqrtf(fmaf(u, u, circle.distance * circle.distance)) * w;
     const float derivative = 6 * amplitudes.x + 24 * amplitudes.y + 60 * amplitudes.z;
-    const float most = frame.ordinal_error * exp2f(-splat.log2_opacity);
+    const float most = frame.lens_column_error * exp2f(-splat.log2_opacity);
     if (inverse * inverse * inverse * derivative * (1 / 12.f) <= most) return;
-    if (ordinal_colour_error(frame, gaussians, rig, i) > most) atomicAdd(&frame.state->bent_colours, 1u);
+    if (lens_column_colour_error(frame, gaussians, rig, i) > most) atomicAdd(&frame.state->bent_colours, 1u);
   }
 };
 
-// Projects a Gaussian a thread. Some blocks also add their splats to the frame's sums; the last of these to end reads
+// Project a Gaussian a thread. Some blocks also add their splats to the frame's sums; the last of these to end reads
 // the sums and chooses.
 template <int Order, bool kCompensated>
-__global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ LensFrame frame,
-                                     const __grid_constant__ Rig rig, const __grid_constant__ BasisTable basis) {
+__global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ DirectFrame frame,
+                                     const __grid_constant__ RoundedRig rig, const __grid_constant__ BasisTable basis) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   Splat<float> splat;
   splat.reach_y = -1;
   if (i < gaussians.count) {
-    const OrdinalWatch watch{frame, gaussians, rig.exact, i};
+    const LensColumnWatch watch{frame, gaussians, rig.exact, i};
     splat = store_splat<Order, kCompensated>(
         gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis, {frame.colour_error, frame.left_out},
         frame.cut, frame.in_half, frame.least_light, i, frame.splats, frame.depths, &frame.state->colour_error, watch);
@@ -85,7 +85,7 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   }
 }
 
-// Has the frame drawn by pixels if a colour was found that the ordinal kernel would draw too wrong. After project:
+// Has the frame drawn by pixels if a colour was found that the lens column kernel would draw too wrong. After project:
 // blocks may find one when the kernel has been chosen already.
 __global__ void settle_kernel(FrameState* state) {
   if (state->bent_colours) state->choice = state->by_pixels;
@@ -93,7 +93,7 @@ __global__ void settle_kernel(FrameState* state) {
 
 }  // namespace
 
-void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream) {
+void frame_project(const DirectFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream) {
   require(gaussians.count == frame.splats.count && gaussians.sh_degree == frame.sh_degree,
           "a frame for " + std::to_string(frame.splats.count) + " Gaussians of degree " +
               std::to_string(frame.sh_degree) + " got " + std::to_string(gaussians.count) + " of degree " +
@@ -106,15 +106,15 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
         "project: clear the state");
 
   // Where lists are kept, the kernel must be the one for which they were made
-  const bool settles = frame.splats.colour_order > 2 && frame.has_ordinal() && frame.forced < 0;
-  LensFrame own = frame;
-  if (keep_lists || !settles) own.ordinal_error = 0;
+  const bool settles = frame.splats.colour_order > 2 && frame.has_lens_column() && frame.forced < 0;
+  DirectFrame own = frame;
+  if (keep_lists || !settles) own.lens_column_error = 0;
 
   const BasisTable basis{ColourBasis(frame.splats.colour_order)};
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // without Gaussians, one chooses
   with_order(frame.splats.colour_order, frame.rig.compensated(), [&](auto order, auto compensated) {
     frame_project_kernel<order, compensated>
-        <<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, own, Rig(frame.rig), basis);
+        <<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, own, RoundedRig(frame.rig), basis);
   });
   check_launch("frame_project");
   if (!settles) return;

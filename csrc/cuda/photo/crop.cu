@@ -1,6 +1,6 @@
-// Cropping a photo: a pass over all pixels finds the object, then a thread has a pixel of what is made, resized first
-// along rows and then along columns.
-#include "cuda/photo/crop.h"
+// Crop a photo. A pass over all pixels finds the object. Then a thread makes a pixel of the result, resized first along
+// rows, then along columns.
+#include "cuda/photo/photo.h"
 
 #include <algorithm>
 
@@ -12,8 +12,8 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int64_t kMostRows = 65535;  // of a grid
 
-// The box is found by maxima alone, so that zeros are where they begin: how far it is from the bottom to the top edge,
-// where it ends below; the same to the right; and whether a value was out of range.
+// The box is found by maxima alone, which begin at zero. They are the distance of its top edge from the bottom, and its
+// lower end; the same for left and right; and whether a value was out of range.
 enum Found { kFromBottom, kBottom, kFromRight, kRight, kOutside };
 
 // The square round the box, in whole pixels; it may reach beyond the photo.
@@ -44,7 +44,7 @@ struct Triangle {
   }
 };
 
-// Calls add(pixel, weight) for those that lie in the photo, from `start` to `end` of it; what lies beyond is zero.
+// Call add(pixel, weight) for those that lie in the photo, from `start` to `end` of it; what lies beyond is zero.
 template <class Add>
 __device__ void for_each_weight(const Triangle& triangle, int64_t origin, int64_t end, const Add& add) {
   float sum = 0;
@@ -53,7 +53,7 @@ __device__ void for_each_weight(const Triangle& triangle, int64_t origin, int64_
     if (origin + k >= 0 && origin + k < end) add(origin + k, triangle.weight(k) / sum);
 }
 
-__device__ inline float4 pixel_of(const Photo& photo, int64_t i) {
+__device__ inline float4 read_pixel(const Photo& photo, int64_t i) {
   if (photo.floats) return reinterpret_cast<const float4*>(photo.floats)[i];
   const uint32_t word = reinterpret_cast<const uint32_t*>(photo.bytes)[i];
   return make_float4(float(word & 255), float(word >> 8 & 255), float(word >> 16 & 255), float(word >> 24));
@@ -66,7 +66,7 @@ __global__ void __launch_bounds__(kThreads) find_kernel(Photo photo) {
   __syncthreads();
   for (int64_t row = blockIdx.x; row < photo.height; row += gridDim.x) {
     for (int64_t column = threadIdx.x; column < photo.width; column += kThreads) {
-      const float4 p = pixel_of(photo, row * photo.width + column);
+      const float4 p = read_pixel(photo, row * photo.width + column);
       if (photo.floats && !(in_range(p.x) && in_range(p.y) && in_range(p.z) && in_range(p.w)))
         atomicMax(&found[kOutside], 1u);
       if (!(p.w >= photo.opaque)) continue;
@@ -94,7 +94,7 @@ __global__ void __launch_bounds__(kThreads) across_kernel(Photo photo, int size_
     if (row < square.top || row >= square.top + square.side) continue;
     float4 sum = make_float4(0, 0, 0, 0);
     for_each_weight(triangle, square.left, photo.width, [&](int64_t pixel, float weight) {
-      const float4 p = pixel_of(photo, row * photo.width + pixel);
+      const float4 p = read_pixel(photo, row * photo.width + pixel);
       const float alpha = p.w / per_unit, covering = weight * alpha;
       sum.x += covering * (p.x / per_unit), sum.y += covering * (p.y / per_unit), sum.z += covering * (p.z / per_unit);
       sum.w += covering;

@@ -14,7 +14,7 @@ __global__ void __launch_bounds__(kThreads) prepare_kernel(const __grid_constant
   if (column < job.columns()) prepare_texel(job, blur.reach, weight, blockIdx.y, column);
 }
 
-// Writes the vectors of a block's first `count` threads.
+// Write the vectors of a block's first `count` threads.
 __device__ void store_vectors(const glm::vec3& mine, int count, float (&shared)[3 * kThreads], float* to) {
   for (int c = 0; c < 3; ++c) shared[3 * threadIdx.x + c] = mine[c];
   __syncthreads();

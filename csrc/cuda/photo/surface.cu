@@ -13,7 +13,7 @@ __global__ void __launch_bounds__(kThreads) weigh_kernel(const __grid_constant__
   if (own_pixel() < job.pixels()) weigh(job, blockIdx.y, own_pixel());
 }
 
-// Blurs the planes of a set into another, along rows or along columns.
+// Blur the planes of a set into another, along rows or along columns.
 __global__ void __launch_bounds__(kThreads)
     blur_kernel(const __grid_constant__ Surface job, Blur blur, int from, int to, bool down) {
   const int64_t pixel = own_pixel(), row = pixel / job.width, column = pixel % job.width;

@@ -7,7 +7,7 @@
 
 namespace lfgs::cuda {
 
-// Writes bits from some place of the stream on, the lowest first. The stream is zero before; words at the ends of what
+// Write bits from some place of the stream on, the lowest first. The stream is zero before; words at the ends of what
 // a thread writes belong to its neighbours too.
 class BitWriter {
  public:

@@ -1,5 +1,5 @@
-// Deflates an image (png.h): count how often each symbol stands in the stream, make the codes, find where each piece of
-// a row begins, and write. The three passes over the image each filter it anew, which costs less than keeping it.
+// Deflate an image (png.h): count each symbol of the stream, make the codes, find the start of each piece of a row, and
+// write. The three passes over the image each filter it anew, which costs less than keeping it.
 //
 // A block has a piece of a row, and each of its threads a segment of that. Runs end with the segment, so that threads
 // need nothing of each other but how many bits the others write.
@@ -38,7 +38,7 @@ struct Length {
 // The block's piece of a row, filtered, in shared memory, and the thread's segment of it.
 class Segment {
  public:
-  // Calls see(byte, column, n) for the n-th byte that this thread brings, kThreads apart from the one before.
+  // Call see(byte, column, n) for the n-th byte that this thread brings, kThreads apart from the one before.
   template <class See>
   __device__ Segment(const PngImage& image, unsigned pieces, uint8_t (&shared)[kThreads * kStride], See&& see)
       : row(blockIdx.x / pieces), first(int64_t(blockIdx.x % pieces) * kPiece) {
@@ -60,8 +60,8 @@ class Segment {
       before = starts_row ? kUp : filtered(first - 1);
   }
 
-  // Calls literal(byte) and run(bytes) for what becomes of the segment, in order: the filter where the row begins, and
-  // runs of what stands before them.
+  // Call literal(byte) and run(bytes) for the segment, in order: the filter where the row begins, and repetitions of
+  // the byte before.
   template <class Literal, class Run>
   __device__ void symbols(Literal&& literal, Run&& run) const {
     if (starts_row) literal(kUp);
@@ -90,14 +90,14 @@ __device__ unsigned long long sum_of_warp(unsigned long long value) {
   return value;
 }
 
-// What the count sees of the bytes that a thread brings: their sum, the sum of each times its number, and whether one
-// tells that the image has more than one colour.
+// Facts about the bytes of a thread: their sum, the sum of each times its number, and whether the image has more than
+// one colour.
 struct Seen {
   unsigned sum = 0, numbered = 0;
   bool varied = false;
 };
 
-// Adds to the sums of Adler-32: of all bytes, and of each times how many there are from it to the end.
+// Add to the sums of Adler-32: of all bytes, and of each times how many there are from it to the end.
 __device__ void add_to_sums(const PngImage& image, const Segment& segment, const Seen& seen) {
   const unsigned long long size = (unsigned long long)(image.height) * (image.row_bytes + 1);
   const unsigned long long to_end = size - segment.row * (image.row_bytes + 1) - 1 - (segment.first + threadIdx.x);
@@ -164,7 +164,7 @@ __device__ void load_codes(const PngImage& image, uint32_t (&codes)[kDeflateSymb
 }
 
 // How many bits the thread's segment takes. A run has one bit for its distance.
-__device__ unsigned bits_of(const Segment& segment, const uint32_t (&codes)[kDeflateSymbols]) {
+__device__ unsigned bit_count(const Segment& segment, const uint32_t (&codes)[kDeflateSymbols]) {
   unsigned bits = 0;
   segment.symbols([&](uint8_t byte) { bits += codes[byte] >> 16; },
                   [&](int bytes) {
@@ -195,7 +195,7 @@ __global__ void __launch_bounds__(kThreads) measure_kernel(const __grid_constant
   __shared__ unsigned sums[kWarps];
   load_codes(image, codes);
   const Segment segment(image, pieces, shared, [](uint8_t, int64_t, int) {});
-  const unsigned bits = bits_of(segment, codes), before = sum_before(bits, sums);
+  const unsigned bits = bit_count(segment, codes), before = sum_before(bits, sums);
   image.starts[int64_t(blockIdx.x) * kThreads + threadIdx.x] = before;
   if (threadIdx.x == kThreads - 1) image.offsets[blockIdx.x] = before + bits;
 }

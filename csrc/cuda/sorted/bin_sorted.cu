@@ -1,4 +1,4 @@
-// Stages count, fill and order of `sorted` on the device: list, for every (view, tile), the splats that may touch the
+// Stage count, fill and order of `sorted` on the device: list, for every (view, tile), the splats that may touch the
 // tile, nearest first. They read the projected splats, and write SortedChunk::ranges and ids.
 #include <algorithm>
 
@@ -15,17 +15,17 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kManyRows = 8;  // of tiles: a splat that may touch more is shared by the lanes of a warp
 
-// The two times that the pairs are gone through: kCount counts them, in the place of the ends of the lists, and kFill
-// fills the lists.
+// The two passes over the intersections. kCount counts them, in the place of the ends of the lists, and kFill fills the
+// lists.
 enum class Pass { kCount, kFill };
 
-// Adds a splat to one list.
+// Add a splat to one list.
 __device__ void add(const SortedChunk& chunk, Pass pass, unsigned list, uint32_t id) {
   const unsigned place = atomicAdd(&reinterpret_cast<uint2*>(chunk.ranges)[list].y, 1u);
   if (pass == Pass::kFill) chunk.ids[place] = id;
 }
 
-// Adds the splats of a warp's lanes to a list each, lanes with `some` only. Splats that are neighbours mostly go to the
+// Add the splats of a warp's lanes to a list each, lanes with `some` only. Splats that are neighbours mostly go to the
 // same list, for which one lane asks then.
 __device__ void add_together(const SortedChunk& chunk, Pass pass, bool some, unsigned list, uint32_t id) {
   const unsigned lane = threadIdx.x % 32, none = ~0u;
@@ -39,10 +39,10 @@ __device__ void add_together(const SortedChunk& chunk, Pass pass, bool some, uns
   if (some) chunk.ids[place] = id;
 }
 
-// Goes through the pairs. A thread has a splat at a time, of whose tiles each lane adds one after the other; a warp
-// shares the work for a large splat, a row of tiles a lane. One kernel does both passes, so that they find the same
-// tiles to the last bit.
-__global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__ SortedChunk chunk, Pass pass) {
+// Go through the intersections. A thread has a splat at a time, and adds its tiles one after the other. A warp shares
+// the work for a large splat, a row of tiles a lane. One kernel does both passes, so that they find the same tiles to
+// the last bit.
+__global__ void __launch_bounds__(kThreads) intersections_kernel(const __grid_constant__ SortedChunk chunk, Pass pass) {
   const int lane = threadIdx.x % 32;
   const int64_t splats = chunk.image.count * chunk.count, step = int64_t(gridDim.x) * kThreads;
   const unsigned tiles = unsigned(chunk.tiles()), per_view = unsigned(chunk.count);
@@ -87,7 +87,8 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
 // A thread has a list.
 __global__ void __launch_bounds__(kThreads) place_lists_kernel(const __grid_constant__ SortedChunk chunk) {
   SortedState& state = *chunk.state;
-  place_lists(chunk.lists(), reinterpret_cast<uint2*>(chunk.ranges), state.pairs, state.long_lists, chunk.long_lists);
+  place_lists(chunk.lists(), reinterpret_cast<uint2*>(chunk.ranges), state.intersections, state.long_lists,
+              chunk.long_lists);
 }
 
 __global__ void __launch_bounds__(sorting::kThreads, 4) sort_lists_kernel(const __grid_constant__ SortedChunk chunk) {
@@ -104,10 +105,10 @@ unsigned blocks_in_turn(Kernel kernel, int threads, int64_t items, int64_t per_b
   return unsigned(std::min<int64_t>(resident_blocks(kernel, threads, 0), blocks_for(items, per_block)));
 }
 
-void go_through_pairs(const SortedChunk& chunk, Pass pass, Stream stream) {
-  const unsigned blocks = blocks_in_turn(pairs_kernel, kThreads, chunk.splats(), kThreads);
-  pairs_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(chunk, pass);
-  check_launch("bin_sorted: pairs");
+void visit_intersections(const SortedChunk& chunk, Pass pass, Stream stream) {
+  const unsigned blocks = blocks_in_turn(intersections_kernel, kThreads, chunk.splats(), kThreads);
+  intersections_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(chunk, pass);
+  check_launch("bin_sorted: intersections");
 }
 
 }  // namespace
@@ -115,14 +116,14 @@ void go_through_pairs(const SortedChunk& chunk, Pass pass, Stream stream) {
 void count_sorted(const SortedChunk& chunk, Stream stream) {
   check(cudaMemsetAsync(chunk.state, 0, chunk.cleared_bytes, cudaStream_t(stream)), "bin_sorted: clear");
   if (chunk.splats() == 0) return;
-  go_through_pairs(chunk, Pass::kCount, stream);
+  visit_intersections(chunk, Pass::kCount, stream);
   const unsigned blocks = unsigned(blocks_for(chunk.lists(), kThreads));
   place_lists_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(chunk);
   check_launch("bin_sorted: place");
 }
 
 void fill_sorted(const SortedChunk& chunk, Stream stream) {
-  if (chunk.splats() > 0) go_through_pairs(chunk, Pass::kFill, stream);
+  if (chunk.splats() > 0) visit_intersections(chunk, Pass::kFill, stream);
 }
 
 void order_sorted(const SortedChunk& chunk, Stream stream) {

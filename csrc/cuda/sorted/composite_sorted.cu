@@ -2,9 +2,9 @@
 // splats, the lists of every (view, tile) and the lists of sub-pixels, and writes those sub-pixels of the image.
 //
 // A block has the sub-pixels of one view in one tile. A group of its lanes has 32 of them, kEach a lane. They lie close
-// together, since the lists run along the columns; so a group first notes which splats may touch the box around its
-// sub-pixels, and then blends only those. Several groups share a warp, each with hits of its own: a splat that is read
-// serves kEach sub-pixels of a lane, and the box is no larger for it.
+// together, since the lists run along the columns. So a group first lists the splats that may touch the box around its
+// sub-pixels, and then blends only those. Several groups share a warp, each with its own intersections. A splat that is
+// read serves kEach sub-pixels of a lane, and the box is no larger.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/sorted/sorted.h"
@@ -38,11 +38,11 @@ struct Staged {
   }
 };
 
-// What a block keeps of a batch of splats: the splats, with one that touches nothing behind them, in the colours of the
-// background; and for each group the numbers of those that it blends.
+// A batch of splats of a block. Behind the splats is one that touches nothing, in the colours of the background. Each
+// group has the numbers of the splats that it blends.
 struct alignas(16) Batch {
   Staged splats[kStaged + 1];
-  ushort4 hits[kGroups][kStaged / kAtATime];
+  ushort4 intersections[kGroups][kStaged / kAtATime];
 };
 
 // The box around the sub-pixels of a group: middle and half size.
@@ -73,7 +73,7 @@ struct Sample {
 };
 
 // The box around the samples of this thread's group; where there are none, it meets no splat.
-__device__ Box box_of(const Sample (&samples)[kEach]) {
+__device__ Box bounding_box(const Sample (&samples)[kEach]) {
   const float far = 1e9f;
   float left = far, right = -far, top = far, bottom = -far;
   for (const Sample& s : samples)
@@ -85,7 +85,7 @@ __device__ Box box_of(const Sample (&samples)[kEach]) {
   return {(left + right) / 2, (top + bottom) / 2, (right - left) / 2, (bottom - top) / 2};
 }
 
-// Reads a splat for the tile whose corner is at (x0, y0).
+// Read a splat for the tile whose corner is at (x0, y0).
 __device__ Staged staged(const SortedChunk& chunk, uint32_t id, float x0, float y0) {
   const float4* footprint = reinterpret_cast<const float4*>(chunk.footprints) + 2 * int64_t(id);
   const float4 place = __ldg(footprint), size = __ldg(footprint + 1);
@@ -95,7 +95,7 @@ __device__ Staged staged(const SortedChunk& chunk, uint32_t id, float x0, float 
           -down_y * v0, size.x,         {colour.x, colour.y, colour.z}};
 }
 
-// Reads `count` splats of a list, up to kStaged, and fills the last group of kLanes up with some that touch nothing. A
+// Read `count` splats of a list, up to kStaged, and fill the last group of kLanes up with some that touch nothing. A
 // thread reads several before it waits for them.
 __device__ void stage(const SortedChunk& chunk, const uint32_t* ids, int count, float x0, float y0, Batch& batch) {
   constexpr int kTogether = 2;
@@ -111,29 +111,29 @@ __device__ void stage(const SortedChunk& chunk, const uint32_t* ids, int count, 
   }
 }
 
-// Writes the numbers of the batch's splats that may touch the group's box, in order, and then that of the splat that
-// touches nothing, until all groups of the warp have as many. Returns how many, a multiple of kAtATime.
-__device__ int note_hits(const Batch& batch, int count, const Box& box, uint16_t* hits) {
+// Write the numbers of the batch's splats that may touch the group's box, in order. Pad them with the splat that
+// touches nothing, until all groups of the warp have as many. Return how many, a multiple of kAtATime.
+__device__ int list_intersections(const Batch& batch, int count, const Box& box, uint16_t* intersections) {
   const int lane = threadIdx.x % kLanes, first_lane = threadIdx.x % 32 - lane;
   const unsigned group = (~0u >> (32 - kLanes)) << first_lane, before = ((1u << lane) - 1) << first_lane;
   int noted = 0;
   for (int first = 0; first < count; first += kLanes) {
-    const bool hit = box.meets(batch.splats[first + lane]);
-    const unsigned all = __ballot_sync(~0u, hit);
-    if (hit) hits[noted + __popc(all & before)] = uint16_t(first + lane);
+    const bool touched = box.meets(batch.splats[first + lane]);
+    const unsigned all = __ballot_sync(~0u, touched);
+    if (touched) intersections[noted + __popc(all & before)] = uint16_t(first + lane);
     noted += __popc(all & group);
   }
   int most = noted;
   for (int step = kLanes; step < 32; step *= 2) most = max(most, __shfl_xor_sync(~0u, most, step));
   most = int(blocks_for(most, kAtATime)) * kAtATime;
-  for (int k = noted + lane; k < most; k += kLanes) hits[k] = kStaged;
+  for (int k = noted + lane; k < most; k += kLanes) intersections[k] = kStaged;
   __syncwarp();
   return most;
 }
 
-// The light that a sub-pixel has taken, and where it goes on. It takes splats whose power is not below `least`: from
-// the opacity cut on while it is open, then none, since the next splat would leave less than the limit of
-// transmittance. What is left is for the background.
+// The light that a sub-pixel has taken, and where it goes on. It takes splats whose power is at least `least`. That is
+// the opacity cut while the sample is open. Afterwards it takes none, since the next splat would leave less than the
+// limit of transmittance. What is left is for the background.
 struct Light {
   static constexpr float kClosed = 1e30f;
   float value = 0, transmittance = 1, least = kClosed;
@@ -141,7 +141,7 @@ struct Light {
   __device__ bool open() const { return least < kClosed; }
   __device__ bool over_limit() const { return transmittance < float(kMinTransmittance); }
 
-  // Blends a splat; as over() in blend.cuh, with fewer steps.
+  // Blend a splat; as over() in blend.cuh, with fewer steps.
   __device__ void take(float power, float colour) {
     const float weight = fminf(fast_exp2(power), float(kMaxAlpha)) * transmittance, after = transmittance - weight;
     const bool seen = power >= least, full = after < float(kMinTransmittance);
@@ -165,31 +165,31 @@ struct Drawing {
     for (const Light& light : lights) found |= (light.*is)();
     return found;
   }
-  __device__ void blend(const Batch& batch, const ushort4& hits, void (Light::*take)(float, float)) {
-    const unsigned numbers[kAtATime] = {hits.x, hits.y, hits.z, hits.w};
-    LFGS_UNROLL for (const unsigned hit : numbers) {
-      const Staged& splat = batch.splats[hit];
+  __device__ void blend(const Batch& batch, const ushort4& intersections, void (Light::*take)(float, float)) {
+    const unsigned numbers[kAtATime] = {intersections.x, intersections.y, intersections.z, intersections.w};
+    LFGS_UNROLL for (const unsigned intersection : numbers) {
+      const Staged& splat = batch.splats[intersection];
       LFGS_UNROLL for (int k = 0; k < kEach; ++k) {
         const Sample& at = samples[k];
         (lights[k].*take)(splat.power(at.x, at.y), splat.colours[at.channel]);
       }
     }
   }
-  // Blends splats as if no sample came to the limit, which saves a third of the steps: transmittances only fall, so
-  // one look behind the last tells whether it was so, and if not, all is done again with care. Returns false when no
-  // sample of the warp is open any more.
-  __device__ bool blend(const Batch& batch, const ushort4& hits) {
+  // Blend splats as if no sample came to the limit, which saves a third of the steps. Transmittances only fall, so one
+  // test after the last splat is enough; if it fails, blend all again with the limit. Return false when no sample of
+  // the warp is open any more.
+  __device__ bool blend(const Batch& batch, const ushort4& intersections) {
     Drawing before = *this;
-    blend(batch, hits, &Light::take_freely);
+    blend(batch, intersections, &Light::take_freely);
     if (!__any_sync(~0u, any(&Light::over_limit))) return true;
     *this = before;
     __syncwarp();  // so that splats are read again: kept, they would take registers all the time
-    blend(batch, hits, &Light::take);
+    blend(batch, intersections, &Light::take);
     return __any_sync(~0u, any(&Light::open));
   }
 };
 
-// Draws the sub-pixels of one (view, tile), a block each. Blocks that start together have the views of one tile, so
+// Draw the sub-pixels of one (view, tile), a block each. Blocks that start together have the views of one tile, so
 // that what they write, a byte here and there, meets in the cache. For every kSubpixels of them the block stages the
 // tile's splats in batches, and each thread blends them into its own. tiles: of a view, `across` of them in a row.
 __global__ void __launch_bounds__(kThreads, kResident)
@@ -212,7 +212,7 @@ __global__ void __launch_bounds__(kThreads, kResident)
       mine.samples[k].read(lists.tile, at < last ? lists.codes[at] : kNoSubpixel);
       if (mine.samples[k].some) mine.lights[k].least = float(kLog2MinAlpha);
     }
-    const Box box = box_of(mine.samples);
+    const Box box = bounding_box(mine.samples);
 
     // Go over the list in batches, until no sample takes light any more
     for (unsigned begin = range.x; begin < range.y; begin += kStaged) {
@@ -221,9 +221,9 @@ __global__ void __launch_bounds__(kThreads, kResident)
       stage(chunk, chunk.ids + begin, count, float(x0), float(y0), batch);
       __syncthreads();
 
-      const int noted = note_hits(batch, count, box, reinterpret_cast<uint16_t*>(batch.hits[group]));
+      const int noted = list_intersections(batch, count, box, reinterpret_cast<uint16_t*>(batch.intersections[group]));
       for (int k = 0; k < noted; k += kAtATime)
-        if (!mine.blend(batch, batch.hits[group][k / kAtATime])) break;
+        if (!mine.blend(batch, batch.intersections[group][k / kAtATime])) break;
     }
     __syncthreads();  // before the splats are staged again for the next sub-pixels
 

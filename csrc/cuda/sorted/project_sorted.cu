@@ -23,16 +23,16 @@ __global__ void __launch_bounds__(kThreads)
     project_sorted_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, SortedChunk chunk) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y;
   if (i >= gaussians.count) return;
-  const View<float> view = cameras.view<float>(image);
-  const Shape<float> shape = shape_of(gaussians, i);
+  const Camera<float> camera = cameras.camera<float>(image);
+  const Shape<float> shape = load_shape(gaussians, i);
   const int64_t index = image * gaussians.count + i;
-  Splat<float> splat = projected<kCompensated>(cameras, image, view, shape);
+  Splat<float> splat = projected<kCompensated>(cameras, image, camera, shape);
   cull_outside(splat, cameras.width_px, cameras.height_px);
   write_footprint(splat, chunk.footprints, index);
   if (!(splat.reach_y >= 0)) return;  // nothing reads more of it
   chunk.depths[index] = __float_as_uint(splat.depth);
   const vec3 colour =
-      sh_colour<float>(gaussians.sh_degree, gaussians.sh + 3 * gaussians.sh_count() * i, shape.mean, view.centre());
+      sh_colour<float>(gaussians.sh_degree, gaussians.sh + 3 * gaussians.sh_count() * i, shape.mean, camera.centre());
   reinterpret_cast<float4*>(chunk.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
 }

@@ -1,6 +1,6 @@
-// The stages and their reverses on a CUDA device: the same as the CPU's stages (stages/stages.h), with device pointers
-// and a stream. They run in the order in which they stand here. Nothing allocates or waits; the caller asks for the
-// sizes of temporary storage first.
+// The stages and their backward passes on a CUDA device: the same as the CPU's stages (stages/stages.h), with device
+// pointers and a stream. They run in the order in which they stand here. Nothing allocates or waits; the caller asks
+// for the sizes of temporary storage first.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ using Stream = void*;  // cudaStream_t
 struct TileSize {
   int width_px, height_px;
 };
-constexpr TileSize kDenseTile{16, 16}, kLensTile{32, 16};
+constexpr TileSize kImageTile{16, 16}, kDirectTile{32, 16};
 
 LFGS_HD int64_t tile_count(TileSize tile, int64_t width_px, int64_t height_px) {
   return ((width_px + tile.width_px - 1) / tile.width_px) * ((height_px + tile.height_px - 1) / tile.height_px);
@@ -29,91 +29,98 @@ struct Image {
   TileSize tile;
 };
 
-// --- project. It also writes the keys for sorting, [I * N]: the number of the image above kDepthBits bits of the
-// depth, which is positive; ~0 where nothing is drawn. (Here and below I images have N Gaussians each.)
+// --- project. It also writes the keys for sorting, [I * N]. A key is the number of the image above kDepthBits bits of
+// the positive depth; ~0 where nothing is drawn. (Here and below I images have N Gaussians each.)
 constexpr int kDepthBits = 31;
 constexpr int64_t kMostImages = 65535;  // CUDA's limit for blocks of a launch along y
-void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
-                   uint64_t* keys, Stream stream);
+void project_images(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
+                    uint64_t* keys, Stream stream);
 // error receives the largest estimated error of a colour polynomial (one float, zeroed by the caller).
-void project_lens(const Gaussians<const float>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
-                  const Splats<float>& out, uint64_t* keys, float* error, Stream stream);
+void project_direct(const Gaussians<const float>& gaussians, const Camera<double>& rig, const Lens& lens,
+                    double tolerance, const Splats<float>& out, uint64_t* keys, float* error, Stream stream);
 
-// --- order. Writes the indices [I * N] sorted by key. Raises when 32 bits do not hold an index.
+// --- order. Write the indices [I * N] sorted by key. Raise when 32 bits do not hold an index.
 size_t order_bytes(int64_t items);
 void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
            void* temporary, size_t temporary_bytes, Stream stream);
 
-// --- bin. bin_count writes how many (tile, splat) pairs each splat has, counts [I * N], and how many there are of all,
-// `pairs` (one number). It does not need the order, so that the host may learn the latter while the device sorts.
+// --- bin. bin_count writes how many (tile, splat) intersections each splat has, counts [I * N], and how many there are
+// of all, `intersections` (one number). It does not need the order, so that the host may learn the latter while the
+// device sorts.
 size_t count_bytes(int64_t items);
-void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts, int64_t* pairs, void* temporary,
-               size_t temporary_bytes, Stream stream);
-// Buffers of bin_fill, a number per pair. A *slot* is the place of a pair in splat-major order: those of the i-th
-// sorted splat are [ends[i - 1], ends[i]). After bin_fill only the sorted ones are of use.
+void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts, int64_t* intersections,
+               void* temporary, size_t temporary_bytes, Stream stream);
+// Buffers of bin_fill, a number per intersection. The index of an intersection is its place in splat-major order: those
+// of the i-th sorted splat are [ends[i - 1], ends[i]). After bin_fill only the sorted ones are of use.
 //
-// Where the host does not wait for the number of pairs, `count` is how many there is room for and `total` where the
-// device has their number. If that is larger, some pairs are missing: whoever reads the images has to look.
-struct Pairs {
+// Where the host does not wait for the number of intersections, `count` is the capacity of the buffers. The device has
+// the number at `total`. If that is larger, some intersections are missing: whoever reads the images has to look.
+struct Intersections {
   int64_t count;
-  uint32_t *tiles, *sorted_tiles;         // tile of each slot; of each sorted pair
-  uint32_t *slots, *sorted_slots;         // 0, 1, 2, ...; the slot of each sorted pair
-  uint32_t *slot_splats, *sorted_splats;  // splat of each slot; of each sorted pair
-  const int64_t* total = nullptr;         // null: `count` is their number
+  uint32_t *tiles, *sorted_tiles;      // tile of each intersection; of each sorted intersection
+  uint32_t *indices, *sorted_indices;  // 0, 1, 2, ...; the intersection of each sorted intersection
+  uint32_t *splats, *sorted_splats;    // splat of each intersection; of each sorted intersection
+  const int64_t* total = nullptr;      // null: `count` is their number
 };
-// The splat of the k-th pair in the order of `ranges`.
-LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t k) { return pairs.sorted_splats[k]; }
-// The slots of one splat, [first, last).
-struct SlotRange {
+// The splat of the k-th intersection in the order of `ranges`.
+LFGS_HD uint32_t sorted_splat(const Intersections& intersections, int64_t k) { return intersections.sorted_splats[k]; }
+// The intersections of one splat, [first, last).
+struct IntersectionRange {
   uint32_t first, last;
 };
-// bin_fill writes the pairs, nearest first within a tile; ends [I * N], the running sum of the counts of the sorted
-// splats; ranges [I * tiles, 2], where each tile's pairs begin and end (zeroed by the caller, for empty tiles are left
-// alone); and slot_ranges [I * N]. fill_bytes raises when 32 bits do not hold a slot.
-size_t fill_bytes(int64_t items, int64_t pairs);
+// bin_fill writes the intersections, nearest first within a tile, and intersection_ranges [I * N]. ends [I * N] is the
+// running sum of the counts of the sorted splats. ranges [I * tiles, 2] receives the first and the end of each tile's
+// intersections. The caller zeroes it, for empty tiles are left alone. fill_bytes raises when 32 bits do not hold an
+// intersection.
+size_t fill_bytes(int64_t items, int64_t intersections);
 void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const uint32_t* counts,
-              int64_t* ends, const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary,
-              size_t temporary_bytes, Stream stream);
+              int64_t* ends, const Intersections& intersections, int64_t* ranges,
+              IntersectionRange* intersection_ranges, void* temporary, size_t temporary_bytes, Stream stream);
 
-// --- composite. Reads the pairs of every tile, `ranges`, and writes the images.
-void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
-                     const float* background, DenseImages<float> out, Stream stream);
-void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
-                    const Lens& lens, const float* background, float* out, Stream stream);
+// --- composite. Read the intersections of every tile, `ranges`, and write the images.
+void composite_images(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                      const Intersections& intersections, const float* background, Images<float> out, Stream stream);
+void composite_direct(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                      const Intersections& intersections, const Lens& lens, const float* background, float* out,
+                      Stream stream);
 
-// --- the reverses. Every slot is written by one block in a fixed order, and sums run in the order of slots, so that
-// every run gives the same bits. slot_gradients is [pairs, numbers of a slot]; tile_background is [I * tiles, 3].
+// --- the backward passes. One block writes each intersection in a fixed order, and sums run in the order of
+// intersections. So every run gives the same bits. intersection_gradients is [intersections, numbers of a
+// intersection]; tile_background is [I * tiles, 3].
 //
-// The numbers of a slot are, for ordinary images, the first kDenseFootprintSums of FootprintSum, then the gradients of
-// depth, r, g and b; where absolute gradients are asked for, then the sums of |gradient| of u0 and of v0 over the
-// samples (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each
-// power of s, and with compensation those of D.
-constexpr int kDepthSum = kDenseFootprintSums, kColourSum = kDepthSum + 1, kDenseSums = kColourSum + 3;
-constexpr int kAbsoluteSum = kDenseSums, kAbsoluteDenseSums = kAbsoluteSum + 2;
-constexpr int kLensSums = kLensFootprintSums;
+// The numbers of an intersection are, for ordinary images, the first kImageFootprintSums of FootprintSum, then the
+// gradients of depth, r, g and b. With absolute gradients, the sums of |gradient| of u0 and of v0 over the samples
+// follow (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each power
+// of s, and with compensation those of D.
+constexpr int kDepthSum = kImageFootprintSums, kColourSum = kDepthSum + 1, kImageSums = kColourSum + 3;
+constexpr int kAbsoluteSum = kImageSums, kAbsoluteImageSums = kAbsoluteSum + 2;
+constexpr int kDirectSums = kDirectFootprintSums;
 // Gradients of alpha and of depth may be null: zero everywhere.
-void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                              const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
-                              bool absolute, float* slot_gradients, float* tile_background, Stream stream);
-// Adds up the slots of each splat: sums [I, N, kSplatSums], the numbers of a slot, all zero where a splat has none;
-// what is behind them is left alone.
-constexpr int kSplatSums = kAbsoluteDenseSums;
+void composite_images_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                               const Intersections& intersections, Images<const float> images,
+                               Images<const float> gradients, bool absolute, float* intersection_gradients,
+                               float* tile_background, Stream stream);
+// Add up the intersections of each splat: sums [I, N, kSplatSums], the numbers of an intersection, all zero where a
+// splat has none. Numbers behind them are left alone.
+constexpr int kSplatSums = kAbsoluteImageSums;
 static_assert(kSplatSums == kSplatFields);  // for torch the sums are the gradient of the splats, and so of their shape
-void sum_slots(int64_t splats, const SlotRange* slot_ranges, bool absolute, const float* slot_gradients, float* sums,
-               Stream stream);
+void sum_intersections(int64_t splats, const IntersectionRange* intersection_ranges, bool absolute,
+                       const float* intersection_gradients, float* sums, Stream stream);
 // From the sums of all splats. All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the
-// splats' places, u0 and v0 in pixels; where `absolute` [I, N, 4], with the absolute ones behind. view_partials
-// [I, view_blocks(N), 12], or null, receives those of the rows of [R|t], which the caller sums over the blocks.
-int64_t view_blocks(int64_t gaussians);
-void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
-                            const Gaussians<float>& out, float* screen, bool absolute, float* view_partials,
-                            Stream stream);
+// splats' places, u0 and v0 in pixels. With `absolute` it is [I, N, 4], with the absolute gradients behind.
+// camera_partials [I, camera_blocks(N), 12], or null, receives those of the rows of [R|t], which the caller sums over
+// the blocks.
+int64_t camera_blocks(int64_t gaussians);
+void project_images_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
+                             const Gaussians<float>& out, float* screen, bool absolute, float* camera_partials,
+                             Stream stream);
 
-void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
-                             const Lens& lens, const float* pixels, const float* gradient, float* slot_gradients,
-                             float* tile_background, Stream stream);
-void project_lens_backward(const Gaussians<const float>& gaussians, const View<double>& rig,
-                           const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
-                           const Gaussians<float>& out, Stream stream);
+void composite_direct_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                               const Intersections& intersections, const Lens& lens, const float* pixels,
+                               const float* gradient, float* intersection_gradients, float* tile_background,
+                               Stream stream);
+void project_direct_backward(const Gaussians<const float>& gaussians, const Camera<double>& rig,
+                             const Splats<float>& splats, const IntersectionRange* intersection_ranges,
+                             const float* intersection_gradients, const Gaussians<float>& out, Stream stream);
 
 }  // namespace lfgs::cuda

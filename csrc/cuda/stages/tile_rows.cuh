@@ -13,7 +13,7 @@ struct TileRows {
   int first = 0, last = -1;
 
   __device__ TileRows(const Splat<float>& splat, const Image& image) : splat(splat), image(image) {
-    const Range rows = rows_of(splat, image.height_px);
+    const Range rows = footprint_rows(splat, image.height_px);
     if (rows.last < rows.first) return;
     first = int(rows.first) / image.tile.height_px, last = int(rows.last) / image.tile.height_px;
   }
@@ -23,7 +23,7 @@ struct TileRows {
     const int width = image.tile.width_px, height = image.tile.height_px;
     const float top = float(row * height) + 0.5f;
     float low, high;
-    if (!columns_of(splat, top, top + float(height - 1), 0.f, low, high)) return 0;
+    if (!footprint_columns(splat, top, top + float(height - 1), 0.f, low, high)) return 0;
     const Range columns = pixels_within(low, high, image.width_px);
     if (columns.last < columns.first) return 0;
     tile = row * ((int(image.width_px) + width - 1) / width) + int(columns.first) / width;

@@ -40,7 +40,7 @@ struct Ssim {
 // Variances are not below zero, which rounding could make of them. (v + |v|) / 2 is their greater part: a comparison
 // would keep compilers from using vectors.
 template <class R>
-LFGS_HD Ssim<R> ssim_of(const SsimMoments<R>& m) {
+LFGS_HD Ssim<R> compute_ssim(const SsimMoments<R>& m) {
   const R c1 = R(kSsimMeans), c2 = R(kSsimVariances), product = m.x * m.y, squares = m.x * m.x + m.y * m.y;
   const R variances = m.xx + m.yy - squares;
   const R inverse_means = 1 / (squares + c1), inverse_variances = 1 / (R(0.5) * (variances + std::abs(variances)) + c2);

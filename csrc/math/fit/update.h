@@ -3,17 +3,52 @@
 #pragma once
 
 #include <cstdint>
+#include <cmath>
 
-#include "math/fit/activation.h"
 #include "math/fit/adam.h"
-#include "math/fit/noise.h"
 #include "scene/gaussians.h"
+#include "math/covariance.h"
+#include "math/fit/random.h"
 
 namespace lfgs {
 
-// The fields that are optimised, or their moments: log_scales and logits stand for scales and opacities.
+// exp(-20) .. exp(20) is 2e-9 .. 5e8 scene units: beyond what float32 tells from zero beside a mean of 1, and beyond
+// any scene.
+constexpr double kMostLogScale = 20;
+// sigmoid(15) = 1 - 3e-7 is the largest that float32 still tells from 1 by a few steps: log(1 - opacity) stays finite.
+constexpr double kMostLogit = 15;
+
+template <class R>
+LFGS_HD R clamped(R value, R most) {
+  return value > most ? most : value < -most ? -most : value;
+}
+
+// 0 for very negative values, without overflow on the way.
+template <class R>
+LFGS_HD R sigmoid(R value) {
+  return 1 / (1 + std::exp(-clamped(value, R(80))));
+}
+
+constexpr double kNoiseSteepness = 100, kNoiseOpacity = 0.005;
+
+// Sigma z sigmoid(100 (0.005 - opacity)) strength, for normal z. The quaternion has any length but zero; of a Gaussian
+// whose quaternion is zero the noise is zero, for it has no directions.
+template <class R>
+LFGS_HD glm::vec<3, R> position_noise(const RandomStream& stream, uint64_t index, glm::vec<4, R> quaternion,
+                                      const glm::vec<3, R>& scale, R opacity, R strength) {
+  R z[4];
+  normals4(stream, index, z);
+  const R length = std::sqrt(glm::dot(quaternion, quaternion));
+  if (!(length > 0)) return glm::vec<3, R>(0);
+  const glm::mat<3, 3, R> axes = rotation_matrix(quaternion / length);
+  glm::vec<3, R> along = glm::vec<3, R>(z[0], z[1], z[2]) * axes;  // components along the axes of the Gaussian
+  along *= scale * scale * (strength * sigmoid(R(kNoiseSteepness) * (R(kNoiseOpacity) - opacity)));
+  return axes * along;
+}
+
+// The parameters that are optimised, or their moments: log_scales and logits stand for scales and opacities.
 template <class T>
-struct Fields {
+struct Parameters {
   T* means = nullptr;        // [N, 3]
   T* log_scales = nullptr;   // [N, 3]
   T* quaternions = nullptr;  // [N, 4] wxyz of any length
@@ -26,18 +61,18 @@ template <class T>
 struct StepNumbers {
   T means, log_scales, quaternions, logits, sh_dc, sh_rest;  // rates
   T first_correction, second_correction;                     // 1 - beta1^t, 1 - beta2^t
-  T noise_rate;                                              // of the noise of positions, times the rate of means
-  T opacity_share, scale_share;                              // of the mean opacity and the mean scale in the loss
+  T noise_lr;                                                // of the noise of positions, times the rate of means
+  T opacity_reg, scale_reg;                                  // of the mean opacity and the mean scale in the loss
 };
 constexpr int kStepColumns = sizeof(StepNumbers<float>) / sizeof(float);
 
-// Gradients of what is drawn go through the chain rule of exp and sigmoid, the regularisers are added, Adam moves the
-// fields, noise moves the means, and what is drawn is written anew. Of Gaussians with a gradient that is_usable()
-// refuses nothing changes, and they are counted. So are all, where `step` is not a row of the table.
+// Gradients go through the chain rule of exp and sigmoid, and the regularisers are added. Adam moves the parameters,
+// noise moves the means, and the activated scales and opacities are written anew. Of Gaussians with a gradient that
+// is_usable() refuses nothing changes, and they are counted. So are all, where `step` is not a row of the table.
 template <class T>
 struct Update {
-  Gaussians<const T> gradients;  // of what is drawn; its count and degree are those of all fields
-  Fields<T> fields, first, second;
+  Gaussians<const T> gradients;  // of what is drawn; its count and degree are those of all parameters
+  Parameters<T> parameters, first, second;
   T* scales = nullptr;                    // [N, 3] exp(log_scales): what the gradients were taken at; written anew
   T* opacities = nullptr;                 // [N] sigmoid(logits), likewise
   const uint8_t* seen = nullptr;          // [N] whom the regularisers are for, or null for all
@@ -64,8 +99,8 @@ struct Step {
   LFGS_HD explicit Step(const Update<R>& job)
       : numbers(job.table[*job.step]),
         adam(job.decay, numbers.first_correction, numbers.second_correction),
-        opacity_push(numbers.opacity_share / R(job.count())),
-        scale_push(numbers.scale_share / R(3 * job.count())),
+        opacity_push(numbers.opacity_reg / R(job.count())),
+        scale_push(numbers.scale_reg / R(3 * job.count())),
         noise{job.seed, uint32_t(*job.step), kNoisePurpose} {}
 
   LFGS_HD R scaled(R rate) const { return rate * adam.inverse_correction; }
@@ -73,13 +108,13 @@ struct Step {
   LFGS_HD R sh_rate(int k) const { return scaled(k < 3 ? numbers.sh_dc : numbers.sh_rest); }
 };
 
-// Gradients of one Gaussian's fields, but for its harmonics.
+// Gradients of one Gaussian's parameters, but for its harmonics.
 template <class R>
-struct FieldGradient {
+struct ParameterGradients {
   R means[3], log_scales[3], quaternions[4], logit;
 
-  FieldGradient() = default;
-  LFGS_HD FieldGradient(const Update<R>& job, const Step<R>& step, int64_t i) {
+  ParameterGradients() = default;
+  LFGS_HD ParameterGradients(const Update<R>& job, const Step<R>& step, int64_t i) {
     const Gaussians<const R>& g = job.gradients;
     const bool pushed = !job.seen || job.seen[i];
     for (int c = 0; c < 3; ++c) {
@@ -99,7 +134,7 @@ struct FieldGradient {
   }
 };
 
-// Moves `size` numbers of Gaussian i that share a rate.
+// Move `size` numbers of Gaussian i that share a rate.
 template <int size, class R>
 LFGS_HD void move_numbers(const AdamStep<R>& adam, const R (&gradient)[size], R rate, int64_t i, R* values, R* first,
                           R* second) {
@@ -111,29 +146,30 @@ LFGS_HD void move_numbers(const AdamStep<R>& adam, const R (&gradient)[size], R 
 
 // All of the step for one Gaussian but its harmonics.
 template <class R>
-LFGS_HD void move_gaussian(const Update<R>& job, const Step<R>& step, const FieldGradient<R>& g, int64_t i) {
-  const Fields<R>&fields = job.fields, &first = job.first, &second = job.second;
+LFGS_HD void move_gaussian(const Update<R>& job, const Step<R>& step, const ParameterGradients<R>& g, int64_t i) {
+  const Parameters<R>&parameters = job.parameters, &first = job.first, &second = job.second;
   const StepNumbers<R>& n = step.numbers;
-  move_numbers(step.adam, g.means, step.scaled(n.means), i, fields.means, first.means, second.means);
-  move_numbers(step.adam, g.log_scales, step.scaled(n.log_scales), i, fields.log_scales, first.log_scales,
+  move_numbers(step.adam, g.means, step.scaled(n.means), i, parameters.means, first.means, second.means);
+  move_numbers(step.adam, g.log_scales, step.scaled(n.log_scales), i, parameters.log_scales, first.log_scales,
                second.log_scales);
-  move_numbers(step.adam, g.quaternions, step.scaled(n.quaternions), i, fields.quaternions, first.quaternions,
+  move_numbers(step.adam, g.quaternions, step.scaled(n.quaternions), i, parameters.quaternions, first.quaternions,
                second.quaternions);
-  const R logit = step.adam.moved(fields.logits[i], g.logit, step.scaled(n.logits), first.logits[i], second.logits[i]);
-  fields.logits[i] = clamped(logit, R(kMostLogit));
+  const R logit =
+      step.adam.moved(parameters.logits[i], g.logit, step.scaled(n.logits), first.logits[i], second.logits[i]);
+  parameters.logits[i] = clamped(logit, R(kMostLogit));
 
   glm::vec<3, R> scale;
   for (int c = 0; c < 3; ++c) {
-    R& log_scale = fields.log_scales[3 * i + c];
+    R& log_scale = parameters.log_scales[3 * i + c];
     log_scale = clamped(log_scale, R(kMostLogScale));
     job.scales[3 * i + c] = scale[c] = std::exp(log_scale);
   }
-  const R opacity = job.opacities[i] = sigmoid(fields.logits[i]);
-  if (n.noise_rate > 0) {
-    const R* q = fields.quaternions + 4 * i;
+  const R opacity = job.opacities[i] = sigmoid(parameters.logits[i]);
+  if (n.noise_lr > 0) {
+    const R* q = parameters.quaternions + 4 * i;
     const glm::vec<3, R> noise =
-        position_noise(step.noise, i, glm::vec<4, R>(q[0], q[1], q[2], q[3]), scale, opacity, n.noise_rate * n.means);
-    for (int c = 0; c < 3; ++c) fields.means[3 * i + c] += noise[c];
+        position_noise(step.noise, i, glm::vec<4, R>(q[0], q[1], q[2], q[3]), scale, opacity, n.noise_lr * n.means);
+    for (int c = 0; c < 3; ++c) parameters.means[3 * i + c] += noise[c];
   }
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cmath>
+#include <vector>
 
 #include "base/config.h"
 
@@ -24,6 +25,23 @@ struct Blur {
     const float place = float(k) / deviation;
     return scale * std::exp(-0.5f * place * place);
   }
+};
+
+class BlurWeights {
+ public:
+  // deviation: of the blur.
+  explicit BlurWeights(float deviation) : BlurWeights(Blur::of(deviation)) {}
+  explicit BlurWeights(const Blur& blur) : reach_(blur.reach) {
+    for (int k = -reach_; k <= reach_; ++k) weights_.push_back(blur.weight(k));
+  }
+
+  int reach() const { return reach_; }
+  // The weight of the k-th neighbour, -reach() to reach().
+  float operator()(int k) const { return weights_[size_t(k + reach_)]; }
+
+ private:
+  int reach_;
+  std::vector<float> weights_;
 };
 
 }  // namespace lfgs

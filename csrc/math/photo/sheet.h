@@ -1,6 +1,6 @@
 // The sheet of texels over what a photo shows, a texel at a time: along which surface it lies, and what it looks like.
 // lightfield_gs/models/detail.py and upsample.py say why, differentiably. There are two passes over all texels, since
-// each needs what its neighbours have: the first finds the surface and blurs along rows, the second does the rest.
+// each needs its neighbours. The first finds the surface and blurs along rows; the second does the rest.
 #pragma once
 
 #include <cmath>
@@ -44,16 +44,16 @@ struct Sheet {
 // The pixels among which a texel lies, and how much it has of each: bilinear between pixels of one surface.
 struct Mix {
   int64_t pixels[4];
-  float shares[4];
+  float weights[4];
 
   LFGS_HD float operator()(const float* channel) const {
     float sum = 0;
-    for (int k = 0; k < 4; ++k) sum += shares[k] * channel[pixels[k]];
+    for (int k = 0; k < 4; ++k) sum += weights[k] * channel[pixels[k]];
     return sum;
   }
 };
 
-// Along one axis: the pixel that a texel is in, the one towards which it lies, and the share of that.
+// Along one axis: the pixel that a texel is in, the one towards which it lies, and the weight of that pixel.
 struct Between {
   int64_t own, other;
   float part;
@@ -67,19 +67,19 @@ struct Between {
   }
 };
 
-LFGS_HD Mix mix_of(const Sheet& sheet, int64_t row, int64_t column) {
+LFGS_HD Mix texel_mix(const Sheet& sheet, int64_t row, int64_t column) {
   const Between y(row, sheet.factor, sheet.height), x(column, sheet.factor, sheet.width);
   Mix mix{{y.own * sheet.width + x.own, y.own * sheet.width + x.other, y.other * sheet.width + x.own,
            y.other * sheet.width + x.other},
           {(1 - y.part) * (1 - x.part), (1 - y.part) * x.part, y.part * (1 - x.part), y.part * x.part}};
   const float own = sheet.disparity[mix.pixels[0]], per_footprint = sheet.intrinsics[0] / sheet.look.same_surface;
-  float sum = mix.shares[0];
+  float sum = mix.weights[0];
   for (int k = 1; k < 4; ++k) {
     const float apart = std::abs(std::log(sheet.disparity[mix.pixels[k]] / own)) * per_footprint;
-    mix.shares[k] *= glm::clamp(2 - apart, 0.f, 1.f);
-    sum += mix.shares[k];
+    mix.weights[k] *= glm::clamp(2 - apart, 0.f, 1.f);
+    sum += mix.weights[k];
   }
-  for (float& share : mix.shares) share /= sum;
+  for (float& weight : mix.weights) weight /= sum;
   return mix;
 }
 
@@ -104,7 +104,7 @@ LFGS_HD glm::vec4 covering_texel(const Sheet& sheet, int64_t texel) {
 
 // The optical depth of the sheet over that of a whole object: what overlaps adds up as such. Where the photo shows the
 // object in part it is less yet, for what spreads beyond the outline cannot be taken back there.
-LFGS_HD float thickness_of(const SheetLook& look, float alpha) {
+LFGS_HD float thickness_at(const SheetLook& look, float alpha) {
   if (alpha == 0 || alpha == 1) return alpha;  // most of a photo, and logarithms are slow
   return alpha * std::log1p(-look.most_of_sheet * alpha) / std::log1p(-look.most_of_sheet);
 }
@@ -128,11 +128,11 @@ LFGS_HD void prepare_texel(const Sheet& sheet, int reach, const Weight& weight, 
   for (int k = -reach; k <= reach; ++k) {
     if (column + k < 0 || column + k >= columns) continue;
     const glm::vec4 covering = covering_texel(sheet, texel + k);
-    soft.add(weight(k), covering, thickness_of(sheet.look, covering.w));
+    soft.add(weight(k), covering, thickness_at(sheet.look, covering.w));
   }
   for (int c = 0; c < 4; ++c) sheet.soft[5 * texel + c] = soft.covering[c];
   sheet.soft[5 * texel + 4] = soft.thickness;
-  sheet.surface[texel] = mix_of(sheet, row, column)(sheet.disparity);
+  sheet.surface[texel] = texel_mix(sheet, row, column)(sheet.disparity);
 }
 
 template <class Weight>
@@ -157,7 +157,7 @@ LFGS_HD float step_of(const float* disparity, int64_t stride, int64_t at, int64_
 }
 
 // The quaternion, w first, of the rotation with these columns, which turns by less than 180 degrees.
-LFGS_HD glm::vec4 quaternion_of(const glm::vec3& first, const glm::vec3& second, const glm::vec3& third) {
+LFGS_HD glm::vec4 to_quaternion(const glm::vec3& first, const glm::vec3& second, const glm::vec3& third) {
   const float w = std::sqrt(glm::max(1 + first.x + second.y + third.z, 1e-6f)) / 2;
   const glm::vec3 axis = glm::vec3(second.z - third.y, third.x - first.z, first.y - second.x) / (4 * w);
   const glm::vec4 q(w, axis.x, axis.y, axis.z);
@@ -170,8 +170,8 @@ struct TexelGaussian {
   float opacity;
 };
 
-// Turns a texel along the surface, whose slopes across and down are given in footprints of depth a texel: its axes are
-// the direction of descent, the level direction and the normal. Along the first, texels lie farther apart.
+// Turn a texel along the surface. The slopes across and down are in footprints of depth a texel. The axes of the texel
+// are the direction of descent, the level direction and the normal. Along the first, texels lie farther apart.
 LFGS_HD void lay_along(float across, float down, const glm::vec3& ray, TexelGaussian& texel) {
   const glm::vec3 tangent_x = glm::vec3(1, 0, 0) + across * ray, tangent_y = glm::vec3(0, 1, 0) + down * ray;
   const float right = across < 0 ? across - 1e-4f : across + 1e-4f;  // what is level all over descends to the right
@@ -180,7 +180,7 @@ LFGS_HD void lay_along(float across, float down, const glm::vec3& ray, TexelGaus
   const float stretch = std::sqrt(glm::dot(descent, descent));
   const glm::vec3 first = descent / stretch, normal = glm::cross(tangent_x, tangent_y);
   const glm::vec3 third = normal / std::sqrt(glm::dot(normal, normal));
-  texel.quaternion = quaternion_of(first, glm::cross(third, first), third);
+  texel.quaternion = to_quaternion(first, glm::cross(third, first), third);
   texel.scale.x *= stretch;
 }
 
@@ -204,7 +204,7 @@ LFGS_HD TexelGaussian finish_texel(const Sheet& sheet, int reach, const Weight& 
   if (there > 0) {
     const SoftTexel soft = blurred_down(sheet, reach, weight, row, column);
     const glm::vec3 near = glm::vec3(soft.covering) / glm::max(soft.covering.w, 1e-3f);
-    const float thickness = thickness_of(look, alpha);
+    const float thickness = thickness_at(look, alpha);
     colour = glm::clamp(colour + look.sharper_colour * (colour - near), 0.f, 1.f);
     const float outline = glm::max(thickness + look.sharper_outline * (thickness - soft.thickness), 0.f);
     found.opacity = glm::clamp(look.opacity * outline * there, 0.f, look.most_opaque);
@@ -221,7 +221,7 @@ LFGS_HD TexelGaussian finish_texel(const Sheet& sheet, int reach, const Weight& 
 
 // The harmonics beyond the first, which are the surface's.
 LFGS_HD void store_harmonics(const Sheet& sheet, int64_t row, int64_t column) {
-  const Mix mix = mix_of(sheet, row, column);
+  const Mix mix = texel_mix(sheet, row, column);
   const int rest = 3 * (sheet.out.sh_count() - 1);
   float* to = sheet.out.sh + (row * sheet.columns() + column) * (rest + 3) + 3;
   for (int c = 0; c < rest; ++c) to[c] = mix(sheet.harmonics + c * sheet.height * sheet.width);

@@ -1,6 +1,6 @@
-// Where the sheet over a photo lies on the network's grid: what the photo's camera sees of the cloud on average, and
-// how the cloud fades before it. lightfield_gs/models/detail.py says why, differentiably. Between what is done here for
-// a Gaussian or a pixel, planes are blurred along rows and along columns.
+// Where the sheet over a photo lies on the network's grid: the average depth of the cloud from the photo's camera, and
+// the fading of the cloud before it. lightfield_gs/models/detail.py says why, differentiably. Between what is done here
+// for a Gaussian or a pixel, planes are blurred along rows and along columns.
 #pragma once
 
 #include <cmath>
@@ -46,10 +46,10 @@ struct Surface {
 };
 
 // The integral over the photo of a Gaussian of height 1, in pixels.
-LFGS_HD float area_of(const Gaussians<float>& cloud, int64_t i, float focal) {
+LFGS_HD float projected_area(const Gaussians<float>& cloud, int64_t i, float focal) {
   const float *p = cloud.means + 3 * i, *q = cloud.quaternions + 4 * i, *s = cloud.scales + 3 * i;
   const glm::vec4 turn(q[0], q[1], q[2], q[3]);
-  const glm::mat3 axes = rotation_of(turn / std::sqrt(glm::dot(turn, turn)));
+  const glm::mat3 axes = rotation_matrix(turn / std::sqrt(glm::dot(turn, turn)));
   // What a standard deviation along each axis changes of the slopes x / z and y / z
   glm::vec3 across, down;
   for (int k = 0; k < 3; ++k) {
@@ -62,10 +62,10 @@ LFGS_HD float area_of(const Gaussians<float>& cloud, int64_t i, float focal) {
   return 2 * float(kPi) * std::sqrt(glm::max(determinant, 1e-20f)) * per_pixel * per_pixel;
 }
 
-// Writes the fog of a Gaussian of a layer to set 0.
+// Write the fog of a Gaussian of a layer to set 0.
 LFGS_HD void weigh(const Surface& job, int layer, int64_t pixel) {
   const int64_t i = layer * job.pixels() + pixel;
-  const float area = area_of(job.cloud, i, job.intrinsics[0]), off = job.off(i);
+  const float area = projected_area(job.cloud, i, job.intrinsics[0]), off = job.off(i);
   const float size = job.cloud.opacities[i] * area * job.mask[pixel] + 1e-9f;
   job.plane(0, 3 * layer)[pixel] = size;
   job.plane(0, 3 * layer + 1)[pixel] = size * off;
@@ -82,8 +82,8 @@ LFGS_HD float blurred_at(const float* number, int64_t stride, int64_t at, int64_
   return sum;
 }
 
-// From the blurred fog in set 2 and the sizes in set 0: how much is seen of a pixel's Gaussians, and of what, to set 1.
-// Nearer is of a larger disparity; the fog's density is a normal distribution along the line of sight.
+// Write the visibility of a pixel's Gaussians and their averages to set 1, from the blurred fog in set 2 and the sizes
+// in set 0. Nearer is of a larger disparity; the fog's density is a normal distribution along the line of sight.
 LFGS_HD void look_through(const Surface& job, int64_t pixel) {
   const int rest = job.rest(), last = job.seen_planes() - 1;
   for (int c = 0; c <= last; ++c) job.plane(1, c)[pixel] = 0;

@@ -93,12 +93,12 @@ class ConeOptions:
 
     def check(self) -> None:
         """Raise InputError where cone is neither a panel nor an angle: at once, not after the capture was read."""
-        from lightfield_gs.fitting.display import panel_of
+        from lightfield_gs.fitting.cone import read_cone
 
         if self.cone is None:
             return
         try:
-            panel_of(self.cone)
+            read_cone(self.cone)
         except InputError as error:
             raise InputError(f"--cone: expected a panel, or degrees, 1..179: {error}") from None
 

@@ -1,5 +1,5 @@
-// What cuda/frame/ordinal/ordinal_operands.cuh asks of tensor cores: mma.m16n8k16, mma.m16n8k8 and ldmatrix, a warp at
-// a time.
+// What cuda/frame/lens_column/lens_column_operands.cuh asks of tensor cores: mma.m16n8k16, mma.m16n8k8 and ldmatrix, a
+// warp at a time.
 #pragma once
 
 #include <cuda_fp16.h>

@@ -1,6 +1,6 @@
-// Composite of a light-field frame where the light field is smooth: twin of cpu/lens/lens_lattice-inl.h on the device.
-// Reads the splats and the sorted lists of the frame; writes the image where a lattice is good enough, and the numbers
-// of all other tiles into LensFrame::refused.
+// Composite of a light-field frame where the light field is smooth: twin of cpu/direct/direct_lattice-inl.h on the
+// device. Read the splats and the sorted lists of the frame. Write the image where a lattice is good enough, and the
+// numbers of all other tiles into DirectFrame::refused.
 //
 // The tiles and lists are those of the kernel that the frame chose. First a warp lays a coarse lattice in (x, y, view)
 // through every section of a tile (see lattice_tile.cuh). Where that pays, a block draws the nodes, all channels at
@@ -21,7 +21,7 @@ constexpr int kAttempts = 2;
 constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
 constexpr unsigned kLeastFitting = 3;  // lattices must fit one in so many of the tiles that a probed row tried
 
-// Copies splats of a list into shared memory, with their colours and 1 / S on every plane of the lattice and half-way
+// Copy splats of a list into shared memory, with their colours and 1 / S on every plane of the lattice and half-way
 // between planes. By all threads of the block: a thread makes the shape of a splat at one of these offsets.
 __device__ void stage(const List& list, unsigned begin, int count, const Lattice& lattice, Staged& staged) {
   const int half_planes = 2 * lattice.planes - 1, shapes = count * half_planes;
@@ -50,7 +50,7 @@ __device__ void stage(const List& list, unsigned begin, int count, const Lattice
   }
 }
 
-// Blends the staged splats from `first` to before `end` at a point. `seen` has the colour of the point so far, and in w
+// Blend the staged splats from `first` to before `end` at a point. `seen` has the colour of the point so far, and in w
 // its transmittance. The splat at which a point ends takes what light is left.
 __device__ void add_staged(const Staged& staged, int first, int end, int half_planes, const Point& point, float stop,
                            float4& seen) {
@@ -60,20 +60,20 @@ __device__ void add_staged(const Staged& staged, int first, int end, int half_pl
     const float4 place = staged.place[i], form = staged.form[i], here = *shape;
     const float dy = point.y - place.z, A = fmaf(-form.x * dy, dy, place.w);
     const float dx = point.x - place.x - form.y * dy - point.s * fmaf(form.z, dy, place.y);
-    const float weight = alpha_of(fmaf(-here.w * dx, dx, A)) * seen.w, after = seen.w - weight;
+    const float weight = to_alpha(fmaf(-here.w * dx, dx, A)) * seen.w, after = seen.w - weight;
     const float light = after < stop ? seen.w : weight;
     seen.w = after < stop ? 0.f : after;
     seen.x = fmaf(light, here.x, seen.x), seen.y = fmaf(light, here.y, seen.y), seen.z = fmaf(light, here.z, seen.z);
   }
 }
 
-// Where several threads share a point, 1 << log2_shares of them: which share this thread has, and of which point.
-__device__ int own_share(int log2_shares) { return int(threadIdx.x) * (1 << log2_shares) / kThreads; }
-__device__ int number_abreast(int log2_shares) { return int(threadIdx.x) & ((kThreads >> log2_shares) - 1); }
+// Where 1 << log2_parts threads share a point: the part and the point of this thread.
+__device__ int own_part(int log2_parts) { return int(threadIdx.x) * (1 << log2_parts) / kThreads; }
+__device__ int number_abreast(int log2_parts) { return int(threadIdx.x) & ((kThreads >> log2_parts) - 1); }
 
 // The colour, 0..1, of this thread's point. Where there are few points, several threads have the same point: each
-// blends a share of the staged splats, and all of them join the shares. By all threads of the block.
-__device__ float3 draw(const List& list, const Lattice& lattice, const Point& point, int log2_shares, float stop,
+// blends a part of the staged splats, and all of them join the parts. By all threads of the block.
+__device__ float3 draw(const List& list, const Lattice& lattice, const Point& point, int log2_parts, float stop,
                        float4 background, Memory& memory) {
   const int half_planes = 2 * lattice.planes - 1, batch = min(kBatch, quotient(kShapes, half_planes));
   float4 seen = make_float4(0, 0, 0, point.node || point.middle ? 1.f : 0.f);
@@ -82,18 +82,18 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
     const int count = min(unsigned(batch), list.count - begin);
     stage(list, begin, count, lattice, memory.staged);
     __syncthreads();
-    if (log2_shares == 0) {
+    if (log2_parts == 0) {
       if (!__all_sync(~0u, seen.w == 0)) add_staged(memory.staged, 0, count, half_planes, point, stop, seen);
       continue;
     }
-    // Blend this thread's share, then join the shares of the point from front to back
-    float4 share = make_float4(0, 0, 0, 1);
-    const int each = (count + (1 << log2_shares) - 1) >> log2_shares, from = own_share(log2_shares) * each;
-    add_staged(memory.staged, from, min(from + each, count), half_planes, point, stop, share);
-    memory.shares[threadIdx.x] = share;
+    // Blend this thread's part, then join the parts of the point from front to back
+    float4 part = make_float4(0, 0, 0, 1);
+    const int each = (count + (1 << log2_parts) - 1) >> log2_parts, from = own_part(log2_parts) * each;
+    add_staged(memory.staged, from, min(from + each, count), half_planes, point, stop, part);
+    memory.parts[threadIdx.x] = part;
     __syncthreads();
-    for (int n = number_abreast(log2_shares); n < kThreads; n += kThreads >> log2_shares) {
-      const float4 next = memory.shares[n];
+    for (int n = number_abreast(log2_parts); n < kThreads; n += kThreads >> log2_parts) {
+      const float4 next = memory.parts[n];
       seen.x = fmaf(seen.w, next.x, seen.x), seen.y = fmaf(seen.w, next.y, seen.y);
       seen.z = fmaf(seen.w, next.z, seen.z), seen.w *= next.w;
     }
@@ -102,22 +102,22 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
                      __saturatef(fmaf(seen.w, background.z, seen.z)));
 }
 
-// Draws a section's nodes and the middles of its cells, by all threads of the block. Returns the error at the middles,
-// as a share of what is allowed. If it is more than that, nodes are moved to lower it, and what counts is the error
-// that is left, or the largest move if that is more.
-__device__ float draw_lattice(const LensFrame& frame, const List& list, int section, float4 background,
+// Draw a section's nodes and the middles of its cells, by all threads of the block. Return the error at the middles,
+// relative to the allowed one. If it is above 1, nodes are moved to lower it. Then the error that is left counts, or
+// the largest move if that is more.
+__device__ float draw_lattice(const DirectFrame& frame, const List& list, int section, float4 background,
                               Memory& memory) {
   const Lattice& lattice = memory.lattices[section];
   const float stop = fminf(frame.stop, fmaxf(0.1f * frame.lattice, float(kMinTransmittance)));
   const int nodes = lattice.nodes(), points = lattice.points(), numbers = 3 * (points - nodes);
-  const int log2_shares = points <= kThreads / 4 ? 2 : points <= kThreads / 2 ? 1 : 0;
+  const int log2_parts = points <= kThreads / 4 ? 2 : points <= kThreads / 2 ? 1 : 0;
   // A thread draws one point at a time; it stores a node, and compares a middle with its interpolation
   ErrorSums sums;
   for (int first = 0; first < points; first += kThreads) {
-    const int number = first + number_abreast(log2_shares);
+    const int number = first + number_abreast(log2_parts);
     const Point point(lattice, number);
-    const float3 colour = draw(list, lattice, point, log2_shares, stop, background, memory);
-    const bool keeps = own_share(log2_shares) == 0;
+    const float3 colour = draw(list, lattice, point, log2_parts, stop, background, memory);
+    const bool keeps = own_part(log2_parts) == 0;
     if (keeps && point.node) store_node(lattice, point, colour, place_of(memory, lattice, section, point), memory);
     __syncthreads();
     if (keeps && point.middle) {
@@ -127,18 +127,18 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
   }
 
   // Good as it is, or good after nodes have moved
-  const float error = sums.of_block(memory, numbers, kMeanShare) / frame.lattice;
+  const float error = sums.of_block(memory, numbers, kMeanFactor) / frame.lattice;
   if (error <= 1) return error;
-  sums = {share_errors(lattice, section, memory), 0};
+  sums = {move_nodes(lattice, section, memory), 0};
   __syncthreads();
   for_each_error(lattice, section, memory, [&](int, float3 e) { sums.add(e); });
-  return sums.of_block(memory, numbers, kMovedShare) / frame.lattice;
+  return sums.of_block(memory, numbers, kMovedFactor) / frame.lattice;
 }
 
-// Draws the lattice that was laid through a section, or if need be a finer one; returns whether one of them is good
+// Draw the lattice that was laid through a section, or if need be a finer one; return whether one of them is good
 // enough. By all threads of the block.
-__device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, int section, float4 background,
-                     Memory& memory) {
+__device__ bool fits(const DirectFrame& frame, const List& list, const LatticePart& part, int section,
+                     float4 background, Memory& memory) {
   Lattice& lattice = memory.lattices[section];
   LatticePlanner& planner = *reinterpret_cast<LatticePlanner*>(memory.planner);
   float fineness = first_fineness(frame.lattice);
@@ -165,13 +165,13 @@ __device__ int row_of(int i, int probes) {
   return i < probes ? i * kProbeRows : between / (kProbeRows - 1) * kProbeRows + between % (kProbeRows - 1) + 1;
 }
 
-// What is known of a probed row: how many of its tiles are done, how many of them tried a lattice, and how many have
-// one that fits. The three counts are in one word, so that a reader gets all of them from the same moment.
+// The state of a probed row: the number of tiles that are done, that tried a lattice, and that have one that fits. The
+// three counts are in one word, so that a reader gets all of them from the same moment.
 class ProbedRow {
  public:
   __device__ explicit ProbedRow(const unsigned long long& counts)
       : counts_(static_cast<const volatile unsigned long long&>(counts)) {}
-  // Adds a tile that is done. Called by one thread of its block.
+  // Add a tile that is done. Called by one thread of its block.
   static __device__ void report(unsigned long long& counts, bool tried, bool fits) {
     atomicAdd(&counts, 1ull | (unsigned long long)(tried) << kBits | (unsigned long long)(fits) << 2 * kBits);
   }
@@ -184,8 +184,8 @@ class ProbedRow {
   __device__ unsigned count(int which) const { return unsigned(counts_ >> which * kBits) & ((1u << kBits) - 1); }
 };
 
-// What the probed rows above and below say of a row between them: lattices are worth trying if enough tiles of one of
-// these have a lattice that fits, and not if both are done and neither has.
+// The verdict of the probed rows above and below on a row between them. Lattices are worth trying if one of these rows
+// has enough tiles with a fitting lattice. They are not if both rows are done and neither has.
 enum Verdict : int { kUnknown, kWorth, kNotWorth };
 
 __device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int row) {
@@ -196,24 +196,24 @@ __device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int
   return above_done && below_done ? kNotWorth : kUnknown;
 }
 
-// Leaves a tile to the kernel chosen. Called by one thread of the block.
-__device__ void refuse(const LensFrame& frame, int tile) {
+// Leave a tile to the kernel chosen. Called by one thread of the block.
+__device__ void refuse(const DirectFrame& frame, int tile) {
   frame.refused[atomicAdd(&frame.state->refused_tiles, 1u)] = unsigned(tile);
 }
-__device__ uint2 range_of(const Lists& lists, const Tile& tile, int section) {
+__device__ uint2 section_range(const Lists& lists, const Tile& tile, int section) {
   return lists.range(int64_t(tile.number) * tile.sections + section);
 }
-__device__ List list_of(const LensFrame& frame, const Lists& lists, const Tile& tile, uint2 range) {
+__device__ List make_list(const DirectFrame& frame, const Lists& lists, const Tile& tile, uint2 range) {
   return {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin()};
 }
 
-// Why a tile has no lattices; stands in the place of the number of planes of its first lattice. Nothing of the tile is
-// on the panel; no splat is in it, so that it is filled with the background; no lattice was tried, for its splats are
-// few or not listed by tile; or a lattice would not pay there. The latter two are left to the kernel chosen.
+// Why a tile has no lattices; stands in the place of the number of planes of its first lattice. Outcomes without a
+// lattice: the tile is off the panel; it has no splat, and is background; its splats are few or unlisted; or a lattice
+// would not pay. The latter two are left to the kernel chosen.
 enum Unlaid : int { kUnseen = -3, kEmpty = -2, kUntried = -1, kPaysNot = 0 };
 
-// Lays lattices through the sections of all tiles, and writes them into LensFrame::lattices. A warp has one tile.
-__global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_constant__ LensFrame frame) {
+// Lay lattices through the sections of all tiles, and write them into DirectFrame::lattices. A warp has one tile.
+__global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_constant__ DirectFrame frame) {
   __shared__ LatticePlanner planners[kWarps];
   __shared__ Lattice laid[kWarps];
   if (!frame.state->lattices) return;
@@ -228,7 +228,7 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   const bool listed_apart = seen && lists.ranges != nullptr;
   unsigned listed = 0;
   for (int section = 0; listed_apart && section < tile.sections; ++section)
-    listed += list_of(frame, lists, tile, range_of(lists, tile, section)).count;
+    listed += make_list(frame, lists, tile, section_range(lists, tile, section)).count;
   const bool empty = listed_apart && listed == 0, tried = listed_apart && listed >= kLeastListed;
 
   // A lattice for every section, as long as all of them pay and fit the memory of a block
@@ -237,7 +237,7 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   for (int section = tile.sections - 1, places = 0; pays && section >= 0; --section) {
     LatticePlanner& planner = planners[warp];
     Lattice& lattice = laid[warp];
-    planner.measure(list_of(frame, lists, tile, range_of(lists, tile, section)), tile.part(section));
+    planner.measure(make_list(frame, lists, tile, section_range(lists, tile, section)), tile.part(section));
     pays = planner.lay(first_fineness(frame.lattice), lattice) && (places += lattice.places()) <= kMostNodes;
     for (int k = lane; pays && k < int(sizeof lattice / sizeof(int)); k += 32)
       reinterpret_cast<int*>(lattices + section)[k] = reinterpret_cast<const int*>(&lattice)[k];
@@ -246,12 +246,12 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : empty ? kEmpty : !tried ? kUntried : kPaysNot;
 }
 
-// Draws the nodes of a tile's lattices; false where one of them is not good enough. range is that of the first
+// Draw the nodes of a tile's lattices; false where one of them is not good enough. range is that of the first
 // section's list.
-__device__ bool draw_tile(const LensFrame& frame, const Lists& lists, const Tile& tile, uint2 range, float4 background,
-                          Memory& memory) {
-  for (int section = 0;; range = range_of(lists, tile, section)) {
-    const List list = list_of(frame, lists, tile, range);
+__device__ bool draw_tile(const DirectFrame& frame, const Lists& lists, const Tile& tile, uint2 range,
+                          float4 background, Memory& memory) {
+  for (int section = 0;; range = section_range(lists, tile, section)) {
+    const List list = make_list(frame, lists, tile, range);
     if (!fits(frame, list, tile.part(section), section, background, memory)) return false;
     const int end = memory.first_node[section] + memory.lattices[section].places();
     if (++section == tile.sections) return true;
@@ -260,13 +260,13 @@ __device__ bool draw_tile(const LensFrame& frame, const Lists& lists, const Tile
   }
 }
 
-// Draws the tiles whose lattices fit. A block has a tile; its threads have points of the lattice, and then sub-pixels.
-// The first blocks have the probed rows. Most blocks of the rows between find out at their start whether lattices are
-// worth it; one that cannot know yet tries its own, and then waits until the probed rows are done. That ends: blocks
-// are started in turn, so all blocks of a lower number are running, and none waits for a block of a higher number.
+// Draw the tiles whose lattices fit. A block has a tile; its threads have points of the lattice, and then sub-pixels.
+// The first blocks have the probed rows. Most blocks of the rows between know at their start whether lattices are worth
+// it. A block that cannot know yet tries its own, then waits for the probed rows. The wait ends: blocks start in turn,
+// so all blocks of a lower number run. No block waits for one of a higher number.
 template <class Out>
 __global__ void __launch_bounds__(kThreads, kBlocks)
-    composite_lattice_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+    composite_lattice_kernel(const __grid_constant__ DirectFrame frame, const float* background, Out* out) {
   __shared__ Memory memory;
   FrameState& state = *frame.state;
   if (!state.lattices) return;
@@ -281,7 +281,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 
   // Read what is far away, all at once
   const int planes = laid->planes;
-  const uint2 range = range_of(lists, tile, 0);
+  const uint2 range = section_range(lists, tile, 0);
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
   if (first && !probe) memory.verdict = verdict_on(state, tiling, row);
 
@@ -324,14 +324,14 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 }
 
 // The number of tiles of the tiling that has more of them: which one the frame uses is decided on the device.
-unsigned most_tiles(const LensFrame& frame) {
+unsigned most_tiles(const DirectFrame& frame) {
   auto tiles = [](const Tiling& tiling) { return tiling.across * tiling.down; };
-  return unsigned(std::max(tiles(frame.pixel), frame.has_ordinal() ? tiles(frame.ordinal) : 0));
+  return unsigned(std::max(tiles(frame.pixel), frame.has_lens_column() ? tiles(frame.lens_column) : 0));
 }
 
 }  // namespace
 
-void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+void composite_lattice(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
   const unsigned tiles = most_tiles(frame);
   plan_lattices_kernel<<<(tiles + kWarps - 1) / kWarps, kThreads, 0, cudaStream_t(stream)>>>(frame);
   check_launch("composite_lattice: plan");

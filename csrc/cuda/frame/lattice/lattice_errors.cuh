@@ -1,5 +1,6 @@
-// How a block of composite_lattice.cu checks a lattice: the errors of interpolation at the middles of its cells, and
-// nodes moved to lower them. Twin of LatticeErrors on the CPU. It reads and changes the nodes in shared memory.
+// How a block of composite_lattice.cu checks a lattice. It finds the errors of interpolation at the middles of its
+// cells, and moves nodes to lower them. Twin of LatticeErrors on the CPU. It reads and changes the nodes in shared
+// memory.
 #pragma once
 
 #include "cuda/frame/lattice/lattice_tile.cuh"
@@ -33,7 +34,7 @@ __device__ inline int place_of(const Memory& memory, const Lattice& lattice, int
   return memory.first_node[section] + lattice.plane[node.k].first + node.j * lattice.across + node.i;
 }
 
-// Stores the colour of a node, which is a corner of up to four cells.
+// Store the colour of a node, which is a corner of up to four cells.
 __device__ inline void store_node(const Lattice& lattice, const Point& node, float3 colour, int place, Memory& memory) {
   const float values[3] = {colour.x, colour.y, colour.z};
 #pragma unroll
@@ -66,15 +67,15 @@ struct ErrorSums {
     largest = fmaxf(largest, fmaxf(fabsf(e.x), fmaxf(fabsf(e.y), fabsf(e.z))));
     squares += e.x * e.x + e.y * e.y + e.z * e.z;
   }
-  // Puts together the `count` errors of all threads of the block, which call this together: returns the largest, or
-  // `share` times the root mean square if that is more.
-  __device__ float of_block(Memory& memory, int count, float share) const {
+  // Combine the `count` errors of all threads of the block, which call this together. Return the largest, or `factor`
+  // times the root mean square if that is more.
+  __device__ float of_block(Memory& memory, int count, float factor) const {
     const float most = warp_max(largest), sum = warp_sum(squares);
     if (threadIdx.x % 32 == 0) memory.largest[threadIdx.x / 32] = most, memory.squares[threadIdx.x / 32] = sum;
     __syncthreads();
     float all = 0, all_squares = 0;
     for (int w = 0; w < kWarps; ++w) all = fmaxf(all, memory.largest[w]), all_squares += memory.squares[w];
-    return fmaxf(all, share * sqrtf(all_squares * fast_reciprocal(float(count))));
+    return fmaxf(all, factor * sqrtf(all_squares * fast_reciprocal(float(count))));
   }
 };
 
@@ -114,7 +115,7 @@ __device__ inline float3 errors_round(const Lattice& lattice, const Point& node,
                      mean(__low2float(low[1]), __low2float(high[1]), __low2float(sum[1])));
 }
 
-// Calls visit(number, error) for those middles that this thread has.
+// Call visit(number, error) for those middles that this thread has.
 template <class Visit>
 __device__ void for_each_error(const Lattice& lattice, int section, const Memory& memory, const Visit& visit) {
   const Nodes nodes(memory, section);
@@ -124,10 +125,10 @@ __device__ void for_each_error(const Lattice& lattice, int section, const Memory
     visit(n - first, difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
 }
 
-// Moves every node by a share of the errors at the middles round it, see kNodeShare, and returns the largest move of
-// this thread's nodes. Nodes round which there are errors of both signs, as at an edge, stay where they are. By all
-// threads of the block.
-__device__ float share_errors(const Lattice& lattice, int section, Memory& memory) {
+// Move every node by kNodeFactor times the mean error at the middles round it. Return the largest move of this thread's
+// nodes. Nodes round which there are errors of both signs, as at an edge, stay where they are. By all threads of the
+// block.
+__device__ float move_nodes(const Lattice& lattice, int section, Memory& memory) {
   for_each_error(lattice, section, memory, [&](int number, float3 e) { memory.errors[number] = Triple(e); });
   __syncthreads();
   float largest = 0;
@@ -137,8 +138,8 @@ __device__ float share_errors(const Lattice& lattice, int section, Memory& memor
     const float3 mean = errors_round(lattice, node, memory.errors);
     const int place = place_of(memory, lattice, section, node);
     auto moved = [&](int c, float error) {
-      largest = fmaxf(largest, fabsf(kNodeShare * error));
-      return fmaf(-kNodeShare, error, __half2float(memory.corners[c][place].low.x));
+      largest = fmaxf(largest, fabsf(kNodeFactor * error));
+      return fmaf(-kNodeFactor, error, __half2float(memory.corners[c][place].low.x));
     };
     store_node(lattice, node, make_float3(moved(0, mean.x), moved(1, mean.y), moved(2, mean.z)), place, memory);
   }

@@ -1,6 +1,6 @@
 // How a block of composite_lattice.cu interpolates a tile of lenses, or fills a tile with the background. It reads the
-// nodes in shared memory and writes the image: a thread interpolates the run of sub-pixels that one lens has in a row,
-// bytes are collected in shared memory, and then whole rows are stored at once.
+// nodes in shared memory and writes the image. A thread interpolates the run of sub-pixels of one lens in a row. Bytes
+// are collected in shared memory, then whole rows are stored at once.
 #pragma once
 
 #include "cuda/frame/lattice/lattice_tile.cuh"
@@ -9,10 +9,10 @@ namespace lfgs::cuda {
 namespace {
 
 // A colour in 0..1 as stored() makes it. Instead of a conversion a number is added that leaves the byte in the bits.
-__device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
+__device__ inline uint8_t to_byte(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, NodePosition::kMagic))); }
 
-// Interpolates a run of sub-pixels, ends.x to before ends.y, in row r of a tile of lenses, and calls put(m, colour) for
-// each. `phase` is that of the first.
+// Interpolate the sub-pixels [ends.x, ends.y) in row r of a tile of lenses, and call put(m, colour) for each. `phase`
+// is that of the first.
 template <bool Table, class Put>
 __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views<Seen>& views, unsigned phase, int r,
                                 int2 ends, const Put& put) {
@@ -47,8 +47,8 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const View
   }
 }
 
-// Interpolates what a section has in the rows from `top` to before `end`, and calls put(r, at, colour) with the place
-// of each sub-pixel in its row. By all threads of the block: a thread has the runs of one lens, in some of the rows.
+// Interpolate the sub-pixels of a section in the rows [top, end), and call put(r, at, colour) with the place of each in
+// its row. By all threads of the block: a thread has the runs of one lens, in some of the rows.
 template <bool Table, class Put>
 __device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views<Seen>& views, int section,
                                     int top, int end, const Put& put) {
@@ -62,7 +62,7 @@ __device__ void interpolate_section(const Tile& tile, const Memory& memory, cons
   }
 }
 
-// Stores the collected bytes of the rows from `top` to before `end`: [rows, row_bytes], each from its first sub-pixel
+// Store the collected bytes of the rows from `top` to before `end`: [rows, row_bytes], each from its first sub-pixel
 // on. 16 bytes at a time where the image allows it.
 __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int end, int row_bytes, uint8_t* out) {
   const int width = 3 * tile.lens.width_px;
@@ -82,9 +82,9 @@ __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int 
     store_row(tile.lens, tile.top + r, memory.rows[r], memory.interpolated.bytes + (r - top) * row_bytes, out);
 }
 
-// Draws a tile, as many rows at a time as fit the memory: calls draw(top, end, put) for the rows from `top` to before
-// `end`, which in turn calls put(row, place in it, colour) for every sub-pixel. By all threads of the block, which wait
-// for each other before and after `draw`.
+// Draw a tile, as many rows at a time as fit the memory. Call draw(top, end, put) for the rows [top, end), which calls
+// put(row, place in it, colour) for every sub-pixel. By all threads of the block, which wait for each other before and
+// after `draw`.
 template <class Out, class Draw>
 __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw& draw) {
   const int row_bytes = tile.row_bytes();
@@ -94,7 +94,7 @@ __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw
     __syncthreads();
     draw(top, end, [&](int r, int at, float colour) {
       if constexpr (sizeof(Out) == 1)
-        memory.interpolated.bytes[(r - top) * row_bytes + at] = byte_of(colour);
+        memory.interpolated.bytes[(r - top) * row_bytes + at] = to_byte(colour);
       else
         out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
             __saturatef(colour);
@@ -104,7 +104,7 @@ __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw
   }
 }
 
-// Interpolates the sub-pixels of a tile of lenses, section after section. By all threads of the block.
+// Interpolate the sub-pixels of a tile of lenses, section after section. By all threads of the block.
 template <class Out>
 __device__ void interpolate_lenses(const Tile& tile, Memory& memory, Out* out) {
   draw_rows(tile, memory, out, [&](int top, int end, const auto& put) {
@@ -121,7 +121,7 @@ __device__ void interpolate_lenses(const Tile& tile, Memory& memory, Out* out) {
   });
 }
 
-// Fills a tile with the background. By all threads of the block: a warp has a row at a time.
+// Fill a tile with the background. By all threads of the block: a warp has a row at a time.
 template <class Out>
 __device__ void fill(const Tile& tile, Memory& memory, float4 background, Out* out) {
   const float4 shown = by_place(tile.lens, background);

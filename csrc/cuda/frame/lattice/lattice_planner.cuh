@@ -5,8 +5,8 @@
 #include <new>
 
 #include "cuda/frame/composite_frame.cuh"
-#include "cuda/frame/lattice.cuh"
-#include "cuda/frame/lens_plan.cuh"
+#include "cuda/frame/direct_frame.h"
+#include "cuda/frame/kernel_cost.cuh"
 #include "math/colour_circle.h"
 
 namespace lfgs::cuda {
@@ -39,16 +39,16 @@ struct List {
   }
 };
 
-// Measures how fast the light field of a section varies, and lays a lattice for it. It lives in shared memory; all
+// Measure how fast the light field of a section varies, and lay a lattice for it. It lives in shared memory; all
 // lanes of a warp call its functions together.
 class LatticePlanner {
  public:
-  // Measures a part of the panel by some splats of its list. A lane works out the terms of one splat; then two lanes
-  // add up what belongs to one bin, each the terms of every other splat.
+  // Measure a part of the panel by some splats of its list. A lane computes the terms of one splat. Then two lanes sum
+  // the terms of one bin, each over every other splat.
   __device__ void measure(const List& list, const LatticePart& part) {
     constexpr int kMeasured = 256;  // about; enough for averages
-    constexpr int kShare = 32 / LatticeCurvature::kBins;
-    const int lane = threadIdx.x % 32, bin = lane / kShare;
+    constexpr int kLanesPerBin = 32 / LatticeCurvature::kBins;
+    const int lane = threadIdx.x % 32, bin = lane / kLanesPerBin;
     LatticeCurvature& curvature = *reinterpret_cast<LatticeCurvature*>(curvature_);
     if (lane == 0) new (&curvature) LatticeCurvature(part);
     __syncwarp();
@@ -64,7 +64,7 @@ class LatticePlanner {
       }
       __syncwarp();
 #pragma unroll 2
-      for (unsigned t = lane % kShare; t < min(32u, measured - begin); t += kShare) {
+      for (unsigned t = lane % kLanesPerBin; t < min(32u, measured - begin); t += kLanesPerBin) {
         const LatticeCurvature::Term& term = terms_[t];
         if (term.first <= bin && bin <= term.last) sums.add(term);
       }
@@ -72,14 +72,14 @@ class LatticePlanner {
     }
 
     // Join the sums of the lanes that have the same bin
-    for (int step = kShare / 2; step > 0; step /= 2)
+    for (int step = kLanesPerBin / 2; step > 0; step /= 2)
       for (float* sum : {&sums.weight, &sums.x, &sums.y, &sums.x_du, &sums.x_du2})
         *sum += __shfl_xor_sync(~0u, *sum, step);
-    if (lane % kShare == 0) curvature.set(bin, sums);
+    if (lane % kLanesPerBin == 0) curvature.set(bin, sums);
     __syncwarp();
   }
 
-  // Lays a lattice of the given fineness. False where it would take too many nodes to pay.
+  // Lay a lattice of the given fineness. False where it would take too many nodes to pay.
   __device__ bool lay(float fineness, Lattice& lattice) const {
     constexpr float kReach = 2.3f;  // how far splats reach, in the standard deviations in which a plan counts
     const LatticeCurvature& curvature = *reinterpret_cast<const LatticeCurvature*>(curvature_);
@@ -93,7 +93,7 @@ class LatticePlanner {
     __syncwarp();
 
     // How far each plane leans, a plane a lane, and the columns that this takes
-    const float lean = curvature.lean_of(lane, lattice), margin = warp_max(fabsf(lean));
+    const float lean = curvature.plane_lean(lane, lattice), margin = warp_max(fabsf(lean));
     if (lane == 0) curvature.widen(margin, lattice);
     __syncwarp();
     if (lattice.planes > kMostLatticePlanes || lattice.across > kMostNodes || lattice.down > kMostNodes) return false;

@@ -17,8 +17,8 @@ constexpr int kWords = 3 * kPixelTileWidth / 4;  // words of four sub-pixels in 
 constexpr int kColumns = 3, kRowsOn = kColumns * kThreads / kWords;
 static_assert(kRowsOn * kWords == kColumns * kThreads);
 
-// The nodes brought to the rows of pixels of a tile, from `top` on: for each channel and each plane but the last, what
-// is between one node and the next.
+// The nodes interpolated to the rows of pixels of a tile, from `top` on. There is an interval between neighbouring
+// nodes for each channel and each plane but the last.
 struct NodeRows {
   const Nodes& nodes;
   const Lattice& lattice;
@@ -37,9 +37,9 @@ struct NodeRows {
     const int fit = min(quotient(kMostBetween, of_row), rows);
     return fit < rows && fit > kRowsOn ? fit / kRowsOn * kRowsOn : fit;
   }
-  __device__ int first_of(int row) const { return (row - top) * of_row; }
+  __device__ int first_between(int row) const { return (row - top) * of_row; }
 
-  // Lays rows from top_ to before `end`. By all threads of the block: a thread has one node of one channel and plane,
+  // Lay rows from top_ to before `end`. By all threads of the block: a thread has one node of one channel and plane,
   // in all rows or in some of them.
   __device__ void lay(int top_, int end) {
     top = top_;
@@ -59,24 +59,24 @@ struct NodeRows {
         __half2 part;
         const int row = nodes.row(float(r) + 0.5f, part) * lattice.across;
         const Corners &a = near[row], &b = far[row];
-        between[first_of(r) + n] = Between(Nodes::mixed(a.low, a.high, part), Nodes::mixed(b.low, b.high, part));
+        between[first_between(r) + n] = Between(Nodes::mixed(a.low, a.high, part), Nodes::mixed(b.low, b.high, part));
       }
     }
   }
 };
 
 // Four colours, 0..1, as bytes. Instead of a conversion 1024 is added: a half of that size has steps of one.
-__device__ inline unsigned bytes_of(__half2 first, __half2 second) {
+__device__ inline unsigned pack_bytes(__half2 first, __half2 second) {
   const __half2 scale = __float2half2_rn(255.f), magic = __float2half2_rn(1024.f);
   return __byte_perm(bits(__hfma2(first, scale, magic)), bits(__hfma2(second, scale, magic)), 0x6420);
 }
 
-// Puts four colours into a row of the image, from number `first` of the row on. Words: the image is of bytes, and they
+// Put four colours into a row of the image, from number `first` of the row on. Words: the image is of bytes, and they
 // may be stored four at a time.
 template <bool Words, class Out>
 __device__ void put_four(int width, int first, __half2 low, __half2 high, Out* row) {
   if constexpr (Words) {
-    *reinterpret_cast<unsigned*>(row + first) = bytes_of(low, high);
+    *reinterpret_cast<unsigned*>(row + first) = pack_bytes(low, high);
     return;
   }
   const float colours[4] = {__low2float(low), __high2float(low), __low2float(high), __high2float(high)};
@@ -84,7 +84,7 @@ __device__ void put_four(int width, int first, __half2 low, __half2 high, Out* r
     if (first + i < width) row[first + i] = stored(colours[i], row);
 }
 
-// Interpolates the tile's sub-pixels in the rows that were laid, to before `end`, in the order of the image. Table:
+// Interpolate the tile's sub-pixels in the rows that were laid, to before `end`, in the order of the image. Table:
 // whether `views` has one.
 template <bool Table, bool Words, class Out>
 __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const Views<RowSeen>& views,
@@ -111,7 +111,7 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
 
     // Row after row
     int r = rows.top + n / kWords;
-    unsigned base = rows.first_of(r);
+    unsigned base = rows.first_between(r);
     Out* row = out + int64_t(tile.top + r) * width;
 #pragma unroll 1
     for (; r < end; r += kRowsOn, base += kRowsOn * rows.of_row, row += kRowsOn * width) {
@@ -135,7 +135,7 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
   }
 }
 
-// Interpolates the sub-pixels of a tile of pixels. By all threads of the block.
+// Interpolate the sub-pixels of a tile of pixels. By all threads of the block.
 template <class Out>
 __device__ void interpolate_pixels(const Tile& tile, Memory& memory, Out* out) {
   const Lattice& lattice = memory.lattices[0];

@@ -1,15 +1,15 @@
-// A tile of composite_lattice.cu: which sub-pixels are its own, the nodes from which they are interpolated, and what a
-// block has of both in shared memory.
+// A tile of composite_lattice.cu: its sub-pixels, the nodes from which they are interpolated, and a block's shared
+// memory for both.
 //
 // A tile is made of sections, and each section has a list of splats and a lattice of its own. A tile of pixels is one
-// section, which sees the whole rig; a tile of lenses has a section for each group of ordinals.
+// section, which sees the whole rig; a tile of lenses has a section for each group of lens_columns.
 #pragma once
 
 #include <cuda_fp16.h>
 
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/frame/lattice.cuh"
+#include "cuda/frame/direct_frame.h"
 #include "cuda/frame/lattice/lattice_planner.cuh"
 #include "cuda/frame/lens_optics.cuh"
 
@@ -18,7 +18,7 @@ namespace {
 
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
 constexpr int kTileRows = 32;
-constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdinals;
+constexpr int kMostSections = (kMostLensColumns + kGroupColumns - 1) / kGroupColumns;
 constexpr int kBatch = 32, kShapes = 512;
 constexpr int kMostTableViews = 192;
 
@@ -33,9 +33,9 @@ struct Staged {
   float4 shapes[kShapes];  // a splat's colour and 1 / S on the planes and half-way between: [splats, 2 planes - 1]
 };
 
-// What a sub-pixel sees: an offset between two planes of a lattice. `aside` says how many nodes aside it lies on the
-// first of the two; the word below has where that plane is stored (16 bits) and the part of the way to the next plane
-// (a half, above).
+// What a sub-pixel sees: an offset between two planes of a lattice. `aside`: how many nodes aside it lies on the first
+// plane. The word below holds the storage index of that plane (16 bits) and the part of the way to the next plane (a
+// half, above).
 struct alignas(8) Seen {
   float aside;
   unsigned first_and_part;
@@ -51,8 +51,8 @@ struct alignas(8) Seen {
 // A number of nodes in 65536ths. Half a 1024th is added, since only 1024ths are used later: so they are rounded.
 __device__ inline unsigned fixed(float nodes) { return unsigned(int(fmaf(nodes, 65536.f, 32.f))); }
 
-// The same for rows of pixels, see lattice_rows.cuh: how far on in a row that is stored which is seen, in 65536ths of a
-// node, and the part of the way to the next plane.
+// The same for rows of pixels, see lattice_rows.cuh. It has the shift within a stored row, in 65536ths of a node, and
+// the part of the way to the next plane.
 struct alignas(8) RowSeen {
   unsigned on;
   __half2 part;
@@ -63,8 +63,8 @@ struct alignas(8) RowSeen {
         part(__float2half2_rn(part_)) {}
 };
 
-// Colours from a node to the next along x, in a row of pixels: first + t step, where t goes from 1 at the one node to 2
-// at the other; and how `first` and `step` change to the next plane.
+// Colours from a node to the next along x, in a row of pixels: first + t step. t is 1 at the one node and 2 at the
+// other. Also the changes of `first` and `step` to the next plane.
 struct alignas(8) Between {
   __half2 first_and_step, change;
 
@@ -79,7 +79,7 @@ struct alignas(8) Between {
   }
 };
 
-// Colours, 0..1, at the corners of a cell: of a node and the next along x, in its row (low) and in the next (high). A
+// Colours, 0..1, at the corners of a cell: a node and the next along x, in its row (low) and in the next (high). A
 // place in the cell needs all four, and reads them at once; so every colour is stored up to four times.
 struct alignas(8) Corners {
   __half2 low, high;
@@ -98,8 +98,8 @@ struct alignas(8) Triple {
 
 constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of another channel is in another bank
 
-// Memory for interpolation: what every view sees of the section at hand, then either the colours of as many rows as
-// fit (bytes), or the nodes of as many rows of pixels as fit (between).
+// Memory for interpolation. First the position of every view in the section, then the colours (bytes) or the nodes
+// (between) of as many rows as fit.
 struct Interpolated {
   static constexpr int kRowBytes = sizeof(Staged) - kMostTableViews * sizeof(Seen);
   union {
@@ -121,7 +121,7 @@ struct Memory {
   Corners corners[3][kChannelNodes];  // of the cell that begins at each node: by section, plane, row and node
   union {
     Triple middles[kMostNodes];  // of the section at hand, see lattice_errors.cuh
-    float4 shares[kThreads];     // while points are drawn in shares: colour and transmittance of each
+    float4 parts[kThreads];      // while points are drawn in parts: colour and transmittance of each
   };
   Lattice lattices[kMostSections];
   int first_node[kMostSections];
@@ -137,7 +137,7 @@ struct Memory {
     Interpolated interpolated;
   };
 
-  // Takes the lattices that were laid through sections. By all threads of the block; the caller has them wait for each
+  // Take the lattices that were laid through sections. By all threads of the block; the caller has them wait for each
   // other afterwards.
   __device__ void take(const Lattice* laid, int sections) {
     const int *from = reinterpret_cast<const int*>(laid), words = sections * int(sizeof(Lattice) / sizeof(int));
@@ -154,16 +154,16 @@ struct Tile {
   int column, number, top, rows, sections, first_lens;
   int low = 0, high = -1;  // columns of pixels
 
-  __device__ Tile(const LensFrame& frame, const Tiling& tiling_, int row, int column_)
+  __device__ Tile(const DirectFrame& frame, const Tiling& tiling_, int row, int column_)
       : lens(frame.optics),
         tiling(tiling_),
-        by_lens(&tiling == &frame.ordinal),
+        by_lens(&tiling == &frame.lens_column),
         column(column_),
         number(row * tiling.across + column),
         top(row * tiling.height),
         rows(min(tiling.height, lens.height_px - top)),
         sections(tiling.groups),
-        first_lens(lens.ordinals.first_lens + column * kTileLenses) {}
+        first_lens(lens.lens_columns.first_lens + column * kTileLenses) {}
 
   // The sub-pixels of a row, from x to before y.
   __device__ int2 row(int r) const {
@@ -172,7 +172,7 @@ struct Tile {
     const int first = column * 3 * int(tiling.width);
     return make_int2(first, first + 3 * int(tiling.width));
   }
-  // Finds the columns of pixels, by a warp of which each lane has a row. False where nothing is on the panel.
+  // Find the columns of pixels, by a warp of which each lane has a row. False where nothing is on the panel.
   __device__ bool find_columns(int2 row) {
     const int width = 3 * lens.width_px;
     const bool shown = int(threadIdx.x % 32) < rows && row.y > 0 && row.x < width;
@@ -181,7 +181,7 @@ struct Tile {
       low = min(low, __shfl_xor_sync(~0u, low, step)), high = max(high, __shfl_xor_sync(~0u, high, step));
     return high >= low;
   }
-  // Finds the columns, and writes rows, their phases and the columns into the block's memory. By all its threads.
+  // Find the columns, and write rows, their phases and the columns into the block's memory. By all its threads.
   __device__ void lay_rows(Memory& memory) {
     if (threadIdx.x < 32) {
       const int2 ends = row(threadIdx.x);
@@ -200,7 +200,7 @@ struct Tile {
   __device__ LatticePart part(int section) const {
     float centre, half;
     if (by_lens)
-      group_offsets(lens.ordinals, section, centre, half);
+      group_offsets(lens.lens_columns, section, centre, half);
     else
       half = 0.5f * float(lens.views) * lens.s_step, centre = lens.s_start + half, half = fabsf(half);
     return {0.5f, float(high - low) + 0.5f, 0.5f, float(rows) - 0.5f, centre - half, centre + half};
@@ -211,27 +211,27 @@ struct Tile {
 
   // The sub-pixels on the panel that the n-th lens of row r has of a section, from x to before y.
   __device__ int2 run(int r, int section, int n) const {
-    const int begin = lens_start(lens, top + r, first_lens + n) + kGroupOrdinals * section;
-    const int end = section == sections - 1 ? lens_start(lens, top + r, first_lens + n + 1) : begin + kGroupOrdinals;
+    const int begin = lens_start(lens, top + r, first_lens + n) + kGroupColumns * section;
+    const int end = section == sections - 1 ? lens_start(lens, top + r, first_lens + n + 1) : begin + kGroupColumns;
     return make_int2(max(begin, 0), min(end, 3 * lens.width_px));
   }
 };
 
-// x >= 0 as n + part, with n whole and part between -1e-4 and 1: an x that is a little less than whole counts as whole.
-// Conversions to integers are slow, so there is none: after 2^23 + 2^22 is added, the last bits of the float are n.
-struct Place {
+// x >= 0 as n + part, with n whole and part in [-1e-4, 1): an x just below a whole number counts as whole. Conversions
+// to integers are slow, so there is none: after 2^23 + 2^22 is added, the last bits of the float are n.
+struct NodePosition {
   static constexpr float kMagic = 12582912.f;
   static constexpr unsigned kMagicBits = 0x4b400000u;
   unsigned bits;  // n + kMagicBits, which whoever needs n subtracts
   float part;
 
-  __device__ explicit Place(float x) {
+  __device__ explicit NodePosition(float x) {
     const float shifted = (x - 0.4999f) + kMagic;
     bits = __float_as_uint(shifted), part = x - (shifted - kMagic);
   }
 };
 
-// Interpolates colours between the nodes of a section. What is read again and again is copied here, to be in registers.
+// Interpolate colours between the nodes of a section. What is read again and again is copied here, to be in registers.
 struct Nodes {
   const Corners* corners;
   int across, down, plane_stride;
@@ -250,21 +250,21 @@ struct Nodes {
         per_y(fast_reciprocal(lattice.step_y)),
         last_along(float(lattice.across - 1 - lattice.margin) - 0.02f) {}
 
-  // Where a row of nodes of a channel begins, less what the bits of a Place are too large by (modulo 2^32).
+  // Where a row of nodes of a channel begins, less what the bits of a NodePosition are too large by (modulo 2^32).
   __device__ unsigned row_of(int channel, int row) const {
-    return unsigned(channel * kChannelNodes + row * across) - Place::kMagicBits;
+    return unsigned(channel * kChannelNodes + row * across) - NodePosition::kMagicBits;
   }
   // The colour at x0 + along step_x, as seen, `part` (twice in a word) of the way from the row of nodes to the next. It
   // is interpolated straight along y, between the two planes, and along x.
   __device__ float at(unsigned row, __half2 part, float along, const Seen& seen) const {
-    const Place node(along - seen.aside);
+    const NodePosition node(along - seen.aside);
     const Corners* first = corners + (node.bits + seen.first() + row);
     const Corners here = first[0], next = first[plane_stride];
     const __half2 near = mixed(here.low, here.high, part), far = mixed(next.low, next.high, part);
     const __half2 pair = mixed(near, far, seen.part());
     return fmaf(node.part, __high2float(pair) - __low2float(pair), __low2float(pair));
   }
-  // Keeps `along` within the lattice.
+  // Keep `along` within the lattice.
   __device__ float within(float along) const { return fminf(along, last_along); }
   // The row of nodes before y, and as `part` the way from there to the next.
   __device__ int row(float y, __half2& part) const {
@@ -276,7 +276,7 @@ struct Nodes {
   static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
 };
 
-// Finds what sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of phases are left out:
+// Find what sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of phases are left out:
 // now and then that gives a sub-pixel at the border of two views the other one.
 template <class S>
 struct Views {
@@ -295,10 +295,10 @@ struct Views {
     last_up = float(lattice.planes - 1) - 1e-3f;
   }
   __device__ S from(unsigned number) const {
-    const Place plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));
-    return {lattice, int(plane.bits - Place::kMagicBits), plane.part};
+    const NodePosition plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));
+    return {lattice, int(plane.bits - NodePosition::kMagicBits), plane.part};
   }
-  // Makes a table if the offsets are few. By all threads of the block; the caller has them wait for each other before
+  // Make a table if the offsets are few. By all threads of the block; the caller has them wait for each other before
   // the table is read.
   __device__ void tabulate(S (&seen)[kMostTableViews]) {
     if (whole > kMostTableViews) return;

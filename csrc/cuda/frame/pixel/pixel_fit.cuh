@@ -1,6 +1,6 @@
 // How composite_pixel.cu turns splats into polynomials about the centre of a warp's patch, 32 at a time. specialise()
-// is what the kernel calls: it reads the splats of the waiting hits, and writes the polynomials into the warp's part of
-// shared memory.
+// is what the kernel calls: it reads the splats of the waiting intersections, and writes the polynomials into the
+// warp's part of shared memory.
 #pragma once
 
 #include <type_traits>
@@ -9,7 +9,7 @@
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
 #include "cuda/frame/lens_optics.cuh"
-#include "cuda/frame/lens_plan.cuh"
+#include "cuda/frame/kernel_cost.cuh"
 
 namespace lfgs::cuda {
 
@@ -20,24 +20,24 @@ constexpr float kMostHalfColour = 2;  // sums of brighter colours have too few d
 constexpr float kStraightColour = 2.5e-4f;  // coefficient of s^2 that is left out; on average a quarter is the error
 constexpr float kSmallEdge = 3e-3f;         // slope with which a colour may reach zero: it errs by at most a quarter
 
-// How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for those splats for which a line
-// is too rough; with a straight line and in half precision.
+// How samples are evaluated: with a straight line for r = S^(-1/2), with a parabola where a line is too coarse, or in
+// half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-// What a kernel is compiled for. Compensated: splats have shares of opacity. Cells: the panel may have cells, which
-// take registers that other panels do not have to spare.
+// What a kernel is compiled for. Compensated: splats have compensations. Cells: the panel may have cells, which take
+// registers that other panels do not have to spare.
 template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Compensated_ = false>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
   static constexpr bool Compensated = Compensated_, Cells = Cells_;
   static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
-  // Whether slopes of colours are kept with the rest of a hit's fit and read together with it: that is quicker in small
+  // Whether slopes of colours are stored and read with the rest of an intersection's fit. That is quicker in small
   // patches and slower in large ones.
   static constexpr bool SlopesInFit = Harmonics && !Quadratic && lane_rows == 1;
-  static constexpr LensKernel kernel = lane_rows == 1
-                                           ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
-                                           : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);
+  static constexpr FrameKernel kernel = lane_rows == 1
+                                            ? (Quadratic ? FrameKernel::kPixelQuadraticSmall : FrameKernel::kPixelSmall)
+                                            : (Quadratic ? FrameKernel::kPixelQuadratic : FrameKernel::kPixel);
 };
 
 // A colour as value + slope s + bend s^2; without harmonics there is only the value.
@@ -48,24 +48,24 @@ struct ColourFit {
 // What a warp keeps in shared memory.
 template <bool Harmonics>
 struct Staged {
-  float4 fit[4][32];                                           // of 32 hits, see shape_polynomial() and put_halves()
+  float4 fit[4][32];  // of 32 intersections, see shape_polynomial() and put_halves()
   float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // steps of the colours in s and s^2; see SlopesInFit
-  ColourFit colour;                                            // of the last hit so far; zero if that was careful
-  uint32_t ids[64];  // the hits that wait: fewer than 32, plus those of one cull
+  ColourFit colour;  // of the last intersection so far; zero if that was exact
+  uint32_t ids[64];  // the intersections that wait: fewer than 32, plus those of one cull
 };
 
-// With compensation also the slope and bend of the share of opacity, see share_fit(); its value is in the fit.
+// With compensation also its slope and bend, see compensation_fit(); its value is in the fit.
 template <bool Harmonics>
 struct CompensatedStaged : Staged<Harmonics> {
-  float2 share[32];
+  float2 compensation[32];
 };
 template <class C>
 using StagedOf = std::conditional_t<C::Compensated, CompensatedStaged<C::Harmonics>, Staged<C::Harmonics>>;
 
-// Which of up to 32 hits, a bit each, are careful; and which of the others are special, for they have a parabola for r
-// or for the step of the colour, or in half precision since they are cut.
+// Bits of up to 32 intersections: those that need the exact formulas; and those of the others that are special. A
+// special one has a parabola for r or for the step of the colour, or is cut in half precision.
 struct Marks {
-  unsigned careful, special;
+  unsigned needs_exact, special;
 };
 
 // r = S^(-1/2) as x + y s + z s^2, by interpolation: see kLinePlace.
@@ -76,22 +76,22 @@ __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
   return make_float3(middle, (right - left) * (curved ? kParabolaPlace : 1.f), right + left - 2 * middle);
 }
 
-// Log2 of the share of its opacity that a compensated splat keeps, as x + y s + z s^2, by interpolation: see
-// kLinePlace. x is NaN where that is too rough at the ends of the rig, where it errs most.
-__device__ inline float3 share_fit(const Compensation<float>& c, const Splat<float>& s) {
+// Log2 of the compensation of a splat, as x + y s + z s^2, by interpolation: see kLinePlace. x is NaN where that is too
+// coarse at the ends of the rig, where it errs most.
+__device__ inline float3 compensation_fit(const Compensation<float>& c, const Splat<float>& s) {
   constexpr float kMostError = 2e-4f;  // alpha is off by less than 0.04/255, on average by a tenth of that
-  auto share = [&](float v) { return log2_share(c, v, fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
-  const float middle = share(0.f), left = share(-kParabolaPlace), right = share(kParabolaPlace);
+  auto log2_at = [&](float v) { return log2_compensation(c, v, fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
+  const float middle = log2_at(0.f), left = log2_at(-kParabolaPlace), right = log2_at(kParabolaPlace);
   const float slope = (right - left) * kParabolaPlace, bend = right + left - 2 * middle;
-  auto error = [&](float v) { return fabsf(share(v) - fmaf(v, fmaf(v, bend, slope), middle)); };
+  auto error = [&](float v) { return fabsf(log2_at(v) - fmaf(v, fmaf(v, bend, slope), middle)); };
   return make_float3(error(-1.f) <= kMostError && error(1.f) <= kMostError ? middle : NAN, slope, bend);
 }
 
-// Writes the polynomial of d and the rest of what a sample needs into the vectors f0 to f3 of a fit:
+// Write the polynomial of d and the other terms of a sample into the vectors f0 to f3 of a fit.
 //   d = (f0.x + f1.y x + f0.y y) + s (f0.z + f1.z x + f0.w y) + s^2 (f1.x + [f3.y x + f3.z y]) + [s^3 f3.w],
 //   exponent = f1.w - (f2.x + f2.y y)^2 - d^2.
-// The terms in [] are there only when r is curved. The step of the colour will be in (f2.z, f2.w, f3.x); kernels
-// without curved r may have the step of the colour's slope in (f3.y, f3.z, f3.w).
+// The terms in [] are there only when r is curved. The step of the colour is in (f2.z, f2.w, f3.x). Kernels without
+// curved r may have the step of the colour's slope in (f3.y, f3.z, f3.w).
 __device__ inline void shape_polynomial(const Splat<float>& s, float3 r, float4 fit[4]) {
   const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du);
   const float t = s.tau * fast_rsqrt(fmaxf(s.tau, 1e-37f));
@@ -107,10 +107,10 @@ __device__ inline float half_unit(const LensOptics& lens) {
   return lens.s_step != 0 ? lens.s_step * exp2f(ceilf(log2f(0.5f * float(lens.views)))) : 1.f;
 }
 
-// Turns a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With
-// v = s / unit,
+// Turn a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With v = s
+// / unit,
 //   d = (f0.x + f0.y x + f0.z y) + v (h0 + h1 x + h2 y) + v^2 h3,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2.
-// f1.z holds h0 and h1, f1.w holds h2 and h3, and f2 the three steps of the colour and of its slope, as halves.
+// f1.z holds h0 and h1, f1.w holds h2 and h3. f2 holds the three steps of the colour and of its slope, as halves.
 __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
   const float4 f0 = fit[0], f1 = fit[1];
   fit[0] = make_float4(f0.x, f1.y, f0.y, fminf(f1.w, float(kLog2MaxAlpha)));
@@ -122,9 +122,9 @@ __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
 __device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))); }
 
 // Fits the colour polynomial of a splat by a line over s, or by a parabola where the kernel can and must; see
-// kLinePlace. Returns false where that is too rough.
+// kLinePlace. Return false where that is too coarse.
 template <bool Bends>
-__device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) {
+__device__ bool fit_colour(const DirectFrame& frame, uint32_t id, ColourFit& fit) {
   constexpr float kMostOrder = 4;
   const Splats<float>& splats = frame.splats;
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
@@ -158,7 +158,7 @@ __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) 
   return good;
 }
 
-// Turns every lane's colour into the step from the colour of the lane before. The first lane's step is from `last`,
+// Turn every lane's colour into the step from the colour of the lane before. The first lane's step is from `last`,
 // which then becomes the colour of lane count - 1. By all lanes of a warp.
 __device__ inline float4 steps(float4 colour, int count, float4& last) {
   const int lane = threadIdx.x % 32;
@@ -174,18 +174,18 @@ __device__ inline float4 steps(float4 colour, int count, float4& last) {
   return step;
 }
 
-// Whether half precision is too rough for a splat: somewhere in the patch d changes more over the rig than its digits
-// allow, or its colour is too bright or not a number.
+// Whether half precision is too coarse for a splat: d changes more over the rig than its digits allow, or its colour is
+// too large or NaN.
 template <class C>
-__device__ bool too_rough_in_half(const float4 fit[2], const ColourFit& colour) {
+__device__ bool too_coarse_in_half(const float4 fit[2], const ColourFit& colour) {
   const float sweep = fabsf(fit[0].z) + 0.5f * kPatchWidth * fabsf(fit[1].z) + 0.5f * C::patch_height * fabsf(fit[0].w);
   return !(sweep <= kMostHalfSweep) || !(largest(colour.value) + largest(colour.slope) <= kMostHalfColour);
 }
 
-// Makes the polynomials of the first `count` <= 32 waiting hits, one a lane. Careful hits have the colour zero, so that
-// their step takes the colour of the hit before off again.
+// Make the polynomials of the first `count` <= 32 waiting intersections, one a lane. Exact intersections have the
+// colour zero, so that their step takes the colour of the intersection before off again.
 template <class C>
-__device__ Marks specialise(const LensFrame& frame, int count, float2 centre, StagedOf<C>& staged) {
+__device__ Marks specialise(const DirectFrame& frame, int count, float2 centre, StagedOf<C>& staged) {
   const int lane = threadIdx.x % 32;
   const bool inside = lane < count;
 
@@ -194,26 +194,26 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   Splat<float> splat = whole_splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
   const bool curved = C::Quadratic && error.linear > frame.state->choice.straight;
-  bool careful = (!C::Half && splat.log2_opacity >= kCarefulOpacity) ||
-                 (curved ? error.quadratic : error.linear) > frame.state->choice.careful;
+  bool needs_exact = (!C::Half && splat.log2_opacity >= kExactOpacity) ||
+                     (curved ? error.quadratic : error.linear) > frame.state->choice.needs_exact;
   if constexpr (C::Compensated) {
-    const float3 share = share_fit(frame.splats.compensations[id], splat);
-    careful = careful || !(share.x <= 0.5f);
-    splat.log2_opacity += share.x, staged.share[lane] = make_float2(share.y, share.z);
+    const float3 compensation = compensation_fit(frame.splats.compensations[id], splat);
+    needs_exact = needs_exact || !(compensation.x <= 0.5f);
+    splat.log2_opacity += compensation.x, staged.compensation[lane] = make_float2(compensation.y, compensation.z);
   }
 
   // The fits of colour and shape
   ColourFit colour = {};
   float4 fit[4];
   if (C::Harmonics)
-    careful = !fit_colour<C::Bends>(frame, id, colour) || careful;
+    needs_exact = !fit_colour<C::Bends>(frame, id, colour) || needs_exact;
   else
     colour.value = reinterpret_cast<const float4*>(frame.splats.colours)[id];
   shape_polynomial(splat, root_fit(splat, curved), fit);
-  if (C::Half) careful = careful || too_rough_in_half<C>(fit, colour);
+  if (C::Half) needs_exact = needs_exact || too_coarse_in_half<C>(fit, colour);
 
   // Colours become steps, and find their places in the fit
-  if (careful) colour = {};
+  if (needs_exact) colour = {};
   auto step_of = [&](float4 part, float4& last) { return steps(by_place<C::Cells>(frame.optics, part), count, last); };
   const float4 step = step_of(colour.value, staged.colour.value);
   fit[2].z = step.x, fit[2].w = step.y, fit[3].x = step.z;
@@ -224,12 +224,13 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   if constexpr (C::SlopesInFit) fit[3] = make_float4(step.z, slope.x, slope.y, slope.z);
   if (C::Half) put_halves(fit, slope, half_unit(frame.optics));
 
-  // Store it, and mark the hits that need more than the usual
+  // Store it, and mark the intersections that need more than the usual
 #pragma unroll
   for (int k = 0; k < (C::Half ? 3 : 4); ++k) staged.fit[k][lane] = fit[k];
   const bool parabola = curved || (C::Bends && largest(bend) > 0);
-  const bool is_cut = C::Half && (splat.log2_opacity < kFaint || frame.cut <= frame.hit_cut);
-  return {__ballot_sync(~0u, inside && careful), __ballot_sync(~0u, inside && (parabola || is_cut) && !careful)};
+  const bool is_cut = C::Half && (splat.log2_opacity < kFaint || frame.cut <= frame.sample_cut);
+  return {__ballot_sync(~0u, inside && needs_exact),
+          __ballot_sync(~0u, inside && (parabola || is_cut) && !needs_exact)};
 }
 
 }  // namespace lfgs::cuda

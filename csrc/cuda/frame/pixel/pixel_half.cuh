@@ -8,8 +8,8 @@
 // - With a raised cut, alphas below 1/255 count, too, in the patches that a Gaussian reaches, unless it is faint.
 // - An opaque Gaussian does not end a sample: what shows through 0.99 of it is less than 0.01.
 //
-// A GPU finds 2^x of halves one by one, at an eighth of the rate of other instructions; so of three sub-pixels one uses
-// a polynomial instead.
+// A GPU computes 2^x of halves one by one, at an eighth of the rate of other instructions. So one of three sub-pixels
+// uses a polynomial instead.
 #pragma once
 
 #include "cuda/common/halves.cuh"
@@ -34,14 +34,14 @@ __device__ inline __half2 polynomial_exp2(__half2 x) {
 }
 
 // A lane's samples; every word has those of two neighbouring pixels. v is the offset in units of half_unit(), `sum` the
-// colour of the hits since the last flush().
+// colour of the intersections since the last flush().
 template <class C>
 struct HalfSamples {
   LanePixels<C::lane_rows> pixels;
   float colour[C::lane_rows][2][3];
   __half2 v[C::lane_rows][3], sum[C::lane_rows][3], transmittance[C::lane_rows][3];
 
-  __device__ HalfSamples(const LensFrame& frame, int left, int top) : pixels(left, top) {
+  __device__ HalfSamples(const DirectFrame& frame, int left, int top) : pixels(left, top) {
     const float inverse = 1 / half_unit(frame.optics);
     float at[C::lane_rows][2][3];
     pixels.template for_each_offset<C::Cells>(
@@ -53,7 +53,7 @@ struct HalfSamples {
     });
   }
 
-  // Calls visit(r, k) for the pairs of samples.
+  // Call visit(r, k) for the pairs of samples.
   template <class Visit>
   __device__ static void for_each(const Visit& visit) {
 #pragma unroll
@@ -72,7 +72,7 @@ struct HalfSamples {
     return all;
   }
 
-  // The step of a hit's colour at place k, seen from v, for both samples.
+  // The step of an intersection's colour at place k, seen from v, for both samples.
   struct Steps {
     __half2 red_green, blue_slope, slopes;
 
@@ -84,7 +84,7 @@ struct HalfSamples {
     }
   };
 
-  // Adds hit i, see put_halves() for the polynomial. Cut: whether exponents below `cut` draw nothing.
+  // Add intersection i, see put_halves() for the polynomial. Cut: whether exponents below `cut` draw nothing.
   template <bool Cut>
   __device__ void add(const Staged<C::Harmonics>& staged, int i, float cut) {
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i];
@@ -113,7 +113,7 @@ struct HalfSamples {
     }
   }
 
-  // Adds the sums of colours to those in float. Called after every 32 hits.
+  // Add the sums of colours to those in float. Called after every 32 intersections.
   __device__ void flush() {
     for_each([&](int r, int k) {
       colour[r][0][k] += __low2float(sum[r][k]), colour[r][1][k] += __high2float(sum[r][k]);
@@ -121,24 +121,24 @@ struct HalfSamples {
     });
   }
 
-  // Adds only the step of careful hit i, which takes the colour of the hit before off again.
+  // Add only the step of exact intersection i, which takes the colour of the intersection before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const Steps steps(staged.fit[2][i]);
     for_each([&](int r, int k) { sum[r][k] = __hfma2(transmittance[r][k], steps.at(k, v[r][k]), sum[r][k]); });
   }
 
-  // Adds a careful hit, in float.
-  __device__ void add_carefully(const CarefulHit<C>& hit) {
+  // Add an exact intersection, in float.
+  __device__ void add_exactly(const ExactIntersection<C>& intersection) {
     float after[C::lane_rows][2][3];
-    pixels.template for_each_offset<C::Cells>(hit.frame.optics, [&](int r, int p, int k, float s) {
+    pixels.template for_each_offset<C::Cells>(intersection.frame.optics, [&](int r, int p, int k, float s) {
       const __half2 T = transmittance[r][k];
       after[r][p][k] = p ? __high2float(T) : __low2float(T);
-      hit.add(pixels.x + p, pixels.y + 4 * r, s, k, after[r][p][k], colour[r][p][k]);
+      intersection.add(pixels.x + p, pixels.y + 4 * r, s, k, after[r][p][k], colour[r][p][k]);
     });
     for_each([&](int r, int k) { transmittance[r][k] = __floats2half2_rn(after[r][0][k], after[r][1][k]); });
   }
 
-  // Puts the samples over the background and into the image.
+  // Put the samples over the background and into the image.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) {
     const float unit = half_unit(lens);

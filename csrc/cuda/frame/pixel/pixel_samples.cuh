@@ -1,6 +1,6 @@
-// The samples of a lane in composite_pixel.cu: where they stand, what they hold, and how a hit is added to them. They
-// read the polynomials that specialise() made, and at the end write the pixels of the image. In the functions below, r
-// is a row of the lane, p one of its two pixels there, and k a place in the pixel.
+// The samples of a lane in composite_pixel.cu: where they stand, what they hold, and how an intersection is added to
+// them. They read the polynomials that specialise() made, and at the end write the pixels of the image. In the
+// functions below, r is a row of the lane, p one of its two pixels there, and k a place in the pixel.
 #pragma once
 
 #include "cuda/common/compensated.cuh"
@@ -29,7 +29,7 @@ struct LanePixels {
   __device__ bool seen(const LensOptics& lens, int r, int p) const {
     return row + 4 * r < lens.height_px && column + p < lens.width_px;
   }
-  // Calls visit(r, p, k) for the sub-pixels.
+  // Call visit(r, p, k) for the sub-pixels.
   template <class Visit>
   __device__ static void for_each(const Visit& visit) {
 #pragma unroll
@@ -39,7 +39,7 @@ struct LanePixels {
 #pragma unroll
         for (int k = 0; k < 3; ++k) visit(r, p, k);
   }
-  // Calls visit(r, p, k, s) for the sub-pixels, with the offset from which each is seen.
+  // Call visit(r, p, k, s) for the sub-pixels, with the offset from which each is seen.
   template <bool Cells, class Visit>
   __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
 #pragma unroll
@@ -51,11 +51,11 @@ struct LanePixels {
 #pragma unroll
         for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
           const uint64_t own = Cells && lens.has_cells ? phase + beyond[k] : phase;
-          visit(r, p, k, fmaf(lens.s_step, camera_of(lens, own), lens.s_start));
+          visit(r, p, k, fmaf(lens.s_step, camera_offset(lens, own), lens.s_start));
         }
       }
   }
-  // Puts the sub-pixels value(r, p, k) into the image.
+  // Put the sub-pixels value(r, p, k) into the image.
   template <bool Cells, class Out, class Value>
   __device__ void store(const LensOptics& lens, Out* out, const Value& value) const {
 #pragma unroll
@@ -70,7 +70,7 @@ struct LanePixels {
   }
 };
 
-// The step from the colour of the last hit, seen from s, to that of the background.
+// The step from the colour of the last intersection, seen from s, to that of the background.
 template <class C>
 __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background, float s, int k) {
   const ColourFit& last = staged.colour;
@@ -85,19 +85,18 @@ __device__ inline __noinline__ float circle_part(const float4* terms, int channe
   return point.colour([&](int m) { return reinterpret_cast<const float*>(terms + m)[channel]; });
 }
 
-// Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
-// colour polynomial, or the colour on its circle, and the end of samples that become opaque; with compensation with the
-// share of opacity.
+// Add an exact intersection to one sample: with a division, the limit of alpha, the whole colour polynomial or the
+// colour on its circle, and the compensation. End samples that become opaque.
 template <class C>
-struct CarefulHit {
-  const LensFrame& frame;
+struct ExactIntersection {
+  const DirectFrame& frame;
   Splat<float> splat;
   Compensation<float> compensation;
   int order;
   const float4* powers;
   float4 highest, background;
 
-  __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
+  __device__ ExactIntersection(const DirectFrame& frame, uint32_t id, float2 centre, float4 background)
       : frame(frame),
         splat(whole_splat_about(frame.splats, id, centre)),
         compensation(C::Compensated ? frame.splats.compensations[id] : Compensation<float>{}),
@@ -110,16 +109,17 @@ struct CarefulHit {
     const float dy = y - splat.v0, dx = x - splat.u0 - splat.c0 * dy - s * fmaf(splat.c1, dy, splat.du);
     const float S = fmaf(s, fmaf(s, splat.S2, splat.S1), splat.S0);
     float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
-    if constexpr (C::Compensated) power += log2_share(compensation, s, S);
+    if constexpr (C::Compensated) power += log2_compensation(compensation, s, S);
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
     if (C::Harmonics && order == kCircleOrder) c = circle_part(powers, frame.optics.channels[k], s);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
     // A sample that should have ended before takes no more, see ended()
-    const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
+    const bool drawn = power >= frame.sample_cut && T >= float(kMinTransmittance),
+               stop = after < float(kMinTransmittance);
     // A sample that ends here keeps its light for the background. Where this splat draws nothing, nothing changes
     const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
-    if (hit) colour += light, T = stop ? 0 : after;
+    if (drawn) colour += light, T = stop ? 0 : after;
   }
 };
 
@@ -129,7 +129,7 @@ struct FloatSamples {
   LanePixels<C::lane_rows> pixels;
   float s[C::lane_rows][2][3], colour[C::lane_rows][2][3], transmittance[C::lane_rows][2][3];
 
-  __device__ FloatSamples(const LensFrame& frame, int left, int top) : pixels(left, top) {
+  __device__ FloatSamples(const DirectFrame& frame, int left, int top) : pixels(left, top) {
     pixels.template for_each_offset<C::Cells>(frame.optics, [&](int r, int p, int k, float offset) {
       s[r][p][k] = offset, colour[r][p][k] = 0, transmittance[r][p][k] = pixels.seen(frame.optics, r, p) ? 1.f : 0.f;
     });
@@ -142,7 +142,7 @@ struct FloatSamples {
     return all;
   }
 
-  // The step of the colour of hit i at place k, seen from s.
+  // The step of the colour of intersection i at place k, seen from s.
   struct Step {
     float4 value, slope, bend;
 
@@ -160,15 +160,15 @@ struct FloatSamples {
     }
   };
 
-  // Adds hit i, see shape_polynomial() for the polynomial. Parabola: whether it is special, that is, has a parabola for
-  // r or for the step of its colour.
+  // Add intersection i, see shape_polynomial() for the polynomial. Parabola: whether it is special, that is, has a
+  // parabola for r or for the step of its colour.
   template <bool Parabola>
   __device__ void add(const StagedOf<C>& staged, int i, float cut) {
     constexpr bool Curved = C::Quadratic && Parabola;
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i], f3 = staged.fit[3][i];
     const Step step(staged, i);
-    float2 share;
-    if constexpr (C::Compensated) share = staged.share[i];
+    float2 compensation;
+    if constexpr (C::Compensated) compensation = staged.compensation[i];
 
     // The polynomials in s at the lane's first pixel; the other pixels are a step away in x, and four steps in y
     float t = fmaf(f2.y, pixels.y, f2.x);
@@ -188,7 +188,7 @@ struct FloatSamples {
           const float v = s[r][p][k];
           float& T = transmittance[r][p][k];
           const float d = fmaf(v, fmaf(v, Curved ? fmaf(v, f3.w, p2) : p2, p1), p0);
-          const float power = fmaf(-d, d, C::Compensated ? fmaf(v, fmaf(v, share.y, share.x), A) : A);
+          const float power = fmaf(-d, d, C::Compensated ? fmaf(v, fmaf(v, compensation.y, compensation.x), A) : A);
           const float alpha = fast_exp2(power);
           colour[r][p][k] = fmaf(T, step.template at<Parabola>(k, v), colour[r][p][k]);
           if (power >= cut) T = fmaf(-alpha, T, T);
@@ -202,7 +202,7 @@ struct FloatSamples {
   // Colours are summed in float all the way, see HalfSamples.
   __device__ void flush() {}
 
-  // Adds only the step of careful hit i, which takes the colour of the hit before off again.
+  // Add only the step of exact intersection i, which takes the colour of the intersection before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const Step step(staged, i);
     pixels.for_each([&](int r, int p, int k) {
@@ -210,13 +210,13 @@ struct FloatSamples {
     });
   }
 
-  __device__ void add_carefully(const CarefulHit<C>& hit) {
+  __device__ void add_exactly(const ExactIntersection<C>& intersection) {
     pixels.for_each([&](int r, int p, int k) {
-      hit.add(pixels.x + p, pixels.y + 4 * r, s[r][p][k], k, transmittance[r][p][k], colour[r][p][k]);
+      intersection.add(pixels.x + p, pixels.y + 4 * r, s[r][p][k], k, transmittance[r][p][k], colour[r][p][k]);
     });
   }
 
-  // Puts the samples over the background and into the image.
+  // Put the samples over the background and into the image.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
     pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) {

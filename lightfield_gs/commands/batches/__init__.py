@@ -1,1 +1,0 @@
-"""What `lightfield-gs batch` does with each item."""

@@ -1,0 +1,284 @@
+"""Photographs with their cameras in normalised coordinates, and how they are drawn.
+
+Captures come in any unit and at any place, some in metres from a state's survey mark. Learning rates and limits are for
+cameras about the origin with an extent of 1; float32 also has the most digits there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.fitting.settings import Masks
+from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.rasterizer.image_render import ImageArguments, ImageRender
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
+
+
+@dataclass(frozen=True)
+class Normalization:
+    """The normalised coordinates of a fit.
+
+    Attributes:
+        centre: their origin, in the capture's coordinates.
+        extent: their unit.
+    """
+
+    centre: tuple[float, float, float]
+    extent: float
+
+    @classmethod
+    def from_centres(cls, centres: np.ndarray, extent: float) -> Normalization:
+        """Return coordinates with the median of the cameras' centres [C,3] as their origin."""
+        x, y, z = map(float, np.median(centres, 0))
+        return cls((x, y, z), extent)
+
+    def points(self, points: np.ndarray) -> np.ndarray:
+        """Return points [...,3] in normalised coordinates."""
+        return (points - np.array(self.centre)) / self.extent
+
+    def poses(self, world_to_camera: np.ndarray) -> np.ndarray:
+        """Return poses [C,4,4] for normalised coordinates; depths have their unit too."""
+        poses = world_to_camera.copy()
+        poses[:, :3, 3] = (poses[:, :3, :3] @ np.array(self.centre) + poses[:, :3, 3]) / self.extent
+        return poses
+
+    def restore(self, gaussians: Gaussians) -> Gaussians:
+        """Return Gaussians in units of the capture, with `centre` as their origin."""
+        return replace(
+            gaussians, means=gaussians.means * self.extent, scales=gaussians.scales * self.extent, origin=self.centre
+        )
+
+
+@dataclass
+class PosedImages:
+    """C photographs of one size with their cameras.
+
+    Smaller photographs stand in the upper left, and count nowhere else. A step can take any of them without waiting.
+
+    Attributes:
+        names: of the photographs.
+        photos: [C,H,W,3] uint8.
+        weights: [C,H,W] uint8, 255 where a photograph counts; None: everywhere.
+        world_to_camera: [C,4,4] float32, normalised coordinates.
+        intrinsics: [C,4] float32, fx, fy, cx, cy.
+        limits: [C,5] float32, of the Jacobian.
+        sizes: width and height of each.
+        opacity: [C,H,W] uint8, the target of alpha by the masks; None: masks are no target.
+    """
+
+    names: list[str]
+    photos: Tensor
+    weights: Tensor | None
+    world_to_camera: Tensor
+    intrinsics: Tensor
+    limits: Tensor
+    sizes: list[tuple[int, int]]
+    opacity: Tensor | None = None
+    _staged: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def load(
+        cls,
+        capture: Capture,
+        indices: Sequence[int],
+        normalization: Normalization,
+        device: str,
+        progress: Iterable[int],
+        masks: Masks = "ignore",
+        on_host: bool = False,
+    ) -> PosedImages:
+        """Read photographs of a capture.
+
+        Args:
+            capture: where they are.
+            indices: which of them.
+            normalization: the coordinates of the fit.
+            device: where the fit runs.
+            progress: `indices` once more; a progress bar may wrap them.
+            masks: pixels outside masks and the photographs' alpha count nowhere ("ignore"), or are to be transparent
+                ("alpha"). Pixels beyond the frame of a distorted photograph never count.
+            on_host: keep photographs and masks in the host's memory, see stage.
+        """
+        where = "cpu" if on_host else device
+        sizes = [(int(w), int(h)) for w, h in capture.sizes_px[list(indices)]]
+        width, height = (max(side) for side in zip(*sizes))
+        if len(set(sizes)) > 1:
+            wasted = 1 - sum(w * h for w, h in sizes) / (len(sizes) * width * height)
+            assume(
+                f"photographs are of {len(set(sizes))} sizes: all are drawn as {width} x {height}, {wasted:.0%} more"
+            )
+        photos = np.zeros((len(sizes), height, width, 3), np.uint8)
+        weights = np.zeros((len(sizes), height, width), np.uint8)
+        opacity = np.full_like(weights if masks == "alpha" else weights[:0], 255)
+        for row, (index, (w, h)) in enumerate(zip(progress, sizes)):
+            photos[row, :h, :w] = capture.image(index)
+            counts = capture.valid_area(index) if masks == "alpha" else capture.mask(index)
+            weights[row, :h, :w] = 255 if counts is None else counts
+            opaque = capture.opacity(index) if masks == "alpha" else None
+            if opaque is not None:
+                opacity[row, :h, :w] = opaque
+        focal, principal = torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1)
+        poses = torch.from_numpy(normalization.poses(capture.world_to_camera[list(indices)]))
+        cameras = Cameras(poses, focal, principal, width, height)
+        return cls(
+            [capture.names[index] for index in indices],
+            torch.from_numpy(photos).to(where),
+            None if weights.min() == 255 else torch.from_numpy(weights).to(where),
+            cameras.world_to_camera.float().to(device),
+            cameras.intrinsics().float().to(device),
+            cameras.limits().float().to(device),
+            sizes,
+            None if opacity.size == 0 or opacity.min() == 255 else torch.from_numpy(opacity).to(where),
+        )
+
+    def targets(self, indices: Tensor, background: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Return the targets of the renders of some photographs.
+
+        Where masks are the target of alpha, a photograph stands over the background. A render with too little alpha
+        then differs from it, most of all if each step has another background.
+
+        Args:
+            indices: [V].
+            background: [V,3].
+
+        Returns:
+            Photographs [V,H,W,3], uint8 or float32, and weights [V,H,W] in 0..1 if there are any.
+        """
+        photos, weights = self._select("photos", indices), self._select("weights", indices)
+        assert photos is not None
+        weights = None if weights is None else weights / 255
+        opacity = self._select("opacity", indices)
+        if opacity is None:
+            return photos, weights
+        alpha = opacity[..., None] / 255
+        return photos / 255 * alpha + (1 - alpha) * background[:, None, None], weights
+
+    @property
+    def on_host(self) -> bool:
+        """Whether the photographs are in the host's memory, and the fit on another device."""
+        return self.photos.device != self.device
+
+    def stage(self, indices: Tensor) -> None:
+        """Copy photographs `indices` [V] of the host to the device, for the next `targets`; else do nothing.
+
+        A CUDA graph finds the copies: their memory stays the same. They wait in the stream until earlier steps have
+        read the copies before them.
+        """
+        if not self.on_host:
+            return
+        for name in ("photos", "weights", "opacity"):
+            stored = getattr(self, name)
+            if stored is None:
+                continue
+            found = stored.index_select(0, indices).pin_memory()
+            if name not in self._staged or self._staged[name].shape != found.shape:
+                self._staged[name] = torch.empty_like(found, device=self.device)
+            self._staged[name].copy_(found, non_blocking=True)
+
+    def _select(self, name: str, indices: Tensor) -> Tensor | None:
+        """Return photos, weights or opacity at `indices`, or their staged copies."""
+        stored = getattr(self, name)
+        if stored is None:
+            return None
+        return self._staged[name] if self.on_host else stored.index_select(0, indices)
+
+    def render_job(
+        self,
+        gaussians: Gaussians,
+        chosen: Tensor,
+        world_to_camera: Tensor,
+        background: Tensor,
+        antialiased: bool,
+        *,
+        capacity: int | None = None,
+        size_px: tuple[int, int] | None = None,
+    ) -> ImageRender:
+        """Return the job that draws the scene from the cameras of some photographs, without autograd.
+
+        Args:
+            gaussians: the scene, normalised coordinates.
+            chosen: [V], the photographs.
+            world_to_camera: [C,4,4], the poses of all photographs.
+            background: [V,3].
+            antialiased: the scene's render mode.
+            capacity: for (tile, Gaussian) intersections, on CUDA; None: the host waits for their number.
+            size_px: width and height of the upper left part to draw; None: all.
+        """
+        width, height = size_px or (self.width_px, self.height_px)
+        poses, intrinsics, limits = (
+            tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, self.intrinsics, self.limits)
+        )
+        means, quaternions, scales, opacities, sh = (tensor[None] for tensor in gaussians.fields().values())
+        arguments = ImageArguments(
+            means,
+            quaternions,
+            scales,
+            opacities,
+            sh,
+            background[None],
+            poses,
+            intrinsics,
+            limits,
+            width,
+            height,
+            antialiased,
+        )
+        return ImageRender.from_arguments(arguments, capacity=capacity)
+
+    def pixel_weights(self, index: int) -> Tensor:
+        """Return [H,W] float32, the weights 0..1 of a photograph's pixels."""
+        if self.weights is None:
+            return torch.ones(self.height_px, self.width_px, device=self.device)
+        return self.weights[index].to(self.device) / 255
+
+    def masked_out(self) -> list[int]:
+        """Return the indices of photographs of which masks leave less than a pixel: to count, or to be opaque."""
+        masks = [stored for stored in (self.weights, self.opacity) if stored is not None]
+        return [i for i in range(self.count) if any(int(mask[i].sum(dtype=torch.int64)) < 255 for mask in masks)]
+
+    def select(self, indices: Sequence[int]) -> PosedImages:
+        """Return some of the photographs."""
+        chosen = list(indices)
+        return replace(
+            self,
+            names=[self.names[index] for index in chosen],
+            photos=self.photos[chosen],
+            weights=None if self.weights is None else self.weights[chosen],
+            world_to_camera=self.world_to_camera[chosen],
+            intrinsics=self.intrinsics[chosen],
+            limits=self.limits[chosen],
+            sizes=[self.sizes[index] for index in chosen],
+            opacity=None if self.opacity is None else self.opacity[chosen],
+        )
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the fit."""
+        return self.world_to_camera.device
+
+    def cameras(self, index: int | None = None) -> Cameras:
+        """Return the cameras of all photographs, or of one, each with the size of the largest photograph."""
+        some = slice(None) if index is None else slice(index, index + 1)
+        poses, intrinsics, limits = (t[some] for t in (self.world_to_camera, self.intrinsics, self.limits))
+        focal, centre = intrinsics.split(2, -1)
+        return Cameras(poses, focal, centre, self.width_px, self.height_px, jacobian_limits=limits)
+
+    @property
+    def count(self) -> int:
+        """C."""
+        return len(self.names)
+
+    @property
+    def height_px(self) -> int:
+        return self.photos.shape[1]
+
+    @property
+    def width_px(self) -> int:
+        return self.photos.shape[2]
