@@ -86,9 +86,9 @@ def hashed_subsample(gaussians: Gaussians) -> Gaussians:
     few = -(-gaussians.count // _MANY)
     if few == 1:
         return gaussians
-    place = torch.arange(gaussians.count // few, device=gaussians.device)
+    index = torch.arange(gaussians.count // few, device=gaussians.device)
     # Knuth's multiplicative hash, The Art of Computer Programming, vol. 3, section 6.4
-    return select(gaussians, few * place + (place * 2654435761 >> 16) % few)
+    return select(gaussians, few * index + (index * 2654435761 >> 16) % few)
 
 
 def select(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:

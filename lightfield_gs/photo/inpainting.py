@@ -249,7 +249,7 @@ def _copy_matches(search: _Matches, level: _Level, scale: int) -> Tensor:
     """
     goal = max_filter(level.hole, 1).nonzero()
     matches, is_set = search.grid()
-    # Between which four places of the grid a pixel is, and how far
+    # The position of a pixel between four positions of the grid
     at = ((goal + 0.5) / scale - 0.5) / _CONSTANTS.stride
     low = at.floor()
     fraction = ((at - low) * 2 - 0.5).clamp(0, 1)

@@ -166,7 +166,7 @@ def _layers(
 
 
 def _surface_gaussians(
-    places: Tensor,
+    pixels: Tensor,
     depth: Tensor,
     opacity: Tensor,
     colours: Tensor,
@@ -177,7 +177,7 @@ def _surface_gaussians(
     """Return the Gaussians of pixels of a surface.
 
     Args:
-        places: Pixels [M, 2] (row, column).
+        pixels: [M, 2] (row, column).
         depth: [H, W].
         opacity: [H, W].
         colours: [H, W, 3].
@@ -185,7 +185,7 @@ def _surface_gaussians(
         centre: (cx, cy), pixels.
         torn: Whether the surface is open at edges.
     """
-    rows, columns = places.unbind(1)
+    rows, columns = pixels.unbind(1)
     steepest = STEEPEST if torn else _CONSTANTS.steepest_hidden
     z, across, down = (
         values[rows, columns]
