@@ -1,4 +1,4 @@
-"""Four Gaussians in every format that is read, packed number by number from the formats' descriptions."""
+"""Four Gaussians in all formats, packed number by number by the formats' descriptions."""
 
 import gzip
 import io
@@ -15,7 +15,7 @@ MEANS = [(0.5, -1.25, 2.0), (-0.75, 0.5, 1.0), (1.5, 2.0, -0.25), (0.0, -2.0, 3.
 LOG_SCALES = [(-3.0, -2.5, -4.0), (-1.0, -6.0, -2.0), (-5.0, -5.5, -1.5), (-2.25, -3.5, -4.5)]
 OPACITIES = [51 / 255, 1.0, 204 / 255, 127 / 255]
 COLOURS = [(1.0, 0.2, 0.0), (0.6, 0.4, 0.8), (0.0, 1.0, 0.2), (0.4, 0.4, 0.4)]
-# wxyz, each with another component that is the largest
+# wxyz; each has another largest component
 _TURNS = [(0.9, 0.2, -0.3, 0.1), (0.1, -0.8, 0.4, 0.3), (-0.3, 0.2, 0.7, -0.4), (0.2, 0.3, 0.1, -0.9)]
 ROTATIONS = [tuple(part / math.hypot(*turn) for part in turn) for turn in _TURNS]
 _RANDOM = np.random.default_rng(7)
@@ -35,14 +35,14 @@ def byte(value):
 
 
 def three_smallest(wxyz):
-    """Index of the largest of four, and the others with the sign that makes it positive."""
+    """Return the index of the largest of four, and the others with the sign that makes it positive."""
     index = max(range(4), key=lambda i: abs(wxyz[i]))
     sign = -1 if wxyz[index] < 0 else 1
     return index, [sign * part for i, part in enumerate(wxyz) if i != index]
 
 
 def spz_attributes(version, degree):
-    """The six attributes of an .spz, in its axes: right, up, back."""
+    """Return the six attributes of an .spz, in its axes: right, up, back."""
     positions, turns = b"", b""
     for (x, y, z), (w, i, j, k) in zip(MEANS, ROTATIONS):
         for part in (x, -y, -z):
@@ -68,7 +68,7 @@ def spz_attributes(version, degree):
 
 
 def spz_plain(version, degree=3, count=4, flags=0):
-    """An .spz of version 1..3 before gzip."""
+    """Return an .spz of version 1..3 before gzip."""
     return struct.pack("<4sIIBBBB", b"NGSP", version, count, degree, 12, flags, 0) + b"".join(
         spz_attributes(version, degree)
     )
@@ -79,7 +79,7 @@ def spz(version, degree=3, count=4, flags=0):
 
 
 def spz4(compress, degree=3, count=4, flags=0, extensions=b""):
-    """compress: of zstd."""
+    """Return an .spz of version 4; compress: zstd's function."""
     parts = [part for part in spz_attributes(4, degree) if part]
     packed = [compress(part) for part in parts]
     at = 32 + len(extensions)
@@ -98,7 +98,7 @@ def splat():
 
 
 def ksplat(level, degree=2):
-    """Level 0 in one section; levels 1 and 2 with a full bucket of 3 and one of 1."""
+    """Return a .ksplat: level 0 in one section, levels 1 and 2 with a full bucket of 3 and one of 1."""
     count = 3 * ((degree + 1) ** 2 - 1)
     rows, centres = b"", [(0.5, 0.5, 0.5), (0.0, -2.0, 2.5)]
     for index, (mean, logs) in enumerate(zip(MEANS, LOG_SCALES)):
@@ -122,7 +122,7 @@ def ksplat(level, degree=2):
 
 
 def compressed_ply(degree=3):
-    """One chunk, with the extremes of its colours."""
+    """Return a compressed .ply of one chunk, with the extremes of its colours."""
 
     def packed(values, low, high, bits):
         word = 0
@@ -156,7 +156,7 @@ def compressed_ply(degree=3):
 
 
 def webp(pixels, width):
-    """A lossless image of rows of RGBA, filled up with zeros."""
+    """Return a lossless image of rows of RGBA, padded with zeros."""
     rows = -(-len(pixels) // width)
     array = np.zeros((rows * width, 4), np.uint8)
     array[: len(pixels)] = np.array(pixels, np.uint8)
@@ -166,7 +166,7 @@ def webp(pixels, width):
 
 
 def sog(version=2, bands=3, /, **changes):
-    """The files of a SOG by name; changes: of meta.json."""
+    """Return the files of a SOG by name; changes: to meta.json."""
     logs = [[math.copysign(math.log1p(abs(part)), part) for part in mean] for mean in MEANS]
     words = [[round((part + 2) / 4 * 65535) for part in row] for row in logs]
     turns = []
@@ -230,7 +230,7 @@ def written(folder, files):
 
 
 def streamed(folder, **changes):
-    """A streamed SOG of two levels with an environment; changes: of lod-meta.json."""
+    """Write a streamed SOG of two levels with an environment; changes: to lod-meta.json."""
     for name in ("0_0", "0_1", "1_0", "env"):
         written(folder / name, sog(2, 3 if name == "0_0" else 1))
     leaves = [
@@ -244,7 +244,7 @@ def streamed(folder, **changes):
 
 
 def gsplat_png(folder, degree=1):
-    """What gsplat's PngCompression writes of four Gaussians."""
+    """Write four Gaussians as gsplat's PngCompression does."""
     folder.mkdir(exist_ok=True)
     count = (degree + 1) ** 2 - 1
     opacities = np.clip(np.array(OPACITIES), 0.01, 0.99)

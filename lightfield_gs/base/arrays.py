@@ -50,3 +50,30 @@ def encode_srgb(light: np.ndarray) -> np.ndarray:
 def decode_srgb(code: np.ndarray) -> np.ndarray:
     """Return the linear light 0..1 of an sRGB code 0..1 (IEC 61966-2-1)."""
     return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def check_tensor(
+    what: str, value: object, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device, writes: bool = False
+) -> Tensor:
+    """Return a tensor contiguous, after checking it.
+
+    Args:
+        what: its name in messages.
+        value: the tensor.
+        shape: expected, as are dtype and device.
+        dtype: expected.
+        device: expected.
+        writes: whether it is written to, and so must be contiguous itself.
+
+    Raises:
+        InputError: for another type, shape, dtype or device.
+    """
+    expect(what, value, Tensor)
+    assert isinstance(value, Tensor)
+    if value.shape != shape:
+        raise InputError(f"{what} must be {list(shape)}, got {list(value.shape)}")
+    if value.dtype != dtype or value.device != device:
+        raise InputError(f"{what} must be {dtype} on {device}, got {value.dtype} on {value.device}")
+    if writes and not value.is_contiguous():
+        raise InputError(f"{what} is written to and must be contiguous; use .contiguous()")
+    return value.contiguous()

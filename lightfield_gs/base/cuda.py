@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-_WARM_UP = 2  # calls before a capture, in which libraries load and choose their algorithms
+_WARM_UP = 2  # calls before a capture
 _ALIGNMENT = 256  # bytes, of each tensor within a buffer
 _BUFFER_BYTES = 1 << 25  # the sizes of buffers are multiples, so that buffers seldom have to grow
 
@@ -29,26 +29,30 @@ def free_memory(device: torch.device) -> int:
     return torch.cuda.mem_get_info(device)[0] + unused
 
 
-def capture_graph(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
-    """Capture the launches of a call as a graph, and replay the graph once.
+def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[torch.cuda.CUDAGraph, Any]:
+    """Capture the launches of a call as a CUDA graph; a capture computes nothing.
 
-    A capture computes nothing, and later captures read the result while they warm up: hence the replay. Other threads
-    may use the device meanwhile.
+    Args:
+        call: its launches are captured.
+        warm_up: for calls into libraries, which load and choose their algorithms in the first calls. It runs before the
+            capture, and the graph is replayed once after it: later captures read the result while they warm up. Other
+            threads may use the device meanwhile.
 
     Returns:
         The graph, and the result of the call, which each replay overwrites.
     """
-    beside = torch.cuda.Stream()
-    beside.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(beside):
-        for _ in range(_WARM_UP):
-            call()
-    torch.cuda.current_stream().wait_stream(beside)
+    stream = torch.cuda.Stream()  # of its own: torch's belongs to the device that captured first
+    if warm_up:
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            for _ in range(_WARM_UP):
+                call()
+        torch.cuda.current_stream().wait_stream(stream)
     graph = torch.cuda.CUDAGraph()
-    # A stream of its own: torch's belongs to the device that captured first
-    with torch.cuda.graph(graph, stream=beside, capture_error_mode="thread_local"):
+    with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local" if warm_up else "global"):
         result = call()
-    graph.replay()
+    if warm_up:
+        graph.replay()
     return graph, result
 
 

@@ -8,36 +8,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.checks import expect
 from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
-
-
-def check_tensor(
-    what: str, value: object, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device, writes: bool = False
-) -> Tensor:
-    """Return a tensor of this shape, dtype and device as a contiguous one.
-
-    Args:
-        what: its name in messages.
-        value: the tensor.
-        shape: its shape.
-        dtype: its dtype.
-        device: its device.
-        writes: the tensor is written to, and must be contiguous itself.
-
-    Raises:
-        InputError: the value is another tensor, or none.
-    """
-    expect(what, value, Tensor)
-    assert isinstance(value, Tensor)
-    if value.shape != shape:
-        raise InputError(f"{what} must be {list(shape)}, got {list(value.shape)}")
-    if value.dtype != dtype or value.device != device:
-        raise InputError(f"{what} must be {dtype} on {device}, got {value.dtype} on {value.device}")
-    if writes and not value.is_contiguous():
-        raise InputError(f"{what} is written to and must be contiguous; use .contiguous()")
-    return value.contiguous()
 
 
 def select_stages(what: str, tensor: Tensor) -> ModuleType:
@@ -62,10 +34,10 @@ def run_stage(name: str, stages: ModuleType, device: torch.device, *arguments: o
     """Run a stage on the CPU, or queue it in torch's current stream of a CUDA device.
 
     Args:
-        name: that of the stage.
+        name: of the stage.
         stages: the native functions for the CPU.
         device: where the tensors are.
-        arguments: those of the stage, except threads and stream.
+        arguments: of the stage, except threads and stream.
     """
     with device_guard(device):
         if device.type == "cuda":

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
+from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.density import DensityStatistics, morton_order, refine_adaptive, refine_mcmc, reset_opacities
 from lightfield_gs.fitting.distributed import ALONE, Group
@@ -17,8 +18,7 @@ from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.step import Step, StepCounters
 
 _LOOK_EVERY = 100  # steps after which the host waits for the device
-# Allocate _SLACK x the largest number of intersections seen, and _LEAST_CAPACITY more; allocate again when less than
-# 10 % is left
+# Allocate 1.25 x the largest number of intersections seen, and 65536; allocate again when less than 10 % is left.
 _SLACK, _LEAST_SLACK, _LEAST_CAPACITY = 1.25, 1.1, 1 << 16
 
 
@@ -42,7 +42,7 @@ class Trainer:
         Args:
             state: the first Gaussians.
             images: the training photographs.
-            settings: those of the fit; batch_size is that of all processes together.
+            settings: of the fit; batch_size counts the photographs of all processes.
             group: the processes that fit together.
             photo_weights: of the photographs, see Schedule.make; None: 1.
 
@@ -182,10 +182,7 @@ class Trainer:
     def _capture(self) -> torch.cuda.CUDAGraph:
         """Return a step as a graph. Capturing does not run it."""
         torch.cuda.synchronize(self.device)
-        graph, step = torch.cuda.CUDAGraph(), self._step(self._capacity)
-        with torch.cuda.graph(graph):
-            step.run()
-        return graph
+        return capture_graph(self._step(self._capacity).run)[0]
 
     def _look(self, begun: int) -> None:
         """Wait for the device; learn how many of `begun` steps are done, and raise the capacity if they need more.

@@ -18,8 +18,8 @@ _NUMBERS = (".exr", ".npy", ".npz")  # more precise than an image of the same de
 def depth_maps_beside(names: Iterable[str]) -> dict[str, list[str]]:
     """Find the depth maps of photos among the names of a folder; the most precise map comes first.
 
-    The name of a map without its ending, and without the word depth, disparity or the like, is the photo's name without
-    its ending: 0001_depth.png of 0001.png, depth_0001.png of rgb_0001.png.
+    The stem of a map is the photo's stem and the word depth, disparity or the like: 0001_depth.png of 0001.png. The
+    photo's stem may contain a word for colour: depth_0001.png of rgb_0001.png.
     """
     names = list(names)
     maps: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
-"""Kinds of files by their content and name, and refusals of those that are not read.
+"""Kinds of files by content and name, and refusals of unsupported kinds.
 
-Each message names the kind and a way out. Kinds are Git LFS pointers and web pages in place of a file, videos, large
-files that are no images, and files that people have beside scenes and images: meshes, checkpoints, archives and more.
+Each message names the kind and a way out. Git LFS pointers and web pages may stand in place of a file. Other kinds are
+videos, large files that are no images, and meshes, checkpoints, archives and more.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Compression of images for PNG files on the CUDA device that holds them; see csrc/cuda/png/png.h.
 
-An H100 compresses an 8K image in a millisecond, a CPU core in a tenth of a second or more, and at most a third of the
-bytes are copied to the host.
+An H100 compresses an 8K image in a millisecond, a CPU core in a tenth of a second or more. At most a third of the bytes
+are copied to the host.
 """
 
 from __future__ import annotations

@@ -37,7 +37,13 @@ class Square(Generic[Number]):
     def intrinsics(
         self: Square[int], focal: tuple[float, float], centre: tuple[float, float], size_px: int
     ) -> list[float]:
-        """Return (fx, fy, cx, cy) in pixels of the square cropped and resized to size_px."""
+        """Return (fx, fy, cx, cy) in pixels of the cropped and resized square.
+
+        Args:
+            focal: (fx, fy) of the image, pixels.
+            centre: (cx, cy) of the image, pixels.
+            size_px: side of the resized square.
+        """
         scale = size_px / self.side
         return [focal[0] * scale, focal[1] * scale, (centre[0] - self.left) * scale, (centre[1] - self.top) * scale]
 

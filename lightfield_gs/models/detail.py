@@ -97,7 +97,11 @@ class SheetSurface(NamedTuple):
 
 
 def sheet_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[SheetSurface, Gaussians]:
-    """Return the surface of the sheet of with_detail, and the cloud, faded in front of it."""
+    """Return the surface of the sheet of with_detail, and the cloud, faded in front of it.
+
+    Args:
+        cloud, pixels, layers: see with_detail.
+    """
     disparity, harmonics = visible_surface(cloud, pixels, layers)
     opacities = _faded(cloud, disparity, pixels.mask, layers, pixels.footprint)
     return SheetSurface(disparity, harmonics), replace(cloud, opacities=opacities)
@@ -172,7 +176,7 @@ def _areas(cloud: Gaussians, pixels: Pixels) -> Tensor:
     x, y, z = cloud.means.unbind(2)
     axes = rotations(F.normalize(cloud.quaternions, dim=2)) * cloud.scales[:, :, None]
     # Change of the slopes x/z and y/z for a standard deviation along each axis of the Gaussian
-    across, down = (axes[:, :, row] - (place / z)[..., None] * axes[:, :, 2] for row, place in ((0, x), (1, y)))
+    across, down = (axes[:, :, row] - (offset / z)[..., None] * axes[:, :, 2] for row, offset in ((0, x), (1, y)))
     determinant = across.square().sum(2) * down.square().sum(2) - (across * down).sum(2).square()
     return 2 * math.pi * determinant.clamp_min(1e-20).sqrt() / (z * pixels.footprint[:, :, 0, 0]).square()
 
@@ -279,8 +283,8 @@ def blur(channels: Tensor, deviation: float) -> Tensor:
         deviation: standard deviation in pixels.
     """
     reach = math.ceil(3 * deviation)
-    places = torch.arange(-reach, reach + 1, dtype=channels.dtype, device=channels.device)
-    weights = torch.exp(-0.5 * (places / deviation).square())
+    offsets = torch.arange(-reach, reach + 1, dtype=channels.dtype, device=channels.device)
+    weights = torch.exp(-0.5 * (offsets / deviation).square())
     weights = (weights / weights.sum()).view(1, 1, 1, -1)
     each = channels.flatten(0, 1)[:, None]
     each = F.conv2d(each, weights, padding=(0, reach))
@@ -334,8 +338,8 @@ def upsample_along_surface(channels: Tensor, disparity: Tensor, footprint: Tenso
 
 def _between(index: int, factor: int) -> tuple[int, float]:
     """Return the direction of the neighbour nearest to a texel, -1 or 1, and the neighbour's weight."""
-    place = (index + 0.5) / factor - 0.5
-    return (1 if place > 0 else -1), abs(place)
+    offset = (index + 0.5) / factor - 0.5
+    return (1 if offset > 0 else -1), abs(offset)
 
 
 def _shifted(fields: Tensor, down: int, right: int) -> Tensor:

@@ -72,6 +72,11 @@ def network_input(images: Tensor, pixels: Pixels, kind: str) -> Tensor:
 
 
 def mirror_image(images: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
-    """Reflect images [B,4,H,W] and their intrinsics [B,4], left and right."""
+    """Reflect images and their cameras, left and right.
+
+    Args:
+        images: [B,4,H,W].
+        intrinsics: [B,4], (fx, fy, cx, cy) in pixels.
+    """
     fx, fy, cx, cy = intrinsics.unbind(-1)
     return images.flip(3), torch.stack([fx, fy, images.shape[3] - cx, cy], dim=-1)

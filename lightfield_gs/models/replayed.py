@@ -55,7 +55,7 @@ class _Graph:
             self._cropped, self._fine = cropped.clone(), None if fine is None else fine.clone()
             self._intrinsics = net.photo_intrinsics()
             self._graph, self._gaussians = capture_graph(
-                lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level)
+                lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level), warm_up=True
             )
 
     def replay(self, cropped: Tensor, fine: Tensor | None) -> Gaussians:

@@ -87,7 +87,15 @@ def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int
 def lay_texels(
     surface: SheetSurface, fine: Tensor, intrinsics: Tensor, level: DetailLevel, gaussians: Gaussians
 ) -> None:
-    """Write the texels over a surface to the first H' * W' Gaussians, contiguous [B,N,...]; see lay_sheet."""
+    """Write the texels over a surface to the first H' * W' Gaussians; see lay_sheet.
+
+    Args:
+        surface: of find_surface.
+        fine: [B,4,H',W'], premultiplied.
+        intrinsics: [B,4].
+        level: of detail.
+        gaussians: [B,N,...], contiguous.
+    """
     texels, look = fine.shape[2] * fine.shape[3], sheet_look(level.texel_px)
     surface = SheetSurface(*(channels.contiguous() for channels in surface))
     scratch = fine.new_empty(_SCRATCH * texels)

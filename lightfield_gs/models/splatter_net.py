@@ -147,7 +147,18 @@ class SplatterNet(nn.Module):
         return self.crops(photo, None)[0]
 
     def crops(self, photo: Tensor, level: DetailLevel | None) -> tuple[Tensor, Tensor | None]:
-        """Return the crop of crop_photo, and the same at level.factor times the size; None without a level."""
+        """Crop a photo for the network, and for the sheet.
+
+        Args:
+            photo: of checked_photo.
+            level: of detail, or None.
+
+        Returns:
+            The crop of crop_photo, [4,S,S], and the same at level.factor times the size; None without a level.
+
+        Raises:
+            InputError: for values outside 0..1 or an empty mask.
+        """
         photo, size = photo.to(self.device), self.config.image_size_px
         if photo.is_cuda and hasattr(_core, "cuda"):
             checks, (cropped, *finer) = crop_on_device(
@@ -255,7 +266,14 @@ def check_values(values_in_range: float | Tensor) -> None:
 
 
 def save_weights(path: Path, config: ModelConfig, state: Mapping[str, Tensor], notes: dict[str, str]) -> None:
-    """Write the weights of a network; the file appears complete or not at all. notes: further metadata."""
+    """Write the weights of a network; the file appears complete or not at all.
+
+    Args:
+        path: the checkpoint.
+        config: of the network.
+        state: its state_dict; saved as float16.
+        notes: further metadata.
+    """
     from safetensors.torch import save
 
     weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in state.items()}

@@ -13,7 +13,7 @@ from lightfield_gs.panels.panel import Panel
 
 DEFAULT_BUDGET = 1_500_000  # Gaussians
 _FACTORS = (1, 2, 4)
-# The side of a photo's square as a share of the panel's height: framing fills 0.92 of it, and leaves out the margins
+# Side of a photo's square as a fraction of the panel's height: framing fills 0.92 of it, without the margins
 _SQUARE = 0.92 * 1.16
 
 
@@ -57,9 +57,9 @@ def count(config: ModelConfig, factor: int) -> int:
 def _automatic(config: ModelConfig, photo_px: int, panel: Panel | None, budget: int) -> int | None:
     resolved = float(photo_px)
     if panel is not None:
-        # All sub-pixels together show all views, so a view has about this share of the panel's rows
-        share = min(1.0, math.sqrt(3 / panel.views))
-        resolved = min(resolved, _SQUARE * share * min(panel.width_px, panel.height_px))
+        # All sub-pixels together show all views, so a view has about this fraction of the panel's rows
+        fraction = min(1.0, math.sqrt(3 / panel.views))
+        resolved = min(resolved, _SQUARE * fraction * min(panel.width_px, panel.height_px))
     affordable = [factor for factor in _FACTORS if count(config, factor) <= budget]
     enough = [factor for factor in affordable if factor * config.image_size_px >= resolved]
     return enough[0] if enough else affordable[-1] if affordable else None

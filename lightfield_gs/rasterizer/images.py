@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.arrays import Colour, check_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_operators import (
@@ -148,10 +148,7 @@ def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tenso
     shape = [*gaussians.means.shape[:-2], cameras, gaussians.count]
     if list(screen.shape[:-1]) != shape or screen.shape[-1] not in (2, 4):
         raise InputError(f"screen: expected {shape} of 2 or 4 numbers, got {list(screen.shape)}")
-    if screen.dtype != gaussians.dtype or screen.device != gaussians.device:
-        raise InputError(
-            f"screen: expected {gaussians.dtype} on {gaussians.device} as means, got {screen.dtype} on {screen.device}"
-        )
+    check_tensor("screen", screen, screen.shape, gaussians.dtype, gaussians.device)
     if not screen.requires_grad:
         raise InputError("screen: nothing but its gradient means anything; make it with requires_grad=True")
     return screen if gaussians.is_batched else screen.unsqueeze(0)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import Colour, to_tensor
+from lightfield_gs.base.arrays import Colour, check_tensor, to_tensor
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.cuda import device_guard
 from lightfield_gs.base.errors import InputError
@@ -36,13 +36,7 @@ def _stages(tensor: Tensor) -> ModuleType:
 
 def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor | SceneTensors) -> Tensor:
     """Return `tensor` contiguous. Raises InputError for another shape, or dtype or device than those of `like`."""
-    if tensor.shape != shape:
-        raise InputError(f"{name} must be {list(shape)}, got {list(tensor.shape)}")
-    if tensor.dtype != like.dtype or tensor.device != like.device:
-        raise InputError(
-            f"{name} must be {like.dtype} on {like.device} like the means, got {tensor.dtype} on {tensor.device}"
-        )
-    return tensor.contiguous()
+    return check_tensor(name, tensor, shape, like.dtype, like.device)
 
 
 def float_and_byte_addresses(out: Tensor) -> tuple[int, int]:

@@ -36,13 +36,13 @@ class Cameras:
         focal_px: [..., C, 2] (fx, fy), pixels, > 0.
         principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
         width_px, height_px: image size, 1..65536 pixels.
-        jacobian_limits: [..., C, 5] (low_x, high_x, low_y, high_y, offset): limits of X/Z and Y/Z in the projection's
-            Jacobian, at the centre of a rig; the camera is `offset` to the right of it. None: the camera's frustum and
-            15 % of the image beyond each edge (Kerbl et al.).
+        jacobian_limits: [..., C, 5] (low_x, high_x, low_y, high_y, offset), limits of X/Z and Y/Z in the projection's
+            Jacobian. They hold at the centre of a rig; the camera is `offset` to the right of it. None: the camera's
+            frustum and 15 % of the image beyond each edge (Kerbl et al.).
 
     Raises:
-        InputError: shapes or values make no camera. Values on a device are not checked, which would wait for it; what
-            is not finite there draws a meaningless image.
+        InputError: shapes or values make no camera. Values on a device are not checked, which would wait for it:
+            values that are not finite draw a meaningless image.
     """
 
     world_to_camera: torch.Tensor
@@ -178,10 +178,10 @@ _FAR = 64  # units, and times the cameras' extent: cameras farther from the orig
 def recentre(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Cameras]:
     """Move means and cameras to the middle of the cameras if it is far from the origin.
 
-    Far from the origin float32 has too few digits for poses, whose translation is as large as the distance: at 1e5 a
+    The translation of a pose is as large as the distance from the origin. Far away float32 has too few digits: at 1e5 a
     pixel is off by a third. The middle is subtracted in float64, from poses and means. Gradients pass through; for
     poses they hold for motions of a camera that keep its rotation a rotation.
-    Nothing is moved for means of float64, for cameras within 64 units of the origin or 64 times their extent, and for
+    Means of float64, and cameras within 64 units of the origin or 64 times their extent, are not moved. Neither are
     cameras on a CUDA device, since reading their values would wait.
 
     Args:

@@ -104,8 +104,8 @@ class Gaussians:
     def rotated(self, rotation: Any) -> Gaussians:
         """Rotate the Gaussians about the zero of their file: centres, quaternions and harmonics.
 
-        A camera with the rotation R sees of these Gaussians exactly what a camera with R @ rotation^T and the same
-        translation sees of the result. Batch, dtype, device and gradients are kept.
+        A camera with rotation R renders the same image of these Gaussians as a camera with R @ rotation^T and the same
+        translation of the result. Batch, dtype, device and gradients are kept.
 
         Args:
             rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero); a tensor, an
@@ -122,9 +122,9 @@ class Gaussians:
         """Check layout and values, and return self.
 
         Raises:
-            InputError: a field has a wrong shape, dtype or device, NaN or infinity; a scale is not above 0, an opacity
-                outside [0, 1] (zero is invisible, but no error), or a quaternion zero. The message names the field and
-                the first bad index.
+            InputError: a field has a wrong shape, dtype or device, NaN or infinity. A scale is not above 0, an opacity
+                is outside [0, 1] (zero is invisible, but no error), or a quaternion is zero. The message names the
+                field and the first bad index.
         """
         self.validate_layout()
         if self.count == 0:

@@ -180,11 +180,11 @@ class CameraPath:
         return self._rig(value, number)
 
     def frames(self, fps: float, frames: int | None = None) -> list[Rig]:
-        """Return the rigs of frames at 0, 1 / fps, 2 / fps ...
+        """Return the rigs of frames. The last keyframe is included unless the path is a loop.
 
-        seconds; the last keyframe is included unless the path is a loop.
-
-        frames: this number of frames instead, spread over the whole path.
+        Args:
+            fps: frames a second, at 0, 1 / fps, 2 / fps ... seconds.
+            frames: number of frames, spread over the whole path; takes the place of fps.
         """
         if frames is None:
             # Tolerance of 1e-3 frames, since 0.1 s is not a whole number of frames in binary

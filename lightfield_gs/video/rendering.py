@@ -112,8 +112,8 @@ class EyeRenderer:
         small = replace(small, width_px=self.size_px[0], height_px=self.size_px[1])
         swing = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
         side = -1 if self._panel.invert_views else 1
-        place = small.views / 2 - side * swing * (small.views - 1) / 2
-        return to_bytes(render_views(gaussians, small, rig, [place], **self._options.for_views())[0])
+        view = small.views / 2 - side * swing * (small.views - 1) / 2
+        return to_bytes(render_views(gaussians, small, rig, [view], **self._options.for_views())[0])
 
 
 class FrameRenderer(Protocol):

@@ -244,13 +244,13 @@ def _grid(folder: Path, names: list[_Name], varying: list[int]) -> Grid | None:
             )
         is_swapped = labels[0] in _ACROSS and labels[1] not in _ACROSS or labels[1] in _DOWN and labels[0] not in _DOWN
         numbers = [pair[::-1] if is_swapped else pair for pair in pairs]
-        places = zip(*(_indices([pair[axis] for pair in numbers]) for axis in (0, 1)))
+        positions = zip(*(_indices([pair[axis] for pair in numbers]) for axis in (0, 1)))
         words = "column and row" if is_swapped else "row and column"
         assume(
             f"the two numbers in names such as {names[0].path.name} in {folder} are {words} of a grid of cameras, from "
             "the top left (else name them as x0_y0)"
         )
-        return {place: name.path for place, name in zip(places, names)}
+        return {position: name.path for position, name in zip(positions, names)}
     return None
 
 

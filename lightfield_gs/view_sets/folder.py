@@ -106,7 +106,7 @@ def _find_files(
     found = arrange(folder, without_maps(folder, pictures))
     if isinstance(found, dict) and tiles is None:
         return _grid_row(folder, found, row, "a grid of views")
-    paths = [found[place] for place in sorted(found)] if isinstance(found, dict) else found
+    paths = [found[position] for position in sorted(found)] if isinstance(found, dict) else found
     columns, why = _count_columns(folder, paths, colours, tiles, row)
     if columns == len(paths):
         return paths, f"{len(paths)} views"
@@ -187,20 +187,20 @@ def _stanford(pictures: list[Path]) -> Grid | None:
     matches = [(_STANFORD.fullmatch(path.stem), path) for path in pictures]
     if not all(match for match, _ in matches):
         return None
-    places = [((int(match[1]), int(match[2])), path) for match, path in matches if match]
-    twice = [place for place, times in Counter(place for place, _ in places).items() if times > 1]
+    positions = [((int(match[1]), int(match[2])), path) for match, path in matches if match]
+    twice = [position for position, times in Counter(position for position, _ in positions).items() if times > 1]
     if twice:
         raise InputError(f"{pictures[0].parent}: row {twice[0][0]}, column {twice[0][1]} comes more than once")
-    return dict(places)
+    return dict(positions)
 
 
 def _grid_row(folder: Path, grid: Grid, row: int | None, kind: str) -> tuple[list[Path], str]:
     """Return the pictures of one row by column. Raises InputError where one is missing."""
-    rows = sorted({place[0] for place in grid})
+    rows = sorted({position[0] for position in grid})
     chosen = rows[len(rows) // 2] if row is None else row
     if chosen not in rows:
         raise InputError(f"{folder}: expected a row of {rows[0]}..{rows[-1]}, got {chosen}")
-    columns = {place[1] for place in grid}
+    columns = {position[1] for position in grid}
     first, last = min(columns), max(columns)
     for column in range(first, last + 1):
         if (chosen, column) not in grid:

@@ -68,8 +68,8 @@ class QuiltViews:
 
     def view(self, number: int) -> np.ndarray:
         """Return a view, [H, W, 3]."""
-        place = self.count - 1 - number if self.right_to_left else number
-        return in_colour(self.pixels[self.layout.tile(place, self.top_first)], self.background)
+        tile_number = self.count - 1 - number if self.right_to_left else number
+        return in_colour(self.pixels[self.layout.tile(tile_number, self.top_first)], self.background)
 
     def leave_out_plain(self, where: str) -> None:
         """Leave out the last tiles where these alone are plain, as of 45 views in 8 x 6 tiles, with a note."""
@@ -84,8 +84,8 @@ class QuiltViews:
                 f"(else --tiles {columns}x{rows})"
             )
 
-    def _is_plain(self, place: int) -> bool:
-        tile = as_floats(self.pixels[self.layout.tile(place, self.top_first)])
+    def _is_plain(self, tile_number: int) -> bool:
+        tile = as_floats(self.pixels[self.layout.tile(tile_number, self.top_first)])
         return bool((np.ptp(tile, (0, 1)) <= _PLAIN).all())
 
     def note_row_order(self, where: str) -> None:

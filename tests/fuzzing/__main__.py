@@ -1,9 +1,9 @@
 """python -m fuzzing [--inputs N] [READER ...], in tests/: damaged files for every reader.
 
-N inputs are shared out among the readers, a process each, one after the other. Guided by coverage where atheris (from
-PyPI, built on LLVM's libFuzzer) is installed, otherwise random changes. A reader stops at the first input that it
-mishandles (anything but InputError, more than 10 s, more than 1 GiB, memory not given back, a crash), which is kept
-beside its corpus as mishandled-*.
+The readers divide N inputs among them and run one after the other, each in a process. Coverage guides the changes if
+atheris (from PyPI, built on LLVM's libFuzzer) is installed; otherwise they are random. A reader stops at the first
+failure: any error but InputError, more than 10 s, more than 1 GiB, a leak, or a crash. The input is stored beside its
+corpus as mishandled-*.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import time
 import types
 from pathlib import Path
 
-from fuzzing.mutate import mutated
+from fuzzing.mutate import mutate
 from fuzzing.readers import (
     BYTES_PER_INPUT,
     CORPUS,
@@ -34,14 +34,14 @@ try:
 except ImportError:
     atheris = None
 
-# Modules; not YAML's scanner, whose loops take ten times as long then
+# Instrumented modules, without YAML's scanner, whose loops would take ten times as long
 _WATCHED = ("lightfield_gs.", "training.", "yaml.parser", "yaml.constructor", "json.", "numpy.lib.")
 LEAK_BYTES = 64 << 20  # more resident memory at the end than after the first tenth of the inputs
 LONGEST = 1 << 14
 
 
 def watch(name: str, inputs: int, folder: Path):
-    """attempt, that counts and looks after the memory."""
+    """Return `attempt` with a count of inputs and a check for leaks."""
     state = {"seen": 0, "read": 0, "settled": 0}
 
     def one(data: bytes) -> None:
@@ -60,8 +60,10 @@ def watch(name: str, inputs: int, folder: Path):
 
 
 def instrument() -> None:
-    """Has atheris count the branches of what readers call: of functions that are there, since its hook for imports
-    misses those of an editable install, and those that a reader imports when it is first used."""
+    """Instrument all loaded functions of the readers for atheris.
+
+    Its hook for imports misses an editable install, and modules that a reader imports at its first call.
+    """
     for function in gc.get_objects():
         if type(function) is types.FunctionType and (function.__module__ or "").startswith(_WATCHED):
             atheris.instrument_func(function)
@@ -74,7 +76,7 @@ def fuzz_one(name: str, inputs: int, folder: Path) -> None:
     with memory_limit():
         if atheris is None:
             for seed in range(inputs):
-                one(mutated(files, seed))
+                one(mutate(files, seed))
             return
         instrument()
         (folder / "found").mkdir()
@@ -90,7 +92,7 @@ def fuzz_one(name: str, inputs: int, folder: Path) -> None:
         folders = [str(folder / "found"), str(CORPUS / READERS[name].corpus)]
 
         def change(data: bytes, longest: int, seed: int) -> bytes:
-            return atheris.Mutate(data, longest) if seed % 2 else mutated([data, *files], seed)[:longest]
+            return atheris.Mutate(data, longest) if seed % 2 else mutate([data, *files], seed)[:longest]
 
         atheris.Setup(
             [sys.argv[0], *folders, *(f"-{key}={value}" for key, value in options.items())], one, custom_mutator=change
@@ -99,12 +101,12 @@ def fuzz_one(name: str, inputs: int, folder: Path) -> None:
 
 
 def keep_last(name: str, folder: Path) -> str:
-    """Copies the last input of a run beside the corpus."""
+    """Copy the last input of a run beside the corpus, and return its path."""
     if not (folder / "last").exists():
         return "the message above: it did not start"
-    kept = CORPUS / READERS[name].corpus / f"mishandled-{int(time.time())}{READERS[name].suffix}"
-    kept.write_bytes((folder / "last").read_bytes())
-    return str(kept)
+    target = CORPUS / READERS[name].corpus / f"mishandled-{int(time.time())}{READERS[name].suffix}"
+    target.write_bytes((folder / "last").read_bytes())
+    return str(target)
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Damaged files: random changes to good ones, for where no coverage-guided fuzzer is installed."""
+"""Random changes to good files, for machines without a coverage-guided fuzzer."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ _NUMBERS = [
 ]
 
 
-def mutated(files: list[bytes], seed: int, most_changes: int = 4) -> bytes:
-    """One of the files after a few changes; the same for the same seed."""
+def mutate(files: list[bytes], seed: int, most_changes: int = 4) -> bytes:
+    """Apply a few changes to one of the files, the same ones for the same seed."""
     chance = random.Random(seed)
     data = bytearray(chance.choice(files))
     for _ in range(chance.randint(1, most_changes)):

@@ -1,4 +1,4 @@
-"""Every reader of files, as a function of a path, and small files of its own that it can read."""
+"""All readers of files, as functions of a path, and the corpus of small files for each."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from lightfield_gs.scene.axes import find_up
 CORPUS = Path(__file__).parent / "corpus"
 SMALL_PANEL = Panel(width_px=4, height_px=2, views=3, line_number=4.0, slant_tan=0.1)
 SECONDS_PER_INPUT = 10
-BYTES_PER_INPUT = 1 << 30  # of address space, beside what the process had before
+BYTES_PER_INPUT = 1 << 30  # growth of the address space
 
 
 def _read_transforms(path: Path) -> Any:
-    """With an image beside that the frames may name."""
+    """Read a transforms.json beside an image that its frames may name."""
     image = path.with_name("view.png")
     if not image.exists():
         shutil.copyfile(CORPUS / "image" / "rgba.png", image)
@@ -52,7 +52,7 @@ def _read_transforms(path: Path) -> Any:
 
 
 def _read_capture(path: Path) -> None:
-    """Cameras, and a photograph without its lens, of the two that the frames name."""
+    """Read the cameras of a capture, and one of its two photographs without lens distortion."""
     for name in ("view.png", "other.png"):
         if not (image := path.with_name(name)).exists():
             shutil.copyfile(CORPUS / "image" / "rgba.png", image)
@@ -64,7 +64,7 @@ def _read_capture(path: Path) -> None:
 
 
 def _read_record3d(path: Path) -> None:
-    """With the two photographs of its poses."""
+    """Read a Record3D capture with the two photographs of its poses."""
     (path.parent / "rgb").mkdir(exist_ok=True)
     for name in ("rgb/0.png", "rgb/1.png"):
         if not (image := path.parent / name).exists():
@@ -75,20 +75,20 @@ def _read_record3d(path: Path) -> None:
 
 
 def _read_own_camera(path: Path) -> Any:
-    """What a scene's file says of its axes and cameras."""
+    """Read the axes and cameras in a scene's file."""
     scene = read_scene(path)
     return find_up(scene.comments), stored_framing(scene.comments, SMALL_PANEL), photo_camera(scene.elements)
 
 
 def _read_spz_inside(path: Path) -> Any:
-    """What gzip hides from changes."""
+    """Read an .spz that is compressed after the changes."""
     with reading(path):
         path.with_name("inside.spz").write_bytes(zlib.compress(path.read_bytes(), 1, wbits=31))
     return read_scene(path.with_name("inside.spz"), skip_invalid=True)
 
 
 def _read_sog_meta(path: Path) -> Any:
-    """A meta.json beside images that are good."""
+    """Read a SOG with this meta.json and good images."""
     folder = path.with_name("sog")
     if not folder.exists():
         written(folder, sog())
@@ -98,7 +98,7 @@ def _read_sog_meta(path: Path) -> Any:
 
 
 def _read_lod_meta(path: Path) -> Any:
-    """A lod-meta.json beside files that are good."""
+    """Read a streamed SOG with this lod-meta.json and good files."""
     folder = path.with_name("streamed")
     if not folder.exists():
         folder.mkdir()
@@ -109,7 +109,7 @@ def _read_lod_meta(path: Path) -> Any:
 
 
 def _read_gsplat_meta(path: Path) -> Any:
-    """A meta.json of gsplat's PNG compression beside images that are good."""
+    """Read gsplat's PNG compression with this meta.json and good images."""
     folder = path.with_name("gsplat")
     if not folder.exists():
         gsplat_png(folder)
@@ -119,7 +119,7 @@ def _read_gsplat_meta(path: Path) -> Any:
 
 
 def _read_sog_image(path: Path) -> Any:
-    """An image among others that are good."""
+    """Read a SOG with this image among good ones."""
     folder = path.with_name("sog-image")
     if not folder.exists():
         written(folder, sog())
@@ -130,7 +130,13 @@ def _read_sog_image(path: Path) -> Any:
 
 @dataclass(frozen=True)
 class Reader:
-    """suffix: of its files. read: what may raise InputError and nothing else. corpus: a folder of CORPUS."""
+    """A reader of files.
+
+    Attributes:
+        suffix: ending of its files.
+        read: function of a path; it may raise InputError and nothing else.
+        corpus: folder in CORPUS.
+    """
 
     suffix: str
     read: Callable[[Path], Any]
@@ -143,7 +149,7 @@ def _read_image(path: Path) -> None:
 
 
 def _read_display(path: Path) -> None:
-    """With each of the displays that seeds name, so that one of the ways is taken whatever the file holds."""
+    """Load a display without a serial, then with the serial of the seeds."""
     try:
         Panel.load(path)
     except InputError:
@@ -151,7 +157,7 @@ def _read_display(path: Path) -> None:
 
 
 def _read_manifest(path: Path) -> Any:
-    """In a folder, whose last items are looked at; what is damaged is passed over."""
+    """Read a manifest in its folder, and plan two items; damaged lines are skipped."""
     folder = make_folder(path.with_name("folder"))
     with reading(path):
         (folder / "batch.jsonl").write_bytes(path.read_bytes())
@@ -214,17 +220,17 @@ READERS = {
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
 }
 
-if features.check("avif"):  # of Pillow; HEIC takes pi-heif besides, and is refused without
+if features.check("avif"):  # of Pillow; HEIC needs pi-heif as well
     READERS["heif"] = Reader(".avif", _read_image, "heif")
 
 
 def corpus(name: str) -> list[bytes]:
-    """The files kept for a reader: good ones, and those that were mishandled once."""
+    """Return a reader's files: good ones, and files that it mishandled once."""
     return [path.read_bytes() for path in sorted((CORPUS / READERS[name].corpus).iterdir())]
 
 
 def attempt(name: str, data: bytes, folder: Path) -> bool:
-    """Gives a reader a file with these bytes; whether it read it. What it may not do, it raises."""
+    """Let a reader read a file with these bytes; return whether it did, and raise for any failure but InputError."""
     path = folder / f"input{READERS[name].suffix}"
     path.write_bytes(data)
     try:
@@ -239,7 +245,7 @@ def attempt(name: str, data: bytes, folder: Path) -> bool:
 
 
 class TooSlow(BaseException):
-    """Not an Exception: no reader may swallow it."""
+    """A reader took too long; no Exception, so that no reader swallows it."""
 
 
 @contextmanager
@@ -258,7 +264,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 @contextmanager
 def memory_limit(more: int = BYTES_PER_INPUT) -> Iterator[None]:
-    """Lets the address space grow by `more` bytes: allocations beyond it fail."""
+    """Limit the growth of the address space to `more` bytes; larger allocations fail."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + more, before[1]))

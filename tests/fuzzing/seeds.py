@@ -1,4 +1,4 @@
-"""python -m fuzzing.seeds, in tests/: writes the good files of the corpus, by this package's own writers."""
+"""python -m fuzzing.seeds, in tests/: write the good files of the corpus with this package's writers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _gaussians(degree: int) -> Gaussians:
 
 
 def _scenes(folder: Path) -> None:
-    """In every encoding that is read, with elements before and after the vertices."""
+    """Write .ply files in all encodings, with elements before and after the vertices."""
     for degree in (0, 3):
         _gaussians(degree).save(folder / f"degree{degree}.ply")
     replace(_gaussians(0), origin=(500123.0, 5412345.0, -420.0)).save(folder / "double.ply")
@@ -70,7 +70,7 @@ def _scenes(folder: Path) -> None:
 
 
 def _moving_scene(path: Path) -> None:
-    """Two Gaussians with the properties of Spacetime Gaussians."""
+    """Write two Gaussians with the properties of Spacetime Gaussians."""
     names = [*"xyz", "trbf_center", "trbf_scale", *(f"motion_{i}" for i in range(9)), *(f"f_dc_{i}" for i in range(3))]
     names += ["opacity", *(f"scale_{i}" for i in range(2)), *(f"{n}_{i}" for n in ("rot", "omega") for i in range(4))]
     header = "ply\nformat binary_little_endian 1.0\nelement vertex 2\n"
@@ -79,7 +79,7 @@ def _moving_scene(path: Path) -> None:
 
 
 def _scene_formats(folders: dict[str, Path]) -> None:
-    """Every format and version, packed by hand."""
+    """Write all formats and versions, packed by hand."""
     for version in (1, 2, 3):
         (folders["spz"] / f"v{version}.spz").write_bytes(scene_formats.spz(version, 3))
         (folders["spz-inside"] / f"v{version}.bin").write_bytes(scene_formats.spz_plain(version, 3))
@@ -120,7 +120,7 @@ def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
 
 
 def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
-    """A camera's pose as transforms.json has it."""
+    """Return a camera's pose as in transforms.json."""
     sine, cosine = round(math.sin(azimuth_rad), 6), round(math.cos(azimuth_rad), 6)
     return [[cosine, 0, sine, 1.3 * sine], [0, 1, 0, 0], [-sine, 0, cosine, 1.3 * cosine], [0, 0, 0, 1]]
 
@@ -157,7 +157,7 @@ def _own_cameras(folder: Path) -> None:
 
 
 def _calibrations(folder: Path, calibration: dict[str, Any]) -> None:
-    """A calibration as it is, in another encoding, and among displays, as a mapping and as JSON in a string."""
+    """Write a calibration alone, in another encoding, and among displays, as a mapping and as JSON in a string."""
     (folder / "visual.json").write_text(json.dumps(calibration))
     (folder / "utf16.json").write_bytes(json.dumps({**calibration, "pitch": "42.0"}).encode("utf-16"))
     cells = {**calibration, "subpixelCells": [{"ROffsetX": -0.3, "ROffsetY": 0.25}], "CellPatternMode": {"value": 2}}
@@ -179,7 +179,7 @@ def _captures(folder: Path) -> None:
 
 
 def _colmap_models() -> None:
-    """A camera of every model, photographs and points, in both forms."""
+    """Write a camera of every model, photographs and points, as text and binary."""
     cameras = [(number, model, 96, 72, parameters(model)) for number, model in enumerate(MODELS)]
     images = [("a/b c.png", 0, *ring(2)[0]), ("d.png", 2, *ring(2)[1])]
     points = [((0.1, 0.2, 0.3), (255, 0, 7)), ((-1.0, 2.0, 0.5), (1, 2, 3))]
@@ -191,7 +191,7 @@ def _colmap_models() -> None:
 
 
 def _batches(folder: Path, manifests: Path) -> None:
-    """A list, and the manifest of a run that did it."""
+    """Write a list of inputs, and the manifest of a run over it."""
     options = {"input": "b.ply", "output": "deep/b.png", "zoom": 2, "pan": [0.1, -0.2], "fit_options": "--steps 9"}
     (folder / "two.txt").write_text(f"# mine\na.png\n{json.dumps(options)}\n")
     held = {"stamp": [3, 5], "sha256": "0" * 64}

@@ -4,7 +4,7 @@ The long run, guided by coverage where atheris is installed: make fuzz
 """
 
 import pytest
-from fuzzing.mutate import mutated
+from fuzzing.mutate import mutate
 from fuzzing.readers import READERS, attempt, corpus, memory_limit
 
 INPUTS = 1000
@@ -18,7 +18,7 @@ def test_damaged_files_are_refused_or_read(name, tmp_path):
     files = corpus(name)
     with memory_limit():
         read = sum(attempt(name, data, tmp_path) for data in files)
-        changed = sum(attempt(name, mutated(files, seed), tmp_path) for seed in range(INPUTS))
+        changed = sum(attempt(name, mutate(files, seed), tmp_path) for seed in range(INPUTS))
     assert read and changed < INPUTS
 
 

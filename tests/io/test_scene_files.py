@@ -1,5 +1,5 @@
-"""Scene files as people have them: values at the ends of their ranges, values without a meaning, coordinates far from
-zero, other encodings of the same numbers, and files that look wrong."""
+"""Scene files in practice: extreme values, values without a meaning, coordinates far from zero, other encodings of the
+same numbers, and suspicious files."""
 
 import math
 import struct

@@ -140,7 +140,7 @@ def _record3d_cameras(path: Path, data: dict[str, Any]) -> list[_AppCamera]:
     if not isinstance(poses, list) or not poses or not isinstance(middle, list) or len(middle) != 9:
         raise InputError(f"{path}: expected poses (7 numbers each) and K (9 numbers), got {shown(middle)}")
     size = int(_number(path, data, "w", 1, 1 << 20)), int(_number(path, data, "h", 1, 1 << 20))
-    shared = [real_number(f"{path}: K", middle[place], -1e12, 1e12) for place in (0, 4, 6, 7)]
+    shared = [real_number(f"{path}: K", middle[index], -1e12, 1e12) for index in (0, 4, 6, 7)]
     cameras, lost = [], []
     for index, numbers in enumerate(poses):
         where = f"{path}: poses[{index}]"
@@ -149,8 +149,8 @@ def _record3d_cameras(path: Path, data: dict[str, Any]) -> list[_AppCamera]:
         if any(number is None or number != number for number in numbers):
             lost.append(str(index))
             continue
-        x, y, z, w, *place = (real_number(where, number, -1e12, 1e12) for number in numbers)
-        pose = pose_matrix((w, x, y, z), place)
+        x, y, z, w, *position = (real_number(where, number, -1e12, 1e12) for number in numbers)
+        pose = pose_matrix((w, x, y, z), position)
         if pose is None:
             lost.append(str(index))
             continue

@@ -192,7 +192,7 @@ def _size(where: str, fields: dict[str, Any], images: _ImageSizes) -> tuple[floa
     """Return width and height of the image, and the assumption about them."""
     if fields.get("w") is not None and fields.get("h") is not None:
         return _number(where, fields, "w", 1, _MAX_SIZE_PX), _number(where, fields, "h", 1, _MAX_SIZE_PX), ""
-    if (size := images.size_of(fields.get("file_path"))) is not None:
+    if (size := images.find(fields.get("file_path"))) is not None:
         return *size, ""
     if fields.get("fl_x") is None and fields.get("fl_y") is None:
         return 1.0, 1.0, "its image is taken as square: the file does not say w and h, and there is no image"
@@ -230,7 +230,7 @@ class _ImageSizes:
         self.known: tuple[float, float] | None = None
         self.tried: set[str] = set()
 
-    def size_of(self, name: Any) -> tuple[float, float] | None:
+    def find(self, name: Any) -> tuple[float, float] | None:
         if self.known is None and isinstance(name, str) and "\0" not in name and name not in self.tried:
             self.tried.add(name)
             found = (

@@ -398,8 +398,8 @@ def scene_extent(centres: np.ndarray, points: np.ndarray) -> float:
         points: [P,3].
     """
     away = np.linalg.norm(centres - np.median(centres, 0), axis=1)
-    kept = centres[away <= max(_OUTLIER * float(np.median(away)), 1e-12 * float(np.abs(centres).max()))]
-    radius = _MARGIN * float(np.linalg.norm(kept - kept.mean(0), axis=1).max()) if len(kept) else 0.0
+    inliers = centres[away <= max(_OUTLIER * float(np.median(away)), 1e-12 * float(np.abs(centres).max()))]
+    radius = _MARGIN * float(np.linalg.norm(inliers - inliers.mean(0), axis=1).max()) if len(inliers) else 0.0
     if radius > 1e-9 * (1 + float(np.abs(centres).max())):
         return radius
     distance = float(np.median(np.linalg.norm(points - centres.mean(0), axis=1))) if len(points) else 0.0

@@ -108,7 +108,7 @@ Rigs = dict[int, dict[Sensor, np.ndarray | None]]  # by id: rig to sensor [4,4] 
 
 
 def camera_record(model: str, width: int, height: int, parameters: Sequence[float]) -> ColmapCamera:
-    """Make a camera. Raises InputError where the numbers make none."""
+    """Make a camera from its parameters in COLMAP's order. Raises InputError where they make none."""
     if model not in COLMAP_MODELS:
         raise InputError(f"camera model: expected one of {', '.join(COLMAP_MODELS)}, got {shown(model)}")
     kind = COLMAP_MODELS[model]

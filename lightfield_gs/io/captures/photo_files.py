@@ -66,18 +66,18 @@ class PhotoFiles:
         """
         here, groups = _by_folder(list(self.paths)), _by_folder(names)
         known = {
-            place: ({_last(file) for file in files}, {_last(_stem(file)) for file in files})
-            for place, files in here.items()
-            if not any(part.lower().startswith(_MAPS) for part in PurePosixPath(place).parts)
+            other: ({_last(file) for file in files}, {_last(_stem(file)) for file in files})
+            for other, files in here.items()
+            if not any(part.lower().startswith(_MAPS) for part in PurePosixPath(other).parts)
         }
         found: dict[str, Path] = {}
         for folder, inside in groups.items():
             ranks: dict[str, tuple[int, int, int, int]] = {}
-            for place, (lasts, stems) in known.items():
+            for other, (lasts, stems) in known.items():
                 exact = sum(_last(name) in lasts for name in inside)
                 if count := sum(_last(_stem(name)) in stems for name in inside):
-                    ranks[place] = (_shared_parts(folder, place), exact, count, -len(PurePosixPath(place).parts))
-            best = [place for place, rank in ranks.items() if rank == max(ranks.values())]
+                    ranks[other] = (_shared_parts(folder, other), exact, count, -len(PurePosixPath(other).parts))
+            best = [other for other, rank in ranks.items() if rank == max(ranks.values())]
             if len(best) == 1:
                 moved = {name: self.find(f"{best[0]}/{PurePosixPath(name).name}".removeprefix("./")) for name in inside}
                 found |= {name: path for name, path in moved.items() if path is not None}

@@ -92,7 +92,13 @@ def check_pose(where: str, pose: np.ndarray) -> None:
 
 
 def check_intrinsics(where: str, intrinsics: np.ndarray, width_px: float, height_px: float) -> None:
-    """Raise InputError, beginning with `where`, unless (fx, fy, cx, cy) and an image size make a pinhole camera."""
+    """Raise InputError unless the numbers make a pinhole camera.
+
+    Args:
+        where: the file and field, at the start of the message.
+        intrinsics: (fx, fy, cx, cy) in pixels.
+        width_px, height_px: size of the image.
+    """
     fx, fy, cx, cy = intrinsics
     if not (np.isfinite([*intrinsics, width_px, height_px]).all() and min(fx, fy) > 0):
         raise InputError(f"{where}: bad intrinsics: expected a positive focal length in pixels, got {fx:g}, {fy:g}")

@@ -32,12 +32,12 @@ def find_points(model: Path | None, folders: Sequence[Path]) -> tuple[np.ndarray
     Returns:
         Points [P,3] float64 and colours [P,3] uint8.
     """
-    places = [*([] if model is None else [model]), *folders]
-    for place in dict.fromkeys(places):
-        with reading(place):
-            files = sorted(path for path in place.iterdir() if path.suffix.lower() == ".ply" and path.is_file())
+    candidates = [*([] if model is None else [model]), *folders]
+    for folder in dict.fromkeys(candidates):
+        with reading(folder):
+            files = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".ply" and path.is_file())
         usual = [path for name in _NAMES for path in files if path.name.lower() == name]
-        found = usual or (files if place == model and len(files) == 1 else [])
+        found = usual or (files if folder == model and len(files) == 1 else [])
         if found:
             try:
                 points, colours = read_points(found[0])

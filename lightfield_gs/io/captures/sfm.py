@@ -259,6 +259,7 @@ class MappingSettings:
 
     @property
     def words(self) -> str:
+        """A description for messages."""
         if self.focal is None:
             return "by COLMAP's own settings"
         return (

@@ -158,17 +158,17 @@ def _unique_frames(path: Path, frames: list[TransformsFrame]) -> list[Transforms
 
     Raises InputError where a photograph has two poses or cameras.
     """
-    kept: dict[str, TransformsFrame] = {}
+    unique: dict[str, TransformsFrame] = {}
     for frame in frames:
-        before = kept.setdefault(frame.name, frame)
+        before = unique.setdefault(frame.name, frame)
         if _fields_key(before) != _fields_key(frame):
             raise InputError(
                 f"{path}: frames: expected each photograph once, got {shown(frame.name)} twice, with different "
                 "poses or cameras: take one out"
             )
-    if same := len(frames) - len(kept):
+    if same := len(frames) - len(unique):
         assume(f"{path}: {counted(same, 'frame', len(frames), 'are the same as one before and are left out')}")
-    return list(kept.values())
+    return list(unique.values())
 
 
 def _fields_key(frame: TransformsFrame) -> str:
@@ -213,8 +213,8 @@ def _split_by_names(path: Path, data: dict[str, Any], frames: list[TransformsFra
         lists = f"in none of its lists of names ({_TRAIN_KEY}, {', '.join(keys)}) and"
         words = counted(len(left), "photograph", does=f"are {lists} are left out")
         assume(f"{path}: {words}: {first_names(sorted(left))}")
-    kept = [replace(frame, is_held_out=frame.name in held_out) for frame in frames if frame.name not in left]
-    return TransformsFrames(data, kept, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
+    selected = [replace(frame, is_held_out=frame.name in held_out) for frame in frames if frame.name not in left]
+    return TransformsFrames(data, selected, f"{' and '.join(keys) or _TRAIN_KEY} of {path.name}")
 
 
 def _names(path: Path, data: dict[str, Any], key: str) -> set[str]:
@@ -366,8 +366,8 @@ def _lens(where: str, fields: dict[str, Any], number: Callable[[str], float | No
                 f"{model}, got {shown(fields[unknown[0]])}"
             )
         coefficients = tuple(number(key) or 0.0 for key in BROWN_COEFFICIENTS)
-        coefficients_text = describe_coefficients(np.array(coefficients))
-        return Distortion(_brown, coefficients, f"{model} {coefficients_text}") if any(coefficients) else None
+        text = describe_coefficients(np.array(coefficients))
+        return Distortion(_brown, coefficients, f"{model} {text}") if any(coefficients) else None
     if model not in COLMAP_MODELS:
         raise InputError(
             f"{where}.camera_model: expected one of {', '.join(COLMAP_MODELS)}, got {shown(model)}: make perspective "

@@ -44,7 +44,14 @@ def brown_source_positions(
 def check_distortion(
     field: str, intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
 ) -> None:
-    """Raise InputError, beginning with `field`, for coefficients that leave much of the image without a source."""
+    """Raise InputError for coefficients that leave much of the image without a source.
+
+    Args:
+        field: the file and field, at the start of the message.
+        intrinsics: (fx, fy, cx, cy) in pixels.
+        coefficients: [6], in the order of BROWN_COEFFICIENTS.
+        width_px, height_px: size of the image.
+    """
     lost = np.isnan(_coarse_source_positions(intrinsics, coefficients, width_px, height_px)).any(-1).mean()
     if lost > LARGEST_FOLDED_FRACTION:
         raise InputError(
@@ -55,7 +62,13 @@ def check_distortion(
 
 
 def fraction_beyond(intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int) -> float:
-    """Return the fraction 0..1 of the distorted image beyond the frame of the undistorted one, to some 2 %."""
+    """Return the fraction 0..1 of the distorted image beyond the frame of the undistorted one, to some 2 %.
+
+    Args:
+        intrinsics: (fx, fy, cx, cy) of both images.
+        coefficients: [6], in the order of BROWN_COEFFICIENTS.
+        width_px, height_px: size of both images.
+    """
     positions = _coarse_source_positions(intrinsics, coefficients, width_px, height_px)
     height, width = np.maximum(np.array(positions.shape[:2]) // 2, 1)
     # Cells of four pixels, so that few are skipped
@@ -74,7 +87,15 @@ def _coarse_source_positions(
 
 
 def undistort(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Sample an image uint8 [H,W,C] bilinearly at source positions [H,W,2]; 0 beyond its edges."""
+    """Sample an image bilinearly at source positions.
+
+    Args:
+        image: uint8 [H,W,C]; 0 beyond its edges.
+        positions: [H,W,2], x and y in pixels, NaN where there is no source.
+
+    Returns:
+        uint8 [H,W,C].
+    """
     height, width = image.shape[:2]
     padded = np.pad(image, ((1, 2), (1, 2), (0, 0))).astype(np.float32)
     # Relative to pixel centres of the padded image
@@ -131,7 +152,13 @@ def fold_radius(distortion: Distortion, largest: float) -> float:
 
 
 def folded_fraction(distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
-    """Return the fraction 0..1 of the pinhole image that the lens does not show at all, to some 2 %."""
+    """Return the fraction 0..1 of the pinhole image that the lens does not show at all, to some 2 %.
+
+    Args:
+        distortion: of the lens.
+        intrinsics: [4], (fx, fy, cx, cy) of both images.
+        width_px, height_px: size of both images.
+    """
     scale = 128 / max(width_px, height_px)
     width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
     ratio = np.array([width / width_px, height / height_px] * 2)
@@ -140,7 +167,13 @@ def folded_fraction(distortion: Distortion, intrinsics: np.ndarray, width_px: in
 
 @lru_cache(maxsize=2)  # photographs of one camera follow each other
 def undistortion(distortion: Distortion, intrinsics: tuple[float, ...], width_px: int, height_px: int) -> Undistortion:
-    """Return the undistortion of photographs of this size, cached. intrinsics: (fx, fy, cx, cy) of the photograph."""
+    """Return the undistortion of photographs of this size, cached.
+
+    Args:
+        distortion: of the lens.
+        intrinsics: (fx, fy, cx, cy) of the photograph.
+        width_px, height_px: size of the photograph.
+    """
     return Undistortion(distortion, np.array(intrinsics), width_px, height_px)
 
 
@@ -180,7 +213,15 @@ class Undistortion:
 
 
 def reduced(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """Reduce an image [H,W,...], uint8 or float32, to this size: each pixel is the mean over its own area."""
+    """Reduce an image by an area filter: each pixel is the mean over its own area.
+
+    Args:
+        image: [H,W,...], uint8 or float32.
+        width_px, height_px: size of the result.
+
+    Returns:
+        An image of the same type.
+    """
     found = image
     for axis, size in ((0, height_px), (1, width_px)):
         if found.shape[axis] != size:
@@ -189,10 +230,18 @@ def reduced(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
 
 
 def resampled(image: np.ndarray, undistort: Undistortion | None, width_px: int, height_px: int) -> np.ndarray:
-    """Undistort and reduce a photograph uint8 [H,W,3 or 4]; return its colours uint8 [H,W,3].
+    """Undistort and reduce a photograph; return its colours.
 
     Colours are weighted by alpha (Porter & Duff, "Compositing digital images", 1984), so that colours of transparent
     pixels do not reach the edges. Transparent pixels are black.
+
+    Args:
+        image: uint8 [H,W,3 or 4].
+        undistort: of its camera; None for a pinhole.
+        width_px, height_px: size of the result.
+
+    Returns:
+        uint8 [height_px,width_px,3].
     """
     size = (width_px, height_px)
     if undistort is None and image.shape[1::-1] == size:
@@ -213,8 +262,8 @@ def _reduce_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:
     ratio = length / size
     edges = np.arange(size + 1) * ratio
     first = np.floor(edges[:-1]).astype(np.int64)
-    shape = [size if place == axis else 1 for place in range(image.ndim)]
-    means = np.zeros([size if place == axis else side for place, side in enumerate(image.shape)], np.float32)
+    shape = [size if index == axis else 1 for index in range(image.ndim)]
+    means = np.zeros([size if index == axis else side for index, side in enumerate(image.shape)], np.float32)
     for tap in range(int(np.ceil(ratio)) + 1):
         pixel = first + tap
         weight = (np.minimum(pixel + 1, edges[1:]) - np.maximum(pixel, edges[:-1])).clip(0) / ratio

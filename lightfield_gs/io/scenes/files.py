@@ -58,22 +58,23 @@ class SceneFile:
 def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> SceneFile:
     """Read a file of Gaussians.
 
-    Formats are a 3DGS .ply, a compressed .ply (SuperSplat), .spz (versions 1 to 4), .sog (versions 1 and 2; a ZIP, a
-    folder or its meta.json), .splat and .ksplat. The axes are those of a .ply: an .spz (right, up, back) is turned to
-    right, down, forward. A .ply may be text or binary of either byte order, with properties in any order and number
-    type; properties that no Gaussian has are ignored. Coordinates stored as double, far from zero, are given from an
+    Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat and .ksplat. A .sog (versions 1
+    and 2) may be a ZIP, a folder or its meta.json. The axes are those of a .ply: an .spz (right, up, back) is turned
+    to right, down, forward. A .ply may be text or binary of either byte order, with properties in any order and number
+    type. Properties that no Gaussian has are ignored. Coordinates stored as double, far from zero, are given from an
     origin of whole numbers near them, which the Gaussians remember.
 
     Args:
         path: file or folder.
-        skip_invalid: leave out Gaussians with values that have no meaning, and count them in a note: values that are
-            not finite, a rotation of zeros, a scale that overflows. Infinite logits and a log scale of -inf are valid.
+        skip_invalid: leave out Gaussians with values that have no meaning, and count them in a note. Such are values
+            that are not finite, a rotation of zeros, and a scale that overflows. Infinite logits and a log scale of
+            -inf are valid.
         time: time at which moving Gaussians (Spacetime Gaussians) are read, in the units of their file, mostly 0..1.
             None: the median of the times at which they are most opaque, which a note states.
 
     Raises:
-        InputError: the file has another format, is cut, has wrong counts, or lacks a property, which is named; or a
-            value has no meaning, without skip_invalid (property, index and count are named).
+        InputError: the file has another format, is cut, has wrong counts, or lacks a property, which is named. Without
+            skip_invalid, a value has no meaning; property, index and count are named.
     """
     from lightfield_gs.scene.gaussians import from_arrays
 
@@ -146,8 +147,8 @@ WRITTEN_SUFFIXES = (".ply", *(suffix for format in FORMATS if format.write for s
 def is_scene_path(path: Path) -> bool:
     """Tell whether a path is a scene, by its name, the contents of a folder, or the first bytes of the file.
 
-    Scenes are files of these formats, packed by gzip or not, the folder or meta.json of a SOG, the lod-meta.json of a
-    streamed SOG, and the folder of a trainer.
+    Scenes are files of these formats, which may be packed by gzip, and folders of a trainer. Of a SOG it is the folder,
+    its meta.json, or a lod-meta.json.
     """
     return (
         path.suffix.lower() in SUFFIXES

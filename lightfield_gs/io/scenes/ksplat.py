@@ -2,7 +2,7 @@
 
 A header of 4096 bytes and one of 1024 bytes for each section precede the sections. A section has the fill of its partly
 filled buckets, the buckets' centres, and its Gaussians. A Gaussian has centre, three standard deviations, quaternion
-wxyz, four bytes of colour and opacity, and harmonics channel by channel for each degree (0..2; other programs write 3).
+wxyz, and four bytes of colour and opacity. Harmonics follow channel by channel for each degree (0..2; others write 3).
 Compression level 0 has floats. Levels 1 and 2 have half floats, and centres as 16-bit offsets from the centre of their
 bucket. Level 2 has harmonics as bytes. Layout: SplatBuffer.js.
 """

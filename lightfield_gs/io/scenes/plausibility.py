@@ -1,8 +1,8 @@
 """Checks of the data in a file of Gaussians: promised sizes, values without a meaning, and suspicious numbers.
 
 Compressed data are unpacked no further than a file of that size can need, so that no bomb fills the memory. Gaussians
-without a meaning are named, or left out and counted. Each note on suspicious numbers describes what no scene fitted to
-photographs shows, since nobody reads notes that are often wrong.
+without a meaning are named, or left out and counted. Scenes fitted to photographs never have the suspicious numbers of
+these notes, since nobody reads notes that are often wrong.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The .ply of 3D Gaussian splatting (Kerbl et al., 2023), one vertex a Gaussian, and the compressed .ply of SuperSplat.
 
-Stored are x y z, the log of the standard deviations (scale_0..2), the logit of the opacity and the quaternion wxyz
-(rot_0..3). Spherical harmonics are f_dc_0..2, and f_rest_* channel by channel: all of red, then green, then blue.
+A vertex has x y z, the logarithms of the standard deviations (scale_0..2), the logit of the opacity and the quaternion
+wxyz (rot_0..3). Spherical harmonics are f_dc_0..2, and f_rest_* channel by channel: all of red, then green, then blue.
 Instead of f_dc there may be red, green and blue: colours, not coefficients. 2D Gaussians (2DGS) have no scale_2, and
 some files an opacity of one byte. Properties of other trainers: see ply_extensions.py.
 
@@ -70,7 +70,7 @@ _ROWS_AT_ONCE = 2048  # they and their conversions fit the cache: eleven times a
 _ORIGIN_STEP = 1e-3
 _CHUNK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-_BOUNDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz")
+_BOUNDS = tuple(f"{end}_{prefix}{axis}" for prefix in ("", "scale_") for end in ("min", "max") for axis in "xyz")
 _COLOURS = tuple(f"{end}_{name}" for end in ("min", "max") for name in "rgb")
 
 
@@ -179,8 +179,8 @@ def _read_fields(
 ) -> tuple[dict[str, np.ndarray], tuple[float, float, float], list[str]]:
     """Convert vertices, whose header has been checked, to fields.
 
-    An infinite logit is the opacity 1, or the smallest normal number, which is never drawn, as for all that underflows
-    float32: opacities are in (0, 1]. Likewise the log scale -inf is a flat disc.
+    Opacities are in (0, 1]: the logit inf is 1, and values that underflow float32 become the smallest normal number,
+    which is never drawn. Likewise the log scale -inf becomes a flat disc.
 
     Returns:
         The five fields (see scene/gaussians.py) as float32 arrays, the origin of their centres, and notes.

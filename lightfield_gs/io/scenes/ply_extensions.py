@@ -2,7 +2,7 @@
 
 Gaussians that move are of Spacetime Gaussians (Li et al., 2024), filter_3D of Mip-Splatting (Yu et al., 2024).
 
-With dt = t - trbf_center, the centre is a polynomial of dt: motion_0..2 for dt, motion_3..5 for dt^2, and so on. The
+With dt = t - trbf_center, the centre is a polynomial: motion_0..2 for dt, motion_3..5 for dt^2, and so on. The
 quaternion is rot + omega dt, and the opacity falls by exp(-(dt / exp(trbf_scale))^2). f_dc_* are colours, not
 coefficients; other trainers that store the same columns have coefficients there.
 """
@@ -26,7 +26,7 @@ FILTER_NOTE = (
 _CENTRE, _SCALE = "trbf_center", "trbf_scale"
 _NETWORK = re.compile(r"f_t_\d+")  # features that a network beside the file turns into colours
 _OTHER = re.compile(r"(t|t_scale|scale_t|scaling_t|trbf_\w+|motion_\w+|omega_\w+|rot_r_\d|rotation_r_\d|velocity_\w+)")
-_DEFORMED_BY = ("deformation.pth", "deformation_table.pth", "deform.pth")  # 4D Gaussians and what follows them
+_DEFORMED_BY = ("deformation.pth", "deformation_table.pth", "deform.pth")  # of 4D Gaussians and their descendants
 _COLOURS = (-0.1, 1.1)  # colours are fitted without bounds; few are outside this range
 _FAINTEST = 1 / 255  # fainter Gaussians are not drawn
 _MOST_BEYOND = 0.2  # of colours outside _COLOURS; a third or more of coefficients are below 0

@@ -9,8 +9,8 @@ themselves. Harmonics above degree 0 are entries of a palette, 64 in a row. Spec
 A streamed SOG is a lod-meta.json with a spatial tree, and SOG files of Gaussians in several levels. Each leaf lists for
 each level a file, an offset and a count. Level 0 is the finest, and is read with the environment, which has no levels.
 
-gsplat's PngCompression writes PNG files of fixed names and a meta.json with extremes, in the layout of SOG version 1
-except that quaternions have four components and that harmonics above degree 0 are in a palette in shN.npz.
+gsplat's PngCompression writes PNG files of fixed names and a meta.json with extremes, mostly in the layout of SOG
+version 1. Quaternions have four components, and harmonics above degree 0 are in a palette in shN.npz.
 """
 
 from __future__ import annotations
