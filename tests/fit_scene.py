@@ -13,7 +13,7 @@ from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.settings import FitSettings
 
-WIDTH, HEIGHT, VIEWS = 48, 32, 6
+WIDTH, HEIGHT, PHOTOGRAPHS = 48, 32, 6
 
 
 def known_scene(count: int = 300, degree: int = 0, seed: int = 0) -> lf.Gaussians:
@@ -23,7 +23,7 @@ def known_scene(count: int = 300, degree: int = 0, seed: int = 0) -> lf.Gaussian
     return scene
 
 
-def known_cameras(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) -> lf.Cameras:
+def known_cameras(count: int = PHOTOGRAPHS, width: int = WIDTH, height: int = HEIGHT) -> lf.Cameras:
     """Cameras on an arc of 45 degrees about the middle of the scene, up and down by turns, within 1 of the origin."""
     yaws = torch.linspace(-0.4, 0.4, count).tolist()
     poses = torch.stack([torch.from_numpy(turned_pose(yaw, 0.1 * (-1) ** i)) for i, yaw in enumerate(yaws)]).float()
@@ -41,7 +41,7 @@ def photograph_scene(scene: lf.Gaussians, cameras: lf.Cameras | None = None, dev
 
 
 def first_state(scene: lf.Gaussians, settings: FitSettings, points: int = 150, device: str = "cpu") -> GaussianState:
-    """What a fit begins with: small Gaussians near some of those of the scene, all of them grey."""
+    """Return the first state of a fit: small grey Gaussians near some of the scene's."""
     shift = 0.02 * torch.randn(points, 3, generator=torch.Generator().manual_seed(1))
     places = (scene.means[:points] + shift).double().numpy()
     grey = (127 * torch.ones(points, 3, dtype=torch.uint8)).numpy()

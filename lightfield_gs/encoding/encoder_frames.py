@@ -10,7 +10,7 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.cuda import capture_graph
 from lightfield_gs.rasterizer.direct import DirectRender
-from lightfield_gs.rasterizer.frame_cuda import Frame, Frames, frames_of
+from lightfield_gs.rasterizer.frame_cuda import DirectFrame, DirectFrames, known_frames
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.scene import background_tensor
@@ -33,7 +33,7 @@ class _Drawn:
     image: Tensor | None
 
 
-class CpuFrames:
+class CpuFrameCache:
     """Frames of one lens and quality. precision: of the arithmetic; as_bytes: images are uint8; antialiased: see
     encode."""
 
@@ -103,15 +103,15 @@ def _version(tensor: Tensor) -> int | None:
     return None if tensor.is_inference() else tensor._version
 
 
-class CudaFrames:
+class CudaFrameCache:
     """Frames of one lens and quality. as_bytes: images are uint8; versioned, antialiased: see Encoder."""
 
     def __init__(self, as_bytes: bool, quality: Quality, versioned: bool, antialiased: bool):
         self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
         self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
         self.captured: _Capture | None = None
-        self.moving: Frames | None = None  # draw what is seen by a view for the first time
-        self.frames: Frames | None = None  # drew the last image
+        self.moving: DirectFrames | None = None  # draw what is seen by a view for the first time
+        self.frames: DirectFrames | None = None  # drew the last image
         self.image: Tensor | None = None
         self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
         self.last_view: LenticularCamera | None = None
@@ -166,7 +166,7 @@ class CudaFrames:
                     # The view is among the arguments of the kernels, and a graph of this one might be of no more use:
                     # they are launched one by one.
                     if self.moving is None or not self.moving.takes(job):
-                        self.moving = Frames(job, self.quality)
+                        self.moving = DirectFrames(job, self.quality)
                     self.frames = self.moving
                     return self.moving.draw(job, out=self.image), set()
                 self.captured = _Capture(given, job, self.image, self.quality)
@@ -180,8 +180,8 @@ class _Capture:
     def __init__(self, given: _Input, job: DirectRender, image: Tensor, quality: Quality):
         self.given, self.job, self.image = given, job, image
         self.drawn: _Input | None = None  # what was drawn last, whose lists the frame still has
-        self.frames: Frames = frames_of(job, quality)
-        self.frame: Frame = self.frames.frame(job)
+        self.frames: DirectFrames = known_frames(job, quality)
+        self.frame: DirectFrame = self.frames.frame(job)
         self.graph = self._graph(False)
         self.recolour: torch.cuda.CUDAGraph | None = None
 

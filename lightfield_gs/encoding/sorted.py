@@ -96,7 +96,7 @@ class SortedWorkspace:
             cuda.fill_sorted(self.native, self.stream)
         with stats.stage("order"):
             cuda.order_sorted(self.native, self.stream)
-        stats.pairs += self.intersection_count
+        stats.intersections += self.intersection_count
         stats.images += self.views
         stats.gaussians_drawn += drawn
         return True

@@ -55,7 +55,7 @@ class Identity:
         """Return the identity of a fit.
 
         Args:
-            settings: those of the fit.
+            settings: of the fit.
             capture: its photographs and cameras.
             train: indices of the training photographs.
             weights: of the training photographs, in a cone.
@@ -102,7 +102,7 @@ def save(path: Path, trainer: Trainer, identity: Identity, history: list[dict[st
     Args:
         path: where to.
         trainer: the fit.
-        identity: that of the fit.
+        identity: of the fit.
         history: evaluations so far, for JSON.
 
     Raises:
@@ -136,7 +136,7 @@ def restore(path: Path, trainer: Trainer, identity: Identity) -> list[dict[str, 
     Args:
         path: the checkpoint.
         trainer: a trainer before its first step.
-        identity: that of its fit.
+        identity: of its fit.
 
     Raises:
         InputError: the file is no checkpoint, or is of another capture or of other settings; the message names them.

@@ -1,8 +1,8 @@
 """A fit for a panel: the cone of views in the capture, the weights of photographs in it, and the panel's rig.
 
-A panel shows a scene from places on a line, at most half its cone to either side of a centre camera; only what these
-places see has to be right. Angles are between the places of cameras, seen from the pivot: the point of the centre
-camera's axis in the panel's zero plane.
+A panel shows a scene from places on a line, at most half its cone to either side of a centre camera. Only the views
+from these places have to be right. Angles are between the places of cameras, seen from the pivot: the point of the
+centre camera's axis in the panel's zero plane.
 """
 
 from __future__ import annotations
@@ -25,17 +25,18 @@ from lightfield_gs.panels.framing import framing_comment
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.rig import Rig
 
-# Photographs within half the cone and this margin count fully: things before and behind the zero plane are seen at
-# other angles than the pivot, and views at the cone's edge lie between photographs too.
+# Photographs within half the cone and this margin count fully. Objects before and behind the zero plane are seen at
+# other angles than the pivot. Views at the cone's edge lie between photographs, too.
 MARGIN_DEG = 5.0
-# Beyond, weights fall as a cosine over FALL_DEG to a floor: photographs far outside still show where things are, though
-# not how they look from the panel.
+# Beyond, weights fall as a cosine over FALL_DEG to a floor: photographs far outside still show where objects are, but
+# not their look from the panel.
 FALL_DEG, FLOOR = 20.0, 0.05
 _LEAST_SPREAD_DEG = 3.0  # of axes; below it their intersection is too uncertain
 _IN_FRONT = 0.9  # the fraction of cameras that must have the intersection before them
 _FEWEST = 3  # cameras, and of points ten times as many, to learn a depth from
-# The directions of down in a stored photograph, (x, y), for 0, 1, 2 and 3 quarter turns clockwise that make it upright,
-# and by Exif orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.
+
+# The direction of down in a stored photograph, (x, y), by the quarter turns clockwise that make it upright, and by Exif
+# orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.
 _DOWN = ((0, 1), (1, 0), (0, -1), (-1, 0))
 _STORED_DOWN = {2: _DOWN[0], 3: _DOWN[2], 4: _DOWN[2], 5: _DOWN[1], 6: _DOWN[1], 7: _DOWN[3], 8: _DOWN[3]}
 _LEAST_ACROSS = 0.5  # the least length across the centre camera's axis of a direction that counts
@@ -52,7 +53,7 @@ class Cone:
         zero_depth: its depth before the centre camera, scene units.
         cone_deg: full angle.
         angles_deg: [C] float64, 0..180, of every photograph from the centre one, seen from the pivot.
-        messages: what was chosen, one line each.
+        messages: the choices, one line each.
     """
 
     name: str
@@ -95,15 +96,15 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
     """Place a cone round a photograph of a capture.
 
     The pivot is on the centre camera's axis, at the median depth of the points in the middle third, each way, of its
-    photograph: a panel is sharpest there, and the surface of the subject should be. With few such points its depth is
-    that of the intersection of the cameras' axes in the cone, which lies within the subject of a capture from around.
+    photograph: a panel is sharpest there, and the surface of the subject should be. With few such points it is at the
+    depth of the intersection of the axes of the cameras in the cone, which lies within a subject seen from around.
 
     Args:
         capture: the photographs and cameras.
         cone_deg: full angle, 1..179.
         centre: name of the centre photograph. None: the photograph with the most others within half the cone and
-            MARGIN_DEG, seen from the intersection of the capture's axes; among equals the one with the least mean
-            square of their angles.
+            MARGIN_DEG, seen from the intersection of the capture's axes. Among equals the least mean square of their
+            angles decides.
 
     Raises:
         InputError: the name is unknown, or nothing tells the depth.
@@ -234,7 +235,7 @@ class Display:
         panel: the panel.
         cone: its cone.
         rig: in the capture's coordinates, at the panel's resolution, with the cone's angle.
-        messages: what was chosen, one line each.
+        messages: the choices, one line each.
     """
 
     panel: Panel
@@ -284,7 +285,7 @@ def place_display(
         capture: the photographs and cameras.
         cone: see Display.place; None: there is no display.
         centre: name of the centre photograph; None: the most central one.
-        score_cone: full angle in degrees of the cone for scores; None: that of the display.
+        score_cone: full angle in degrees of the cone for scores; None: the display's.
 
     Returns:
         The display, the cone for scores, each None if not asked for, and messages.
@@ -348,10 +349,10 @@ def upright_turns(capture: Capture, centre: int) -> tuple[int, tuple[str, ...]]:
 
 
 def centre_rig(capture: Capture, cone: Cone, panel: Panel, quarters: int = 0) -> Rig:
-    """Return the rig whose centre camera is that of the centre photograph; the panel shows all of it, in its middle.
+    """Return the rig with the camera of the centre photograph as its centre; the panel shows all of the photograph.
 
-    Its zero plane goes through the pivot on the camera's axis: every view shows the pivot at the photograph's principal
-    point, and the outermost views see it from half the cone to either side.
+    Its zero plane goes through the pivot on the camera's axis. Every view shows the pivot at the photograph's principal
+    point. The outermost views see it from half the cone to either side.
 
     Args:
         capture: the photographs and cameras.

@@ -1,8 +1,8 @@
 """Density control: where Gaussians are added, moved and removed, and their order in memory.
 
-Two strategies: `mcmc` (Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", 2024) moves dead
-Gaussians to live ones and grows their number up to the budget; `adaptive` (Kerbl et al. 2023, section 5) clones and
-splits Gaussians with large gradients, prunes faint and huge ones, and resets opacities.
+There are two strategies. `mcmc` (Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", 2024) moves
+dead Gaussians to live ones, and grows their number up to the budget. `adaptive` (Kerbl et al. 2023, section 5) clones
+and splits Gaussians with large gradients, prunes faint and huge ones, and resets opacities.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _WEIGHT_STEPS = 2**31  # weights become whole numbers, whose sums are the same i
 _PARTS, _SHRINK = 2, 1.6  # a split Gaussian becomes two, with scales divided by this
 _GROW_GRAD2D, _GROW_GRAD2D_ABS = 2e-4, 6e-4  # as in gsplat
 _MORTON_BITS = 21  # an axis: three of them fill 63 bits
-_MORTON_OUTSIDE = 0.005  # the fraction of Gaussians beyond the box on either side: strays would make it too coarse
+_MORTON_OUTSIDE = 0.005  # the fraction of Gaussians beyond the box on either side, or strays would make it too coarse.
 # Shifts and masks that leave two free bits before each bit of a number
 _MORTON_SPREAD = (
     (32, 0x1F00000000FFFF),
@@ -38,10 +38,12 @@ _MORTON_SPREAD = (
 class DensityStatistics:
     """Sums over the steps since the density last changed, for N Gaussians, on their device.
 
-    seen [N] uint8: 1 if a Gaussian was drawn since the round before the last. Regularisers leave the others alone, or
-    they would melt what no photograph of some rounds shows. For adaptive density only: gradients [N], the sum over
-    images of the norms of the gradient of an image's own loss by the projected mean, in halves of the image; and drawn
-    [N], the number of these images.
+    Attributes:
+        seen: [N] uint8, 1 if a Gaussian was drawn since the round before the last. Regularisers skip the others: they
+            would melt Gaussians that no photograph of some rounds shows.
+        gradients: [N], for adaptive density, sums over images of the norm of the gradient of an image's own loss by the
+            projected mean, in halves of the image.
+        drawn: [N], for adaptive density, the number of these images.
     """
 
     def __init__(self, count: int, settings: FitSettings, device: torch.device | str):
@@ -100,11 +102,11 @@ class DensityStatistics:
 
 
 def refine_mcmc(state: GaussianState, settings: FitSettings, step: int) -> GaussianState:
-    """Move dead Gaussians to live ones and add those that are due.
+    """Move dead Gaussians to live ones, and add new ones.
 
     Args:
         state: the Gaussians; changed in place.
-        settings: those of the fit.
+        settings: of the fit.
         step: how many steps are done; with settings.seed it decides all random numbers.
 
     Returns:
@@ -148,8 +150,9 @@ def sample_indices(weights: Tensor, count: int, seed: int, draw: int) -> Tensor:
 def compute_relocation(opacities: Tensor, scales: Tensor, ratios: Tensor) -> tuple[Tensor, Tensor]:
     """Return opacity and scale of each of n Gaussians that together replace one (equation 9 of the paper).
 
-    opacity_n = 1 - (1 - opacity)^(1/n) and scale_n = scale opacity / D, with D = sum over i = 1..n and k = 0..i-1 of
-    binomial(i-1, k) (-1)^k opacity_n^(k+1) / sqrt(k+1).
+        opacity_n = 1 - (1 - opacity)^(1/n)
+        scale_n = scale opacity / D
+        D = sum over i = 1..n and k = 0..i-1 of binomial(i-1, k) (-1)^k opacity_n^(k+1) / sqrt(k+1)
 
     Args:
         opacities: [P] float64.
@@ -225,7 +228,7 @@ def refine_adaptive(
     Args:
         state: the Gaussians.
         statistics: their gradients.
-        settings: those of the fit.
+        settings: of the fit.
         step: how many steps are done; with settings.seed it decides all random numbers.
 
     Returns:

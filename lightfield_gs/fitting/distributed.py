@@ -1,7 +1,7 @@
 """A fit by several processes, which torchrun starts: each draws its part of a step's photographs.
 
 All have the same Gaussians. Gradients are summed over the processes in the order of their ranks, so that all get the
-same bits and take the same step: parameters, density and schedules never have to be sent.
+same bits and take the same step. Parameters, density and schedules never have to be sent.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class Group:
     def sum_(self, tensors: Sequence[Tensor]) -> None:
         """Replace tensors of one dtype, with the same shapes in all processes, by their sums over the processes.
 
-        Each process sums a part in the order of ranks and sends it to the others: as many bytes as the usual reductions
-        send, whose order is not fixed.
+        Each process sums a part in the order of ranks, and sends it to the others. The usual reductions send as many
+        bytes, in an order that is not fixed.
         """
         if self.size == 1:
             return
@@ -78,7 +78,7 @@ class Group:
                 dist.all_reduce(tensor, dist.ReduceOp.MAX)
 
     def largest(self, number: int, device: torch.device | str = "cpu") -> int:
-        """Wait for all processes and return the largest of their numbers. device: that of the group."""
+        """Wait for all processes and return the largest of their numbers. device: of the group."""
         if self.size == 1:
             return number
         numbers = torch.full((1,), number, dtype=torch.int64, device=device)

@@ -144,14 +144,13 @@ def align_poses(
 ) -> PosedImages:
     """Return photographs with the poses at which each fits a scene best.
 
-    A fit that moves its cameras moves the scene a little with them, and a held-out camera that has not moved is then
-    compared from the wrong place. Aligned scores say how good the scene is, not how good the poses were: they have to
-    be marked as such.
+    A fit that moves its cameras moves the scene a little with them. A held-out camera that has not moved then compares
+    the scene from the wrong place. Aligned scores rate the scene, and not the poses: they have to be marked as such.
 
     Args:
         images: the photographs, on the device of the scene.
         gaussians: the scene, normalised coordinates; it stays as it is.
-        settings: those of the fit.
+        settings: of the fit.
         steps: of Adam for each photograph.
         rate: learning rate at the start, extents and radians.
     """
@@ -162,7 +161,7 @@ def align_poses(
 def _align_pose(
     images: PosedImages, gaussians: Gaussians, settings: FitSettings, index: int, steps: int, rate: float
 ) -> Tensor:
-    """Return [1,4,4], the pose with the least loss among those on the way."""
+    """Return [1,4,4], the pose with the least loss on the way."""
     device = images.device
     images.stage(torch.tensor([index]))
     chosen = torch.tensor([index], device=device)
@@ -237,7 +236,7 @@ def scores_by_angle(
 
     Returns:
         Rows of views, photographs, psnr_db and ssim, for JSON: "inside the cone" (up to half of it), "outside", and
-        each range from EDGES_DEG[i] up to the next, "5-10 degrees". Rows without photographs are left out.
+        each range of EDGES_DEG, "5-10 degrees". Rows without photographs are left out.
 
     Raises:
         InputError: the lengths differ.

@@ -49,14 +49,14 @@ class FitResult:
 
     Attributes:
         gaussians: the scene in the capture's coordinates, float32 on the CPU.
-        settings: those of the fit.
+        settings: of the fit.
         steps: number of steps done, fewer than settings.steps if the fit was stopped.
         scores: of the held-out photographs; None if there are none.
         history: of all evaluations: step, psnr_db, ssim, gaussians.
         stopped: whether `stop` ended the fit.
         display: the panel that the scene was fitted for.
         angles: of the held-out photographs, if they are scored by angle.
-        pruning: what the panel does not show; None without a display, or if the fit was stopped.
+        pruning: the result of pruning for the panel; None without a display, or if the fit was stopped.
         window_scores: by the pixels of held-out photographs that the display can show, before and after pruning.
     """
 
@@ -115,8 +115,8 @@ def fit(
 ) -> FitResult:
     """Fit Gaussians to posed photographs of a static scene (Kerbl et al. 2023).
 
-    The same capture, settings and device give the same bits. If torchrun starts several processes that all make the
-    same call, they split the photographs of a step (batch_size), one GPU each; the first one writes and prints, and all
+    The same capture, settings and device give the same bits. Several processes that torchrun starts must all make the
+    same call. They split the photographs of a step (batch_size), one GPU each. The first one writes and prints; all
     return the result.
 
     Args:
@@ -124,13 +124,13 @@ def fit(
         steps: how many.
         cap_max: number of Gaussians at the end, or at most with "adaptive" density.
         density: "mcmc" or "adaptive".
-        test_every: k holds out the middle one of every k photographs for scores; None: none; "own": those that the
-            capture itself keeps for tests, or one of every 8.
+        test_every: k holds out the middle one of every k photographs for scores; None holds out none; "own" holds out
+            the capture's own test photographs, or one of every 8.
         test_names: the photographs to hold out instead.
         cone: a panel, its name or file, or the angle of the default panel's cone in degrees, 1..179. The fit is then
             for the views of this panel, see Display, and prunes Gaussians that it does not show.
         centre: name of the photograph in the middle of the cone; None: the most central one.
-        score_cone: full angle in degrees of the cone by whose angles held-out photographs are scored; None: that of
+        score_cone: full angle in degrees of the cone in which held-out photographs are scored by angle; None: that of
             `cone`.
         contribution_cut: 0..1, of pruning for the panel, see prune_for_panel.
         device: "auto", "cpu" or "cuda".

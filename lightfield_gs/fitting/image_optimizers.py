@@ -1,8 +1,8 @@
 """Parameters that each photograph has of its own, its camera's pose and its exposure, and their Adam.
 
-A pose P = world_to_camera moves by six numbers in the axes of its own camera, a translation v and a rotation w:
-x_camera becomes exp(w) R x_world + exp(w) t + v, so that a camera turns about its own centre. At v = w = 0 that is
-exp of the twist (v, w) times P to first order, which is all that a gradient knows.
+A pose P = world_to_camera moves by six numbers in the axes of its own camera, a translation v and a rotation w.
+x_camera becomes exp(w) R x_world + exp(w) t + v, so that a camera turns about its own centre. To first order at
+v = w = 0, and so for gradients, that is exp of the twist (v, w) times P.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ImageAdam:
         return torch.where(own[..., None], values[:, None].to(self.first.dtype), 0).sum(0)
 
     def step(self, gradient: Tensor, step: Tensor, kept: Tensor) -> Tensor:
-        """Update the moments and return what to add to the numbers.
+        """Update the moments, and return the change of the numbers.
 
         Args:
             gradient: [C,K].
@@ -74,9 +74,9 @@ class ImageAdam:
 class ExposureOptimizer:
     """An affine change of colours for each photograph, between the render and the loss (Kerbl et al. 2023).
 
-    Cameras that choose the exposure by themselves show one surface in other colours each time. What all photographs
-    have in common belongs to the scene: the mean of the values is kept at [I|0], or the scene could turn blue and its
-    photographs yellow. Held-out photographs are compared without exposure.
+    Cameras that choose the exposure by themselves show one surface in other colours each time. Changes that all
+    photographs share belong to the scene, so the mean of the values is kept at [I|0]. Otherwise the scene could turn
+    blue and its photographs yellow. Held-out photographs are compared without exposure.
 
     Attributes:
         values: [C,3,4], of each photograph [A|b], colours A c + b of the render's colours c; [I|0] at the start.
@@ -100,7 +100,7 @@ class ExposureOptimizer:
 
         Args:
             colours: [V,H,W,3], the argument of `apply`.
-            gradient: [V,H,W,3], that of its result.
+            gradient: [V,H,W,3], of its result.
             chosen: [V], the photographs.
         """
         affine = self._affine(colours, chosen)
@@ -131,9 +131,9 @@ class ExposureOptimizer:
 class PoseOptimizer:
     """Refines the cameras' poses, which structure from motion knows to a pixel or so.
 
-    A small regulariser pulls each camera to its first pose. The mean motion of all is removed, so that held-out cameras
-    and those of the display keep their places in the scene; the scale of the motion is not held. Sums are float64: tens
-    of thousands of small rotations have to stay a rotation.
+    A small regulariser pulls each camera to its first pose. The mean motion of all cameras is removed, so that held-out
+    cameras and the display keep their places in the scene; a common change of scale is not removed. Sums are float64:
+    tens of thousands of small rotations have to stay a rotation.
 
     Attributes:
         world_to_camera: [C,4,4] float32, the present poses in normalised coordinates.
@@ -144,7 +144,7 @@ class PoseOptimizer:
 
         Args:
             world_to_camera: [C,4,4].
-            steps: those of the fit.
+            steps: of the fit.
             rate: the learning rate at the start, extents and radians; it falls to a hundredth.
             keeps_mean: remove the mean motion; False where each camera is by itself, before a fixed scene.
         """
@@ -156,7 +156,7 @@ class PoseOptimizer:
         self._keeps_mean = keeps_mean
 
     def sum_gradients(self, gradients: Tensor, chosen: Tensor) -> Tensor:
-        """Return gradients [C,6] float64 of the motions, from those [V,4,4] of the poses of `chosen` [V]."""
+        """Return gradients [C,6] float64 by the motions, from gradients [V,4,4] by the poses of `chosen` [V]."""
         poses = self._exact.index_select(0, chosen)
         return self._adam.sum_by_image(chosen, twist_gradients(poses, gradients.double()))
 
@@ -196,10 +196,10 @@ def rotation_matrices(turns: Tensor) -> Tensor:
 
 
 def twist_gradients(world_to_camera: Tensor, gradients: Tensor) -> Tensor:
-    """Return gradients [...,6] by the motion at zero, from those [...,4,4] by the poses [...,4,4].
+    """Return gradients [...,6] by the motion at zero, from gradients [...,4,4] by the poses [...,4,4].
 
-    d P = [w]x P[:3] + (0 0 0 v): the gradient by v is the last column; the gradient by w is the sum over the columns p
-    of P[:3], with g of the gradient, of p x g.
+    d P = [w]x P[:3] + (0 0 0 v). So the gradient by v is the last column. The gradient by w is the sum of p x g over
+    the columns p of P[:3] and g of the gradient.
     """
     columns, found = (matrices[..., :3, :].transpose(-1, -2) for matrices in (world_to_camera, gradients))
     turn = torch.linalg.cross(columns, found, dim=-1).sum(-2)
@@ -210,8 +210,8 @@ def remove_common_motion(world_to_camera: Tensor, twists: Tensor) -> Tensor:
     """Return motions [C,6] of poses [C,4,4] less the motion of the world that they have in common.
 
     The common motion is the mean of the twists in the world's axes about its origin: w' = R^T w, v' = R^T (v + w x t).
-    To first order P moved by (R v' - (R w') x t, R w') draws the world as if it had moved instead, which no photograph
-    can tell.
+    To first order, P moved by (R v' - (R w') x t, R w') draws the scene as if the scene had moved. No photograph can
+    tell the difference.
     """
     rotation, place = world_to_camera[:, :3, :3], world_to_camera[:, :3, 3]
     shift, turn = twists.split(3, -1)

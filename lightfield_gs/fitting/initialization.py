@@ -30,7 +30,7 @@ def initialize_gaussians(
         points: [P,3], normalised coordinates.
         colours: [P,3] uint8.
         centres: [C,3], of the cameras.
-        settings: those of the fit.
+        settings: of the fit.
     """
     if len(points) < _FEWEST_POINTS:
         assume(

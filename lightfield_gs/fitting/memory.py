@@ -7,8 +7,8 @@ With N Gaussians of K harmonics, V photographs of H x W pixels in a step, and C 
     gradients      4 N (11 + 3 K)
     work           V (450 N + 90 H W)
 
-The factors of work are from a step on one H100: projecting, sorting and drawing 1 M Gaussians at 1600 x 1066 took
-471 MB; then the images, their gradients and the derivatives of the loss for each pixel.
+The factors of work are from a step on one H100. Projecting, sorting and drawing 1 M Gaussians at 1600 x 1066 took
+471 MB. For each pixel there are the images, their gradients and the derivatives of the loss.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def estimate_memory(settings: FitSettings, photographs: int, width_px: int, heig
     """Return the memory of a fit with settings.cap_max Gaussians.
 
     Args:
-        settings: those of the fit.
+        settings: of the fit.
         photographs: their number, fitted and held out.
         width_px: of each.
         height_px: of each.
@@ -74,7 +74,7 @@ def check_memory(need: MemoryEstimate, device: str, is_certain: bool) -> str:
 
     Args:
         need: the estimate.
-        device: that of the fit.
+        device: of the fit.
         is_certain: the fit will need it, and not only may.
 
     Raises:

@@ -34,10 +34,10 @@ def run_stage(name: str, stages: ModuleType, device: torch.device, *arguments: o
     """Run a stage on the CPU, or queue it in torch's current stream of a CUDA device.
 
     Args:
-        name: that of the stage.
+        name: of the stage.
         stages: the native functions for the CPU.
         device: where the tensors are.
-        arguments: those of the stage, except threads and stream.
+        arguments: of the stage, except threads and stream.
     """
     with device_guard(device):
         if device.type == "cuda":

@@ -1,7 +1,7 @@
-"""Adam's step over all parameters of a scene in one pass (csrc/math/fit/update.h), and what it needs.
+"""The parameters of a scene under optimisation, and Adam's step over all of them in one pass (csrc/math/fit/update.h).
 
-The pass has the chain rule through exp and sigmoid, regularisers and noise of MCMC (Kheradmand et al., NeurIPS 2024),
-and Adam (Kingma & Ba, ICLR 2015).
+The pass has the chain rule through exp and sigmoid, the regularisers and noise of MCMC (Kheradmand et al., NeurIPS
+2024), and Adam (Kingma & Ba, ICLR 2015).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class GaussianState:
     """N Gaussians under optimisation; all tensors are contiguous, of one dtype and on one device.
 
     Attributes:
-        values: the parameters; the K harmonics are those of the degree in use.
+        values: the parameters, with the K harmonics of the degree in use.
         first, second: the moments of Adam.
         scales: [N,3], exp of log_scales; every update renews it.
         opacities: [N], sigmoid of logits; every update renews it.
@@ -163,9 +163,9 @@ def update_table(
 ) -> Tensor:
     """Return the numbers of all steps of a run, [steps, 11], computed in float64.
 
-    A row is StepNumbers of csrc/math/fit/update.h: the six learning rates in the order of the arguments; 1 - beta1^t
-    and 1 - beta2^t with t = row + 1; then noise_lr, opacity_reg and scale_reg. Each argument is one number for all
-    steps, or one for each; none is negative.
+    A row is StepNumbers of csrc/math/fit/update.h. It has the six learning rates in the order of the arguments, then
+    1 - beta1^t and 1 - beta2^t with t = row + 1, then noise_lr, opacity_reg and scale_reg. Each argument is one number
+    for all steps, or one for each; none is negative.
 
     Args:
         steps: 1..2^31.

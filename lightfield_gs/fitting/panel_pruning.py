@@ -1,9 +1,9 @@
-"""Pruning of a fitted scene for its panel: Gaussians that no view shows, and those before the eyes; scores of the rest.
+"""Pruning of a fitted scene for its panel, and scores of the rest.
 
-All views of a panel look through one window, what its zero plane shows of the scene. A photograph looks past it as
-well, at what no view shows and pruning removes. So the scores count a pixel only if its ray goes through the window
-from the side of the panel's cameras. From one of their places a photograph then shows exactly what the panel shows.
-From above, below or nearer it also sees things outside their views; what it misses there counts against the pruned
+All views of a panel look through one window, the part of the zero plane that it shows. A photograph also looks past the
+window, at Gaussians that no view shows and pruning removes. So scores count a pixel only if its ray goes through the
+window from the side of the panel's cameras. A photograph from a place of these cameras then shows exactly the panel's
+view. A photograph from above, below or nearer also sees parts outside the views; gaps there count against the pruned
 scene.
 """
 
@@ -29,10 +29,10 @@ from lightfield_gs.rasterizer.image_render import ImageBuffers
 from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
-# The mean error of colours 0..1 by pruning: 1/39 of a step of 8 bits, a third of what `prune` allows, since here nobody
+# The mean error of colours 0..1 by pruning, 1/39 of a step of 8 bits. `prune` allows three times as much; here nobody
 # asked for a smaller scene.
 CONTRIBUTION_CUT = 1e-4
-# Gaussians nearer to the panel's cameras than this fraction of the zero plane's distance float before the eyes: at a
+# Gaussians nearer to the panel's cameras than this fraction of the zero plane's distance float before the eyes. At a
 # fourth of it two eyes at the ends of a cone of 40 degrees see a point 2.2 zero-plane distances apart.
 NEAR_FRACTION = 0.25
 _SEEN_PX = 1.0  # the least weight, in pixels of all photographs together, of a Gaussian that photographs show
@@ -90,7 +90,7 @@ class WindowScores:
 
     Attributes:
         whole: of all Gaussians.
-        pruned: of those that are left.
+        pruned: of the Gaussians that are left.
         coverage: fraction 0..1 of the photographs' pixels that count.
     """
 
@@ -142,10 +142,14 @@ def prune_for_panel(
 ) -> PanelPruning:
     """Find the Gaussians that a panel needs.
 
-    Three kinds are removed: Gaussians that contribute nothing to the panel's image; those that contribute least, within
-    contribution_cut (encoding.prune has the proof); and those that float before the eyes and have less than a pixel's
-    weight in all photographs together. It takes time and memory like a training step on one image of the panel; if
-    something floats, also like one on every photograph.
+    Three kinds are removed:
+
+    - Gaussians that contribute nothing to the panel's image;
+    - Gaussians that contribute least, within contribution_cut (encoding.prune has the proof);
+    - Gaussians that float before the eyes, with less than a pixel's weight in all photographs together.
+
+    It takes time and memory like a training step on one image of the panel. If something floats, it also takes a step
+    on every photograph.
 
     Args:
         gaussians: [N] float32, normalised coordinates.

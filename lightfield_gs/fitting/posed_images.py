@@ -102,7 +102,7 @@ class PosedImages:
             normalization: the coordinates of the fit.
             device: where the fit runs.
             progress: `indices` once more; a progress bar may wrap them.
-            masks: what masks and the photographs' alpha leave out counts nowhere ("ignore"), or is to be transparent
+            masks: pixels outside masks and the photographs' alpha count nowhere ("ignore"), or are to be transparent
                 ("alpha"). Pixels beyond the frame of a distorted photograph never count.
             on_host: keep photographs and masks in the host's memory, see stage.
         """
@@ -139,7 +139,7 @@ class PosedImages:
         )
 
     def targets(self, indices: Tensor, background: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Return what the renders of some photographs are compared with.
+        """Return the targets of the renders of some photographs.
 
         Where masks are the target of alpha, a photograph stands over the background. A render with too little alpha
         then differs from it, most of all if each step has another background.

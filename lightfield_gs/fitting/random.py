@@ -1,8 +1,8 @@
 """Random numbers as a function of seed, step, purpose and index (csrc/math/fit/random.h), and dropout by them.
 
-A checkpoint need not hold them, and all runs on all devices draw the same; normal numbers are equal up to the rounding
-of logarithm, root, sine and cosine. The generator is Philox4x32-10, Salmon et al., "Parallel random numbers: as easy as
-1, 2, 3", SC 2011; normal numbers are by Box & Muller 1958.
+A checkpoint need not hold them, and all runs on all devices draw the same. Normal numbers are equal up to the rounding
+of logarithm, root, sine and cosine. The generator is Philox4x32-10 (Salmon et al., "Parallel random numbers: as easy as
+1, 2, 3", SC 2011). Normal numbers are by Box & Muller 1958.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lightfield_gs.fitting.native import run_stage, select_stages
 
 
 class Purpose(IntEnum):
-    """The use of random numbers: those of two purposes are independent."""
+    """The use of random numbers; the numbers of two purposes are independent."""
 
     NOISE = _core.NOISE_PURPOSE  # of MCMC on positions, drawn by the native update
     DROPOUT = _core.DROPOUT_PURPOSE  # drawn by the native stage as well
@@ -68,16 +68,15 @@ def normals(
 def dropout(rates: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
     """Return factors of the opacities in a step: 0 for the Gaussians that it leaves out, 1 / (1 - rate) for the others.
 
-    Few photographs leave much unsaid, and Gaussians that fill only what one of them shows stand in the way of images
-    between them. When each step draws another random part of them, none can count on others to hide it, and all see
-    gradients (Park et al., "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025;
-    csrc/math/fit/dropout.h).
+    With few photographs some Gaussians explain only one of them, and stand in the way of images between them. Each step
+    draws another random part, so that no Gaussian can hide behind others, and all get gradients. See Park et al.,
+    "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025; csrc/math/fit/dropout.h.
 
-    It is off by default: the gain depends on the scene more than on the number of photographs. Measured with 0.2
-    against 0, 7,000 steps, 9 to 12 photographs, held-out PSNR: bananas +0.6 to +0.8 dB, a plush figure +0.2 and +0.7,
-    rendered scenes -0.5 to +0.4; captures that the choice did not use: a real door -1.5, a rendered door -0.2, rendered
-    toys +0.3 (docs/benchmarks.md). Short fits do not tell, since overfitting shows late: in a tenth of the steps it
-    loses in nearly all of these.
+    It is off by default, since the gain depends on the scene more than on the number of photographs. Measured were 0.2
+    against 0, 7,000 steps, 9 to 12 photographs, PSNR of held-out photographs (docs/benchmarks.md). Bananas: +0.6 to
+    +0.8 dB. A plush figure: +0.2 and +0.7. Rendered scenes: -0.5 to +0.4. On captures that the choice did not use: a
+    real door -1.5, a rendered door -0.2, rendered toys +0.3. Overfitting shows late: in a tenth of the steps dropout
+    loses on nearly all of these.
 
     Args:
         rates: [steps], each in [0, 1); float32, on the CPU also float64.

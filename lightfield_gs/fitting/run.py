@@ -85,7 +85,7 @@ class Run:
         Args:
             trainer: the fit.
             held_out: photographs for scores.
-            identity: that of the fit, for checkpoints.
+            identity: of the fit, for checkpoints.
             options: of the run.
             progress: shows how far the fit is.
             angles: of the held-out photographs, if they are scored by angle as well.

@@ -40,9 +40,9 @@ class Schedule:
         """Return the schedules of a fit.
 
         Args:
-            settings: those of the fit.
+            settings: of the fit.
             count: number of photographs.
-            device: that of the fit.
+            device: of the fit.
             weights: of the photographs, 0..1 and the largest 1: the fraction of epochs that have each; None: 1.
 
         Raises:
@@ -90,10 +90,10 @@ def _order_photographs(settings: FitSettings, count: int, weights: Sequence[floa
 def _sample_epoch(seed: int, epoch: int, weights: Tensor) -> Tensor:
     """Return the photographs of an epoch in their order, each with the exact probability weights / _ALWAYS.
 
-    Systematic sampling (Madow 1949): weights lie end to end, in a random order, on a line with marks at a distance of
-    _ALWAYS, the first at a random place; a photograph with a mark in its part of the line is in this epoch. So the
-    lengths of epochs differ by one step at most, and the mean gradient over epochs is that of the weighted loss: no
-    step is spent on a small weight.
+    Systematic sampling (Madow 1949): weights lie end to end, in a random order, on a line. The line has marks at a
+    distance of _ALWAYS, the first at a random place. A photograph with a mark in its part of the line is in this epoch.
+    So the lengths of epochs differ by one step at most, and the mean gradient over epochs is the gradient of the
+    weighted loss. No step is spent on a small weight.
     """
     numbers = uniforms(seed, epoch, Purpose.ORDER, len(weights) + 1)
     order = numbers[:-1].argsort(stable=True)

@@ -88,7 +88,7 @@ def _checked(setting: Field, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """The settings of a fit. Step numbers are those of a fit of 30,000 steps and scale with `steps`.
+    """The settings of a fit. Numbers of steps are for a fit of 30,000 steps, and scale with `steps`.
 
     Sources: Kerbl et al. 2023 and their program; Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
     Carlo", 2024, for `mcmc`; Ye et al., "AbsGS", 2024, for `absgrad`.

@@ -81,7 +81,7 @@ class Step:
             state: the Gaussians.
             images: the training photographs.
             schedule: of all steps.
-            settings: those of the fit.
+            settings: of the fit.
             counters: of the fit.
             statistics: for density control.
             capacity: for (tile, Gaussian) intersections, on CUDA; None: the host waits for their number.

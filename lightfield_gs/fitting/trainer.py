@@ -18,8 +18,7 @@ from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.step import Step, StepCounters
 
 _LOOK_EVERY = 100  # steps after which the host waits for the device
-# Allocate _SLACK x the largest number of intersections seen, and _LEAST_CAPACITY more; allocate again when less than
-# 10 % is left
+# Allocate 1.25 x the largest number of intersections seen, and 65536; allocate again when less than 10 % is left.
 _SLACK, _LEAST_SLACK, _LEAST_CAPACITY = 1.25, 1.1, 1 << 16
 
 
@@ -43,7 +42,7 @@ class Trainer:
         Args:
             state: the first Gaussians.
             images: the training photographs.
-            settings: those of the fit; batch_size is that of all processes together.
+            settings: of the fit; batch_size counts the photographs of all processes.
             group: the processes that fit together.
             photo_weights: of the photographs, see Schedule.make; None: 1.
 

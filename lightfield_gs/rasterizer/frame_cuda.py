@@ -53,7 +53,7 @@ def _colour_tolerances(quality: Quality) -> tuple[float, float, float]:
     return quality.colour_error, quality.colour_error / 2, quality.colour_error
 
 
-class Frame:
+class DirectFrame:
     """A light-field image in the making: its work buffer, from torch's allocator, and its stages, on torch's stream."""
 
     def __init__(
@@ -138,11 +138,11 @@ def _state_of(host: Tensor) -> dict[str, Any]:
     return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
 
 
-class Frames:
+class DirectFrames:
     """Frames of scenes of one kind and quality, by whatever rigs: draws them, and remembers what they needed.
 
     Their colour polynomials have the highest order that a frame so far needed. Where rigs change, colours may therefore
-    differ from those of `frames_of` by the errors of both, each at most twice the tolerance: once for what the order
+    differ from those of `known_frames` by the errors of both, each at most twice the tolerance: once for what the order
     cannot express, once for the powers left out. A frame that needs a higher order than those before is still drawn
     with theirs, and only the next one with its own; the next one says so where that was off by more than 1/255. Where
     frames are counted, it is drawn again.
@@ -185,7 +185,7 @@ class Frames:
                 stats.count_frame(state, frame.work)
         return out
 
-    def frame(self, job: DirectRender) -> Frame:
+    def frame(self, job: DirectRender) -> DirectFrame:
         """A frame with room for what the frames so far needed. The first waits for the device, later ones do not."""
         if self.capacity is None:
             self._learn(job)
@@ -193,7 +193,7 @@ class Frames:
             self.adapt()
         return self._frame(job, cast(int, self.capacity))
 
-    def note(self, frame: Frame) -> None:
+    def note(self, frame: DirectFrame) -> None:
         """Begins to copy the frame's state to the host, where `adapt` looks at it."""
         self.host.copy_(frame.state_bytes(), non_blocking=True)
         if not torch.cuda.is_current_stream_capturing():
@@ -251,16 +251,16 @@ class Frames:
             self.colour_order = next((o for o in self.orders if o > before), before)
         return self.colour_order > before
 
-    def _frame(self, job: DirectRender, capacity: int) -> Frame:
-        return Frame(job, self.quality, self.colour_order, capacity, self.kernel)
+    def _frame(self, job: DirectRender, capacity: int) -> DirectFrame:
+        return DirectFrame(job, self.quality, self.colour_order, capacity, self.kernel)
 
 
-_known: OrderedDict[tuple, Frames] = OrderedDict()
+_known: OrderedDict[tuple, DirectFrames] = OrderedDict()
 # For tests and measurements: one of _core.cuda.FRAME_KERNELS that all frames are drawn by; None: chosen by cost
 forced_kernel: str | None = None
 
 
-def frames_of(job: DirectRender, quality: Quality) -> Frames:
+def known_frames(job: DirectRender, quality: Quality) -> DirectFrames:
     """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
     scene = job.scene
     key = (
@@ -274,7 +274,7 @@ def frames_of(job: DirectRender, quality: Quality) -> Frames:
         shared_memory_limit(),
     )
     if key not in _known:
-        _known[key] = Frames(job, quality, _SLACK)
+        _known[key] = DirectFrames(job, quality, _SLACK)
         while len(_known) > _MOST_KNOWN:
             _known.popitem(last=False)
     _known.move_to_end(key)

@@ -28,7 +28,7 @@ class Stats:
 
     device: torch.device | None = None
     stages_ms: dict[str, float] = field(default_factory=dict)
-    pairs: int = 0
+    intersections: int = 0
     evaluations: int = 0
     work_bytes: int = 0
     memory_bytes: dict[str, int] = field(default_factory=dict)  # of method sorted, see encode_sorted
@@ -57,7 +57,7 @@ class Stats:
         """Adds one of several renders that follow each other: their work adds up, their memory is used again."""
         for name, ms in other.stages_ms.items():
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
-        self.pairs += other.pairs
+        self.intersections += other.intersections
         self.evaluations += other.evaluations
         self.images += other.images
         self.gaussians_drawn += other.gaussians_drawn
@@ -69,7 +69,7 @@ class Stats:
 
     def count_frame(self, state: dict[str, Any], work: Tensor) -> None:
         """Adds a light-field frame on CUDA, by the state that it found out, and its work buffer."""
-        self.pairs += state["intersections"]
+        self.intersections += state["intersections"]
         self.images += 1
         self.gaussians_drawn += state["drawn"]
         self.colour_error, self.kernel, self.pruned = state["colour_error"], state["kernel"], state["pruned"]
@@ -78,7 +78,7 @@ class Stats:
 
     def count(self, counters: _core.Counters) -> None:
         """Adds what the core counted in a composite."""
-        self.pairs += counters.intersections
+        self.intersections += counters.intersections
         self.evaluations += counters.evaluations
         self.work_bytes += counters.scratch_bytes
 
@@ -87,7 +87,7 @@ class Stats:
         on_cuda = self.device is not None and self.device.type == "cuda"
         found: dict[str, Any] = {
             "stages_ms": dict(self.stages_ms),
-            "pairs": self.pairs,
+            "pairs": self.intersections,
             "evaluations": None if on_cuda else self.evaluations,
             "evaluations_per_subpixel": None if on_cuda else self.evaluations / subpixels,
             "work_bytes": self.work_bytes,

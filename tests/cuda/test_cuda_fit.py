@@ -43,9 +43,9 @@ class Run:
         random = torch.Generator(CUDA).manual_seed(1)
         n, options = 5000, dict(device=CUDA, generator=random)
         shapes = [(n, 3), (n, 3), (n, 4), (n,), (n, 16, 3)]
-        self.fields = RawParameters(*(torch.randn(shape, **options) for shape in shapes))
-        self.first, self.second = self.fields.zeros_like(), self.fields.zeros_like()
-        self.drawn = activate(self.fields)
+        self.values = RawParameters(*(torch.randn(shape, **options) for shape in shapes))
+        self.first, self.second = self.values.zeros_like(), self.values.zeros_like()
+        self.drawn = activate(self.values)
         self.gradients = Gradients(*(torch.randn(shapes[k], **options) for k in (0, 2, 1, 3, 4)))
         self.table = update_table(3, **fit_cases.RATES, noise_lr=300.0, device=CUDA)
         self.step, self.skipped = (torch.zeros((), dtype=torch.int64, device=CUDA) for _ in range(2))
@@ -56,7 +56,7 @@ class Run:
         loss, gradient = photo_loss_and_gradient(self.image, self.photo)
         self.losses.index_copy_(0, self.step.view(1), loss.view(1))
         self.image -= 1e3 * gradient
-        update(self.fields, self.first, self.second, self.gradients, *self.drawn,
+        update(self.values, self.first, self.second, self.gradients, *self.drawn,
                table=self.table, step=self.step, skipped=self.skipped, seed=9)  # fmt: skip
         self.step += 1
 
@@ -72,16 +72,16 @@ def test_a_graph_repeats_the_steps_of_the_table():
         graph.replay()
     assert plain.losses[0] > plain.losses[1] > plain.losses[2] > 0
     assert torch.equal(plain.losses, captured.losses) and torch.equal(plain.image, captured.image)
-    for name, value, same in zip(RawParameters._fields, plain.fields, captured.fields):
+    for name, value, same in zip(RawParameters._fields, plain.values, captured.values):
         assert torch.equal(value, same), name
 
 
 def test_a_step_outside_the_table_skips_all():
     run = Run()
     run.step += 3
-    before = [field.clone() for field in run.fields]
+    before = [field.clone() for field in run.values]
     run.once()
-    assert run.skipped == 5000 and all(torch.equal(a, b) for a, b in zip(before, run.fields))
+    assert run.skipped == 5000 and all(torch.equal(a, b) for a, b in zip(before, run.values))
 
 
 def test_what_cannot_be_used_is_said():
@@ -92,8 +92,8 @@ def test_what_cannot_be_used_is_said():
         photo_loss(image, image.cpu())
 
 
-def fitted_fields(images: PosedImages) -> list[torch.Tensor]:
-    """What 60 steps make of a few Gaussians, with changes of density between them."""
+def fitted_state(images: PosedImages) -> list[torch.Tensor]:
+    """Return the tensors of a few Gaussians after 60 steps, with changes of density between them."""
     settings = FitSettings(steps=60, cap_max=400, sh_degree=1)
     fit = Trainer(fit_scene.first_state(fit_scene.known_scene(), settings, device=CUDA), images, settings)
     fit.advance(60)
@@ -105,7 +105,7 @@ def test_photographs_of_the_host_make_the_same_scene():
     images = fit_scene.photograph_scene(fit_scene.known_scene(), device=CUDA)
     hosted = replace(images, photos=images.photos.cpu())
     assert hosted.on_host and not images.on_host
-    for value, same in zip(fitted_fields(images), fitted_fields(hosted), strict=True):
+    for value, same in zip(fitted_state(images), fitted_state(hosted), strict=True):
         assert torch.equal(value, same)
     gaussians = fit_scene.known_scene().to(CUDA)
     assert evaluate(gaussians, hosted, (0.0, 0.0, 0.0)) == evaluate(gaussians, images, (0.0, 0.0, 0.0))
@@ -113,8 +113,8 @@ def test_photographs_of_the_host_make_the_same_scene():
 
 def test_too_little_capacity_changes_nothing_but_time(monkeypatch):
     images = fit_scene.photograph_scene(fit_scene.known_scene(), device=CUDA)
-    plenty = fitted_fields(images)
+    plenty = fitted_state(images)
     for name, value in (("_SLACK", 1.0), ("_LEAST_SLACK", 0.0), ("_LEAST_CAPACITY", 0)):  # the next image may need more
         monkeypatch.setattr(trainer, name, value)
-    for value, same in zip(plenty, fitted_fields(images), strict=True):
+    for value, same in zip(plenty, fitted_state(images), strict=True):
         assert torch.equal(value, same)

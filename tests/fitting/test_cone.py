@@ -1,4 +1,4 @@
-"""Fits for a panel: where its cone lies in a capture, who counts in it, what it shows; against closed forms."""
+"""Fits for a panel against closed forms: its cone in a capture, weights of photographs, and pruning."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def ring(angles_deg, points: np.ndarray | None = None) -> Capture:
 # --- Geometry
 
 
-def test_the_cone_of_a_ring_is_that_of_its_angles():
+def test_the_cone_of_a_ring_has_its_angles():
     angles = np.array([-60, -18, -9, 0, 9.5, 18, 30, 90, 170.0])
     capture = ring(angles)
     cone = place_cone(capture, 30)  # those within 15 + 5 degrees count fully
@@ -135,7 +135,7 @@ def stored_sideways(capture: Capture, tags: list[int]) -> Capture:
     ],
 )
 def test_a_rig_stands_upright_though_photographs_are_stored_on_their_side(tags, words):
-    """Phones store what their sensor sees, and how it was held in the Exif orientation."""
+    """Phones store the picture of their sensor, and the way they were held in the Exif orientation."""
     capture, shown = ring([-20, -9, 0, 9, 20]), panel(width_px=300, height_px=100, cone_deg=34.0)
     upright = Display.place(capture, shown, "02.png").rig
     display = Display.place(stored_sideways(capture, tags), shown, "02.png")
@@ -191,7 +191,7 @@ def test_equal_weights_change_nothing():
         Schedule.make(settings, 2, "cpu", [0.5, 0.5])
 
 
-# --- What a panel shows
+# --- Pruning for a panel
 
 
 def small_display(distance: float = 2.0) -> Display:

@@ -1,4 +1,4 @@
-"""Adaptive density: what is cloned, split, pruned and reset, and what becomes of moments."""
+"""Adaptive density: clones, splits, pruning, resets, and the moments of all of them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def make_settings(**options) -> FitSettings:
 
 
 def make_statistics(gradients: list[float], settings: FitSettings) -> DensityStatistics:
-    """Of images of which each Gaussian was in four, but those without gradients in none."""
+    """Return statistics of images: each Gaussian was in four, or in none if its gradient is zero."""
     statistics = DensityStatistics(len(gradients), settings, "cpu")
     statistics.gradients.copy_(4 * torch.tensor(gradients))
     statistics.drawn.copy_(4.0 * (statistics.gradients > 0))

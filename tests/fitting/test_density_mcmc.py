@@ -1,4 +1,4 @@
-"""Density by MCMC: what several Gaussians at one place share, who is drawn, and how many there are in the end."""
+"""Density by MCMC: relocation, sampling, and the number of Gaussians in the end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OPACITIES = [0.005, 0.3, 0.9, 0.9999, 1 - 3e-7]
 
 
 def relocated(opacity: float, count: int) -> tuple[float, float]:
-    """Opacity, and by how much scales change."""
+    """Return the opacity, and the factor of scales."""
     tensors = torch.tensor([opacity], dtype=torch.float64), torch.ones(1, 3, dtype=torch.float64), torch.tensor([count])
     opacities, scales = density.compute_relocation(*tensors)
     return float(opacities), float(scales[0, 0])

@@ -1,4 +1,4 @@
-"""Gaussians that a step leaves out: which and how many, and that a step's gradients are those of what it draws."""
+"""Dropout: the Gaussians that a step leaves out, their number, and the gradients of the step."""
 
 from __future__ import annotations
 

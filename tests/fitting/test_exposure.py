@@ -52,7 +52,7 @@ def test_photographs_keep_the_scenes_colour_in_the_mean():
 
 
 def test_a_fit_finds_the_scene_behind_exposures():
-    """Photographs brighter and darker by turns: with exposures the scene is nearer to what it is at the mean one."""
+    """Photographs brighter and darker by turns: with exposures the scene is nearer to its colours at the mean one."""
     scene = known_scene()
     right, images = photograph_scene(scene), photograph_scene(scene)
     gains = torch.tensor([0.7, 1.3, 0.7, 1.3, 0.7, 1.3])[:, None, None, None]

@@ -1,4 +1,4 @@
-"""A fit from a capture on disk: the same bits whatever happens on the way, and what it says and refuses."""
+"""A fit from a capture on disk: the same bits after any stops, its messages and its refusals."""
 
 from __future__ import annotations
 

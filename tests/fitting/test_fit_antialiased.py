@@ -1,4 +1,4 @@
-"""A fit with anti-aliasing: the whole step draws so, and its gradients are those of what it draws."""
+"""A fit with anti-aliasing: renders, and their gradients."""
 
 from __future__ import annotations
 

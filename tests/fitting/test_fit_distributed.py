@@ -54,7 +54,7 @@ with distributed.join_group("cpu") as (group, device):
 
 
 def fitted(density: str, group: Group, device: str) -> dict[str, object]:
-    """A fit that is the same in all processes of the group: the first step's fields, and what came of it."""
+    """Fit with the same arguments in all processes of the group; return the first step's state and the result."""
     settings = FitSettings(
         steps=120, cap_max=200, batch_size=2, sh_degree=1, density=density, exposure=True, poses=True, dropout=0.05
     )

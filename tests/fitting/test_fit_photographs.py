@@ -1,4 +1,4 @@
-"""A fit of real photographs: those of the small capture in the repository."""
+"""A fit of the real photographs of the small capture in the repository."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Masks as the target of alpha, over any background; and what a background has no say in."""
+"""Masks as the target of alpha over any background, and masks that leave nothing."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_masks_are_read_as_what_they_are_to_be(tmp_path):
 
 
 def blackened(folder: Path, photographs: Sequence[str]) -> Path:
-    """A capture of eight in which the masks of these photographs are black, and those of the others are white."""
+    """Write a capture of eight; the masks of `photographs` are black, the other masks are white."""
     write_capture(folder, masked=True)
     for path in (folder / "masks").iterdir():
         Image.new("L", (48, 32), 0 if path.name in photographs else 255).save(path)

@@ -1,4 +1,4 @@
-"""The fused loss of images against photographs: its value, its gradient, and what weights do."""
+"""The fused loss of images against photographs: its value, its gradient, and its weights."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def test_the_gradient_of_a_motion_is_that_of_the_image():
 
 
 def test_what_cameras_have_in_common_is_no_motion_of_theirs():
-    """All of a rigid motion of the world is removed, and what is left has none of it."""
+    """A rigid motion of the world is removed completely, and the rest has none of it."""
     poses = known_cameras().world_to_camera.double()
     world = 1e-4 * random(6)
     carried = poses @ apply_twists(torch.eye(4, dtype=DOUBLE), world)

@@ -1,4 +1,4 @@
-"""Counter-based random numbers: the published vectors of Philox, and what is made of its words."""
+"""Counter-based random numbers: the published vectors of Philox, and the numbers from its words."""
 
 from __future__ import annotations
 
