@@ -30,7 +30,6 @@ _OPTIONS = {
     "cone_deg": "cone",
     "folder": "run",
     "one_viewpoint": "one_place",
-    "one_viewpoint": "one_place",
     "serial": "device_serial",
     "span": "frames",
     "test_names": "test_list",
