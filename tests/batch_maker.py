@@ -11,12 +11,12 @@ from lightfield_gs.batch.manifest import Manifest, make_plan
 from lightfield_gs.batch.run import Run
 
 
-def run_shard(options, shard, place) -> int:
+def run_shard(options, shard, worker) -> int:
     """Do the items options["names"] in the folder options["folder"], as `lightfield-gs batch` does its own."""
     items = [Item(name, name) for name in options["names"]][shard[0] - 1 :: shard[1]]
     with Manifest(options["folder"], shard) as manifest:
         plan = make_plan(items, manifest, {"all": {}}, since=options["since"])
-        return int(bool(Run(plan, manifest, place, {}).run(partial(load, options))))
+        return int(bool(Run(plan, manifest, worker, {}).run(partial(load, options))))
 
 
 def load(options):

@@ -1,4 +1,4 @@
-"""README.md and docs/*.md taken apart: blocks, headings, links, names of files and sentences."""
+"""README.md and docs/*.md taken apart: blocks, headings, links and names of files."""
 
 from __future__ import annotations
 
@@ -56,10 +56,3 @@ def named_paths(document: Path) -> set[str]:
     """Files and folders of the repository that a document names in `code`."""
     names = re.findall(r"`([\w./-]+)`", prose(document))
     return {name for name in names if re.match(rf"({_TOP_FOLDERS})/", name)}
-
-
-def sentences(document: Path) -> set[str]:
-    """Sentences of some length in the prose, tables and headings left out, as words with single blanks between."""
-    paragraphs = re.split(r"\n\s*\n", re.sub(r"^(#|\||!\[|:::).*$", "", prose(document), flags=re.MULTILINE))
-    parts = [part for text in paragraphs for part in re.split(r"(?<=[.:;!?])\s", " ".join(text.split()))]
-    return {part.strip("-* ") for part in parts if len(part.split()) >= 6}

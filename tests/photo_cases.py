@@ -15,7 +15,7 @@ TINY = {
 
 
 def tiny_net(**changes: object) -> SplatterNet:
-    """With some relief, which an untrained one lacks. changes: of its configuration."""
+    """Return a small network with some relief, unlike an untrained one; changes: of its configuration."""
     torch.manual_seed(0)
     net = SplatterNet(ModelConfig.from_dict(TINY | changes))
     torch.nn.init.normal_(net.head.weight, std=0.02)
@@ -23,7 +23,7 @@ def tiny_net(**changes: object) -> SplatterNet:
 
 
 def photo(height: int, width: int, colour: tuple[float, float, float] = (0.9, 0.4, 0.1)) -> np.ndarray:
-    """RGBA [H,W,4] float32 of an ellipse off the middle whose colour varies."""
+    """Return RGBA [H,W,4] float32 of an ellipse off the middle whose colour varies."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     x, y = (x + 0.5) / width - 0.45, (y + 0.5) / height - 0.55
     alpha = ((x / 0.4) ** 2 + (y / 0.35) ** 2 < 1).astype(np.float32)
@@ -32,5 +32,5 @@ def photo(height: int, width: int, colour: tuple[float, float, float] = (0.9, 0.
 
 
 def psnr_db(a: torch.Tensor, b: torch.Tensor) -> float:
-    """Of two 8-bit images."""
+    """Return the PSNR of two 8-bit images."""
     return float(-10 * torch.log10(((a.cpu().double() - b.cpu().double()) / 255).square().mean()))

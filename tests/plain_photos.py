@@ -1,4 +1,4 @@
-"""Photos of a thing before a plain background, in files, and what is taken of them."""
+"""Photos of a thing before a plain background, their files, and their cut-outs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def picture(mask=THING, colour=(0.8, 0.1, 0.1), background=GREY) -> np.ndarray:
 
 
 def save(path: Path, values: np.ndarray, **options) -> Path:
-    """values [H, W, ...] in 0..1 as a file that Pillow writes."""
+    """Write values [H, W, ...] in 0..1 with Pillow, and return the path."""
     if path.suffix == ".jpg":
         options = {"quality": 95, "subsampling": 0, **options}
     Image.fromarray(to_integers(values, 8)).save(path, **options)
@@ -35,5 +35,5 @@ def save(path: Path, values: np.ndarray, **options) -> Path:
 
 
 def photo(path: Path, *mask, **options) -> Photo:
-    """load_photo, with what was decided."""
+    """Return load_photo with its messages."""
     return cut_out_photo(path, read_picture(path), *mask, **options)

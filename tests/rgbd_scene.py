@@ -12,14 +12,14 @@ WALL_POINT, WALL_NORMAL = np.array([0, 0, 2.2]), np.array([-0.8, 0.3, 1.0])
 
 
 def camera(width: int, height: int, focal: float, offset: float = 0.0) -> Cameras:
-    """A camera `offset` to the right of the photo's, looking along z."""
+    """Return a camera `offset` to the right of the photo's, looking along z."""
     pose = torch.eye(4)[None].clone()
     pose[0, 0, 3] = -offset
     return Cameras(pose, torch.tensor([[focal, focal]]), torch.tensor([[width / 2, height / 2]]), width, height)
 
 
 def view(width: int, height: int, focal: float, offset: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colours [H, W, 3], depths [H, W] and points [H, W, 3] that `camera` sees, float64."""
+    """Return colours [H, W, 3], depths [H, W] and points [H, W, 3] in the view of `camera`, float64."""
     rows, columns = np.mgrid[:height, :width] + 0.5
     rays = np.stack([(columns - width / 2) / focal, (rows - height / 2) / focal, np.ones_like(rows)], 2)
     eye = np.array([offset, 0, 0])

@@ -1,4 +1,4 @@
-"""Scenes of which not all is the object, for the tests of framing."""
+"""Scenes with more than their subject, for the tests of framing."""
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ def joined(*scenes: Gaussians) -> Gaussians:
 
 
 def thing(centre=(0, 0, 0), count=1500) -> Gaussians:
-    """A plate, 0.8 wide and 1.2 high."""
+    """Return a plate, 0.8 wide and 1.2 high."""
     random = np.random.default_rng(1)
     return blobs(random.uniform(-1, 1, (count, 3)) * [0.4, 0.6, 0.03] + centre)
 

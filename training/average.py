@@ -1,7 +1,7 @@
 """The mean of two checkpoints of one network: `python -m training.average FIRST SECOND --share 0.6 -o MEAN`.
 
-The weights of a network before and after further training, averaged, are mostly as good as either, and stand between
-them in what that training changed. Source: Wortsman et al., "Model soups", ICML 2022.
+The average of the weights before and after further training is mostly as good as either. It stands between them in all
+that the training changed. Source: Wortsman et al., "Model soups", ICML 2022.
 """
 
 from __future__ import annotations

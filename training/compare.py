@@ -1,20 +1,22 @@
 """Constrained field of view against full sphere: `python -m training.compare --config configs/training/compare.yaml`.
 
-The comparison of Table 2 and Figure 7 of Shi et al., "Single-View Encoding of 3D Light Field Based on Editable Field of
-View Gaussian Splatting", Photonics 2025, 12(3), 279: one network, trained with targets inside the panel's cone or from
-all round the object, scored inside the cone.
+This is the comparison of Table 2 and Figure 7 of Shi et al., "Single-View Encoding of 3D Light Field Based on Editable
+Field of View Gaussian Splatting", Photonics 2025, 12(3), 279. One network is trained with targets inside the panel's
+cone or from all round the object, and scored inside the cone.
 
 The arms of a comparison are runs that differ in their targets only: network, steps, samples, objects, source pictures
-and their augmentation are the same. A set whose views lie in a cone has no targets all round, and one
-with views all round gives a cone too few. So sources are always views of `data`, and an arm may take its targets from
-other folders that hold the same objects in the same world (`target_data`). A view of `data` is a source only if another
-one looks within `neighbour_deg`, which must fit into the cone of every arm, so that it has a target in all of them.
+and their augmentation are the same. A set whose views lie in a cone has no targets all round, and one with views all
+round gives a cone too few. So sources are always views of `data`. An arm may take its targets from other folders with
+the same objects in the same world (`target_data`). A view of `data` is a source only if another one looks within
+`neighbour_deg`. That angle must fit into the cone of every arm, so that each source has a target in all of them.
 
-Each arm is an ordinary run in <output_dir>/<arm>, and the same command resumes it. --arm trains only one, so that every
-GPU of a machine may have its own (CUDA_VISIBLE_DEVICES); without it they run one after the other. At the end, or at
-once with --report-only, what is finished is scored and <output_dir> gets report.json, report.md (PSNR and SSIM per
-angle beside two floors, and the lead of the first arm over the others), angles.png and curves.png (scores during
-training).
+Each arm is an ordinary run in <output_dir>/<arm>, and the same command resumes it. Arms run one after the other; --arm
+trains only one, so that each GPU of a machine can have its own (CUDA_VISIBLE_DEVICES). At the end, or at once with
+--report-only, finished arms are scored, and <output_dir> gets:
+
+- report.json;
+- report.md: PSNR and SSIM per angle beside two floors, and the lead of the first arm over the others;
+- angles.png, and curves.png with the scores during training.
 
 Every field of TrainingConfig is an option, for all arms; paths of images are relative to --data_root.
 """

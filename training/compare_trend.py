@@ -1,7 +1,7 @@
 """When targets inside the cone pay: `python -m training.compare_trend steps:1000=runs/a steps:3000=runs/b -o trend`.
 
-Takes finished comparisons (folders in which training.compare wrote report.json), each as a point AXIS:VALUE=FOLDER of
-what was varied there, and shows how the lead of the first arm over another changes along each axis: <output>.md is a
+Each argument AXIS:VALUE=FOLDER is a finished comparison, a folder with the report.json of training.compare, as a point
+of the axis that was varied. The output shows the lead of the first arm over another along each axis. <output>.md is a
 table, <output>.png has a plot for each axis. A comparison may be a point of several axes.
 """
 

@@ -68,10 +68,13 @@ def azimuths_from_source(camera_to_world: np.ndarray, source: int = 0) -> np.nda
 
 
 def source_view(path: Path, camera_to_world: np.ndarray, source: Source) -> int:
-    """The number of the source view among those of an object [V,4,4]: itself, or, in the "middle", the one whose
-    direction is nearest to the mean of all.
+    """Return the number of the source view of an object with camera-to-world matrices [V,4,4].
 
-    Raises InputError where there is no such view, beginning with the object's path.
+    Args:
+        source: the number, or "middle" for the view whose direction is nearest to the mean of all.
+
+    Raises:
+        InputError: there is no such view. The message begins with the object's path.
     """
     if source == "middle":
         directions = camera_to_world[:, :3, 2]
@@ -96,12 +99,15 @@ def _on_white(frames: Tensor) -> Tensor:
 def _predicted(
     net: SplatterNet, frame: Tensor, intrinsics: list[float], detail: int | None, magnified: float
 ) -> Gaussians:
-    """What a network makes of the object in a frame [4,H,W], premultiplied, in its camera's axes; with leading 1.
+    """Predict the Gaussians of the object in a frame [4,H,W], premultiplied, in its camera's axes; with a leading 1.
 
-    intrinsics: (fx, fy, cx, cy) of the frame in pixels. The network sees what it sees of a photo: the square round the
-    object from the frame as it is stored, resized to the network's own size. detail: how many times finer the frame is
-    laid over what it predicts (see models/detail.py), None for not at all. magnified: width of one of the frame's
-    pixels where the Gaussians will be drawn.
+    The network sees the object as in a photo: the square round it from the stored frame, resized to the network's own
+    size.
+
+    Args:
+        intrinsics: (fx, fy, cx, cy) of the frame in pixels.
+        detail: how many times finer the sheet of the frame is (see models/detail.py); None: no sheet.
+        magnified: width of one of the frame's pixels where the Gaussians are drawn.
     """
     square, size = object_square(frame[3]), net.config.image_size_px
     fx, fy, cx, cy = intrinsics
@@ -128,10 +134,17 @@ def compare_object(
 ) -> Comparison:
     """Predict an object from one view and render it from all.
 
-    path: as find_objects names it. size_px: length of the longer side of the frames. source: see source_view. device:
-    where the network is; the tensors returned are there. decoded, supersampling, background, detail: see score_folder.
-    Raises InputError for an object that cannot be read, has one view only, no such source, or cameras that roll, and
-    for one stored smaller than a size_px beyond SIZE_PX.
+    Args:
+        path: of the object, as find_objects names it.
+        size_px: length of the longer side of the frames.
+        source: see source_view.
+        device: where the network is; the tensors returned are there.
+        decoded, supersampling, background, detail: see score_folder.
+
+    Raises:
+        InputError: the object cannot be read, has one view only, no such source, or cameras that roll, or is stored
+        smaller
+            than a size_px beyond SIZE_PX.
     """
     views, decoded = read_object(path), {} if decoded is None else decoded
     if len(views.image_paths) < 2:

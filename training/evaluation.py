@@ -1,14 +1,15 @@
-"""Scores of a network on objects it has not seen: from one view of each, how well are the others predicted?
+"""Scores of a network on unseen objects: how well does it predict the other views of each from one?
 
-Protocol: the source is view 0 unless said otherwise, cropped to the object from the stored image; all views are
-rendered into their full frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down
-to that size. PSNR, SSIM and the PSNR of gradients, which tells soft pictures from sharp ones, are means over images;
-those of the source view itself stand apart. Beside them stand two floors, what needs no network: "copy", the source
-image itself offered as every other view, and "card", the source image as a flat card at OBJECT_DISTANCE, the depth of
-the object's middle.
+Protocol: the source is view 0 by default, cropped to the object from the stored image. All views are rendered into
+their full frames at size_px on white, and clamped to 0..1. Each is compared with the stored image, averaged down to
+that size. PSNR, SSIM and the PSNR of gradients are means over images; the latter tells soft pictures from sharp ones.
+The source view has scores of its own. Two floors need no network:
 
-The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023), which objects of 50 px feel and those
-on a panel do not. Supersampling draws n times as finely and averages, as the stored images are averaged, and so
+- copy: the source image itself, in place of every other view;
+- card: the source image as a flat card at OBJECT_DISTANCE, the depth of the object's middle.
+
+The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023). This matters for objects of 50 px, and
+not for those on a panel. Supersampling draws n times as finely and averages, as the stored images are averaged, and so
 leaves 0.3 / n^2.
 """
 
@@ -72,20 +73,28 @@ def score_folder(
     size_px: int = SIZE_PX,
     detail: int | None = None,
 ) -> dict[str, Any]:
-    """Score a network on the objects at or below a folder, of this split where they come in splits.
+    """Score a network on the objects at or below a folder.
 
-    Returns objects, and psnr_db, ssim, gradient_psnr_db, the same of the floors (copy_psnr_db, card_psnr_db ...) and
-    views (their number) over all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5
-    degrees) of novel views; source: the same for the source views; object_psnr_db: of each object by its path, over its
-    novel views. skipped: why, for the path of each object that could not be scored; these count in nothing else.
-    doubts: for the paths of scored objects whose cameras stand elsewhere than the network expects.
-    limit: score so many of them only, spread evenly over the folder; None: all.
-    save_renders: folder for one picture per object, in folders as the objects are. device: where the network is.
-    decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples of a
-    rendered pixel along each axis. source: see source_view. background: see find_cutout. size_px: length of the longer
-    side of the frames that are compared. detail: how many times finer than the network's pictures the source is laid
-    over what it predicts (1, 2 or 4), None for not at all.
-    Raises InputError where no object can be scored, and for a limit below 1.
+    Args:
+        limit: number of objects to score, spread evenly over the folder; None: all.
+        save_renders: folder for one picture per object, in folders as the objects are.
+        device: where the network is.
+        decoded: keeps the images from call to call, for further scores of the same objects.
+        supersampling: samples of a rendered pixel along each axis.
+        source: see source_view.
+        background: see find_cutout.
+        size_px: length of the longer side of the frames that are compared.
+        detail: how many times finer than the network's pictures the sheet of the source is (1, 2, 4); None: no sheet.
+
+    Returns:
+        Means over all novel views: psnr_db, ssim, gradient_psnr_db, the same of the floors (copy_psnr_db, card_psnr_db
+        and so on), with "objects" and "views", their numbers. "bins": the same for each angle_deg, the azimuth to
+        either side rounded to 5 degrees. "source": the same for the source views. "object_psnr_db": of each object by
+        its path. "skipped": the reason for each object that could not be scored. "doubts": for scored objects whose
+        cameras stand elsewhere than the network expects.
+
+    Raises:
+        InputError: no object can be scored, or the limit is below 1.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
     of_objects: dict[str, float] = {}

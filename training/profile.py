@@ -1,7 +1,7 @@
 """Where the time of a training step goes: `python -m training.profile --config configs/training/release.yaml`.
 
-Takes steps as training.train would, without saving anything, and prints the median time of each part of a step, on the
-host and on the device. Under torchrun the first process prints its own.
+The program takes steps as training.train would and saves nothing. It prints the median time of each part of a step, on
+the host and on the device. Under torchrun the first process prints its own.
 """
 
 from __future__ import annotations

@@ -6,8 +6,7 @@
 #include <vector>
 
 #include "base/error.h"
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #include "hwy/highway.h"
 #include "hwy/targets.h"
 #include "stages/stages.h"

@@ -3,8 +3,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #include "cuda/common/architectures.h"
 #include "cuda/stages/stages.h"
 #include "network/group_norm.h"

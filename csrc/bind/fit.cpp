@@ -4,8 +4,7 @@
 
 #include <array>
 
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #include "stages/fit.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/fit/fit.h"

@@ -1,4 +1,4 @@
-// Bind the frame, a light-field image drawn on CUDA without the host in between; see cuda/frame/direct_frame.h and
+// Bind the frame, a light-field image that CUDA draws without the host in between. See cuda/frame/direct_frame.h and
 // lightfield_gs/rasterizer/frame_cuda.py.
 #include "cuda/frame/direct_frame.h"
 
@@ -7,8 +7,7 @@
 #include <bit>
 
 #include "base/error.h"
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 
 namespace py = pybind11;
 

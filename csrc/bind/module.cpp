@@ -4,7 +4,7 @@
 #include <pybind11/pybind11.h>
 
 #include "base/error.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 
 namespace py = pybind11;
 

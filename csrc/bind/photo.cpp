@@ -1,8 +1,7 @@
 // Bind the stages that lay a photo over what the network predicts.
 #include "stages/photo.h"
 
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/photo/photo.h"
 #endif

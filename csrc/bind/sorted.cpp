@@ -1,6 +1,5 @@
 // Bind the stages of the method `sorted`, whose sub-pixels are sorted by view, on CPU and CUDA.
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/sorted/sorted.h"

@@ -9,8 +9,7 @@
 #include <vector>
 
 #include "base/error.h"
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 #include "math/footprint.h"
 #include "stages/stages.h"
 

@@ -1,8 +1,7 @@
 // Bind the stage that weaves pictures of views into the image of a panel.
 #include "stages/weave.h"
 
-#include "bind/addresses.h"
-#include "bind/parts.h"
+#include "bind/bindings.h"
 
 namespace py = pybind11;
 

@@ -1,6 +1,6 @@
 // How a composite is called for the vectors of this machine. Highway compiles it once for every vector instruction set
-// (HWY_NAMESPACE) and chooses among them at run time, but only among functions that are no templates. Double precision,
-// which only checks others, is compiled once, for the set that every processor has.
+// (HWY_NAMESPACE). At run time it chooses among functions that are not templates. Double precision, which only checks
+// others, is compiled once, for the set that every processor has.
 #pragma once
 
 // To be used in HWY_NAMESPACE, after the template Counters Name(const Job<T>&).

@@ -1,6 +1,6 @@
-// What the projections of both sensors have in common on the CPU: they read one Gaussian, sum the gradients of its
-// intersections and add to its own. Arithmetic is double whatever the precision of the data, which costs a few
-// milliseconds and keeps needles and far-away means exact.
+// Common parts of both projections on the CPU: read one Gaussian, sum the gradients of its intersections, and add to
+// the gradient of the Gaussian. Arithmetic is double whatever the precision of the data, which costs a few milliseconds
+// and keeps needles and far-away means exact.
 #pragma once
 
 #include <algorithm>

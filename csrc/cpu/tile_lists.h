@@ -1,4 +1,4 @@
-// Lists which splats of a band touch which of its tiles, in the order given: a counting sort whose memory is reused
+// List the splats of a band that touch each of its tiles, in the given order, by a counting sort. Its memory is reused
 // from band to band.
 #pragma once
 

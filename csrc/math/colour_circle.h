@@ -1,7 +1,7 @@
 // The colour of a Gaussian as seen from everywhere along a rig, exactly. Cameras on a line see a mean from directions
-// on a great circle, on which harmonics to degree 3 are a trigonometric polynomial of degree 3. With the angle that the
-// camera at s stands from the foot of the perpendicular from the mean to the line, where `place` is that foot's s and
-// `distance` the mean's distance from the line, both in units of s:
+// on a great circle. On it, harmonics to degree 3 are a trigonometric polynomial of degree 3. Its angle is measured
+// from the foot of the perpendicular from the mean to the line. `place` is the foot's s, and `distance` the mean's
+// distance from the line, both in units of s.
 //   t = sin = (s - place) / r,   h = cos = distance / r,   r^2 = (s - place)^2 + distance^2,
 //   colour = c0 + c1 t + c2 t^2 + c3 t^3 + h (c4 + c5 t + c6 t^2).
 // It takes the place of a colour polynomial (math/colour_polynomial.h) where that would err too much: near the cameras.
@@ -21,12 +21,12 @@ namespace lfgs {
 
 constexpr int kCircleOrder = -1;  // stands in place of a polynomial's order
 constexpr int kCircleTerms = 7;   // c0 to c6, which lie where else powers of s do
-// A colour on a circle, and its gradient, need the room of a polynomial of at least this order.
+// A colour on a circle, and its gradient, take as many numbers as a polynomial of this order.
 constexpr int kLeastCircleOrder = 7;
 // The numbers behind the terms' three channels: those of these terms are `place` and `distance`.
 constexpr int kPlaceTerm = 1, kDistanceTerm = 2;
-// In the gradient, behind those of the terms: the sums over samples of gradient times d colour / d angle, times h^2 and
-// times t h. Those of place and distance are minus these, divided by the distance.
+// In the gradient, behind the terms: the sums over samples of gradient times d colour / d angle, times h^2 and times t
+// h. Those of place and distance are minus these, divided by the distance.
 constexpr int kAlongSum = 3 * kCircleTerms, kAcrossSum = kAlongSum + 1;
 static_assert(3 * (kLeastCircleOrder + 1) > kAcrossSum);
 
@@ -61,8 +61,8 @@ struct ColourCircle {
   }
 };
 
-// Sine, cosine and weights of node j of kCircleTerms nodes round the circle: the terms of a colour are the sums over
-// the nodes of weight times the colour there.
+// Sine, cosine and weights of node j of kCircleTerms nodes round the circle. A term of a colour is the sum over the
+// nodes of weight times the colour there.
 template <class R>
 struct CircleNode {
   R sine, cosine, weights[kCircleTerms];
@@ -135,8 +135,8 @@ struct CirclePoint {
   }
 };
 
-// Bounds of the amplitudes of the circle's first three harmonics, the largest over the channels. Turned such that the
-// circle is its equator, a band of degree l keeps its norm, and only its orders +-k add to harmonic k there.
+// Bounds of the amplitudes of the circle's first three harmonics, the largest over the channels. Rotate the circle to
+// the equator. A band of degree l keeps its norm, and only its orders +-k add to harmonic k there.
 template <class R, class T>
 LFGS_HD glm::vec<3, R> circle_amplitudes(int degree, const T* sh) {
   glm::vec<3, R> most(0);
@@ -154,13 +154,13 @@ LFGS_HD glm::vec<3, R> circle_amplitudes(int degree, const T* sh) {
 
 // A bound, over s in -1..1, of the error of the polynomial that interpolates a colour on a circle at order + 1
 // Chebyshev nodes. e^(i angle) is ((s - w*) / (s - w))^(1/2) but for a factor of size 1, where w = place + i distance.
-// With s = (z + 1/z) / 2, w becomes a point of size rho, the half axes' sum of the ellipse with foci -1 and 1 through w
-// (Trefethen, Approximation Theory and Approximation Practice, chapter 8), and e^(i k angle) the product G(z) G(1/z) of
-// two series, G(z) = (1 - z v*)^(k/2) (1 - z v)^(-k/2) with |v| = 1 / rho. Term by term, G is at most the series in
-// z / rho of 2 (1 - x)^(-1/2) - 1, (1 + x) / (1 - x) and 1 + 3 x (1 - x)^(-3/2) for k = 1, 2, 3, of which coefficient m
-// is at most 2 / sqrt(pi m), 2 and 6 sqrt(m / pi). So Chebyshev coefficient n of the colour is at most twice the
-// amplitude times the sum over m of coefficients n + m and m; and interpolation errs by at most twice the sum of all
-// coefficients beyond its order.
+// With s = (z + 1/z) / 2, w becomes a point of size rho. rho is the half axes' sum of the ellipse with foci -1 and 1
+// through w (Trefethen, Approximation Theory and Approximation Practice, chapter 8). e^(i k angle) becomes the product
+// G(z) G(1/z) of two series. G(z) = (1 - z v*)^(k/2) (1 - z v)^(-k/2) with |v| = 1 / rho. For k = 1, 2, 3, term by
+// term, G is at most a series in x = z / rho. They are 2 (1 - x)^(-1/2) - 1, (1 + x) / (1 - x) and 1 + 3 x (1 -
+// x)^(-3/2). Their coefficient m is at most 2 / sqrt(pi m), 2 and 6 sqrt(m / pi). So Chebyshev coefficient n of the
+// colour is at most twice the amplitude times the sum over m of coefficients n + m and m. The error of interpolation is
+// at most twice the sum of all coefficients beyond its order.
 template <class R>
 LFGS_HD R circle_tail(int order, const glm::vec<3, R>& amplitudes, R place, R distance) {
   auto away = [&](R focus) { return std::sqrt((place - focus) * (place - focus) + distance * distance); };

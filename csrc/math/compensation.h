@@ -1,8 +1,9 @@
-// Opacity of a splat that a filter spreads out: the blur of kBlurVariancePx in an anti-aliased scene (Yu et al.,
-// Mip-Splatting, 2024, the 2D filter), the aperture of a view (Projection::aperture_variance), or both. It is lowered
-// by as much, so that the splat keeps its light: from camera s by the share
-//   sqrt(det V(s) / det (V(s) + filter)) = sqrt(D(s) / S(s)),   D(s) = D0 + D1 s + D2 s^2,
-// V being the projected covariance, S that of Splat and D what S is without the part that the filters add to it.
+// Compensation of a splat's opacity for filters that spread it out. The filters are the blur of kBlurVariancePx in an
+// anti-aliased scene (Yu et al., Mip-Splatting, 2024, the 2D filter) and the aperture of a camera
+// (Projection::aperture_variance). The splat keeps its light: seen from camera s, its opacity is multiplied by the
+// following factor.
+//   sqrt(det V(s) / det (V(s) + filter)) = sqrt(D(s) / S(s)),   D(s) = D0 + D1 s + D2 s^2.
+// V is the projected covariance, S(s) that of Splat, and D(s) is S(s) without the filters.
 #pragma once
 
 #include <cmath>

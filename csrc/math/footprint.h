@@ -48,8 +48,8 @@ LFGS_HD T square_reach_x(const Splat<T>& s, T dy) {
   return exponent > 0 ? exponent * (left > right ? left : right) : T(0);
 }
 
-// The interval of x + shear * (y - 1/2) that the footprint covers, from all cameras of the rig, in the rows whose
-// centres are in [y_low, y_high]; false if it touches none of these rows.
+// Find the interval of x + shear * (y - 1/2) that the footprint covers in the rows with centres in [y_low, y_high],
+// from all cameras. Return false if it touches none of these rows.
 template <class T>
 LFGS_HD bool footprint_columns(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T& high) {
   T d1 = y_low - s.v0, d2 = y_high - s.v0;
@@ -70,8 +70,9 @@ LFGS_HD bool footprint_columns(const Splat<T>& s, T y_low, T y_high, T shear, T&
 // How many pixels patches that touch an ellipse reach beyond it, on average.
 constexpr int kPatchMargin = 6;
 
-// A raised cut gives up the ring where a splat's alpha lies between 1/255 and the cut. Who draws whole patches still
-// draws what is within `margin_px` of the ellipse inside the ring; this is the share of the ring that is left out.
+// A raised cut gives up the ring where a splat's alpha lies between 1/255 and the cut. Kernels that draw whole patches
+// still draw the pixels within `margin_px` of the ellipse inside the ring. This is the fraction of the ring that is
+// left out.
 template <class T>
 LFGS_HD T fraction_left_out(const Splat<T>& s, T log2_cut, T margin_px) {
   const T deviation = std::sqrt(std::sqrt(s.S0 / s.tau)), inside = s.log2_opacity - log2_cut;
@@ -79,8 +80,8 @@ LFGS_HD T fraction_left_out(const Splat<T>& s, T log2_cut, T margin_px) {
   return ring > 0 ? ring / (ring + margin_px) : T(1);
 }
 
-// Raise the opacity cut of a splat from 1/255, and its opacity by as much: the integral of alpha over an image, which
-// is proportional to opacity - cut, stays what it was (but where the opacity ends at 0.99). by_patches: alphas from
+// Raise the opacity cut of a splat from 1/255, and its opacity by as much. The integral of alpha over an image, which
+// is proportional to opacity - cut, stays the same, except where the opacity ends at 0.99. by_patches: alphas from
 // 1/255 on are drawn in whole patches that the cut touches, so that less is left out.
 template <class T>
 LFGS_HD void raise_cut(Splat<T>& s, T log2_cut, bool by_patches) {
@@ -92,8 +93,8 @@ LFGS_HD void raise_cut(Splat<T>& s, T log2_cut, bool by_patches) {
   s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(kNotSeen);
 }
 
-// Sum of a splat's alphas over the pixels for the camera that sees it widest, as if there were no edges, cuts or
-// limits: the integral of 2^(log2_opacity - tau dy^2 - dx^2 / S).
+// Return the sum of a splat's alphas over the pixels for the camera that sees it widest, without edges, cuts or limits.
+// It is the integral of 2^(log2_opacity - tau dy^2 - dx^2 / S).
 template <class T>
 LFGS_HD T alpha_integral(const Splat<T>& s) {
   const T left = s.S0 - s.S1 + s.S2, right = s.S0 + s.S1 + s.S2;

@@ -1,7 +1,8 @@
-// Sums over the samples that a splat touches, from which its gradient follows. With g the gradient of the exponent
-//   power = log2 opacity - tau dy^2 - dx^2 / S,   dx = px - m(s),
-// at a sample, "power" is the sum of g, "x" that of what follows for dx, -2 g dx / S, and "S" that of what follows for
-// S(s), g (dx / S)^2; each also times powers of dy and of the sample's offset s.
+// Sums over the samples that a splat touches, from which its gradient follows. g is the gradient of the exponent at a
+// sample.
+//   power = log2 opacity - tau dy^2 - dx^2 / S,   dx = px - m(s).
+// "power" is the sum of g. "x" is the sum of the gradient of dx, -2 g dx / S. "S" is the sum of the gradient of S(s), g
+// (dx / S)^2. Each also appears times powers of dy and of the sample's offset s.
 #pragma once
 
 #include "base/config.h"

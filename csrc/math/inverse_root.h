@@ -1,4 +1,4 @@
-// S(s)^(-1/2) as a parabola over the rig, which spares every sample a division.
+// S(s)^(-1/2) as a parabola over the rig, which saves every sample a division.
 #pragma once
 
 #include <cmath>
@@ -10,9 +10,8 @@ namespace lfgs {
 
 constexpr double kMostRootError = 4e-5;  // relative; alpha errs by less than 0.74 of it, which keeps 80 dB at 8 bits
 
-// S^(-1/2) ~ r0 + r1 s + r2 s^2 for s in [-1, 1]. With S = S0 (1 + a1 s + a2 s^2) it is a power series, taken up to
-// s^4; then s^3 and s^4 are replaced by the nearest polynomials of lower order, 3/4 s and s^2 - 1/8 (Chebyshev's
-// economization).
+// S^(-1/2) ~ r0 + r1 s + r2 s^2 for s in [-1, 1]. With S = S0 (1 + a1 s + a2 s^2) it is a power series up to s^4. The
+// nearest polynomials of lower order, 3/4 s and s^2 - 1/8, replace s^3 and s^4 (Chebyshev's economization).
 template <class T>
 struct InverseRoot {
   T r0 = 0, r1 = 0, r2 = 0;

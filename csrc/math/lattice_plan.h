@@ -1,6 +1,6 @@
-// Where a coarse lattice in (x, y, view) is laid for a part of the panel: LatticeCurvature gathers how fast the light
-// field varies, from the splats that are seen there, and makes a LatticePlan of it. From view to view the picture moves
-// by its disparity, so that a light field is smooth along the view only if x moves along. Between two planes,
+// The plan of a coarse lattice in (x, y, view) for a part of the panel. LatticeCurvature measures how fast the light
+// field varies, from the splats that are seen there, and makes a LatticePlan. From view to view the picture moves by
+// its disparity, so that a light field is smooth along the view only if x moves along. Between two planes,
 // interpolation therefore follows x + shear s, where shear is the mean disparity of what is seen there.
 #pragma once
 
@@ -20,10 +20,10 @@ struct LatticePart {
 // smaller. Where nodes were moved to lessen the errors at the middles, it must be smaller still, for elsewhere more
 // error is left than there.
 constexpr float kMeanFactor = 5, kMovedFactor = 8;
-// By which share of the errors at the middles round it a node is moved. Linear interpolation of a curved field errs to
-// one side, in each direction by x (1 - x) times its curvature, where x is the place in the cell. Where the three
-// directions are alike this adds up to 3/4 in the middle of a cell and to 1/2 on average, which is 2/3 of that. A
-// quarter of the root mean square is left.
+// The factor of the errors at the middles round a node by which it is moved. Linear interpolation of a curved field
+// errs to one side. The error is x (1 - x) times the curvature in each direction, x the place in the cell. For three
+// equal directions this is 3/4 in the middle of a cell and 1/2 on average, which is 2/3 of 3/4. A quarter of the root
+// mean square is left.
 constexpr float kNodeFactor = 2.f / 3;
 constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // largest steps, in standard deviations; margin of the next
 LFGS_HD float first_fineness(float error) { return std::fmin(3.0f * std::sqrt(error), kMostFineness); }
@@ -35,8 +35,8 @@ constexpr int kProbeRows = 8;
 // 128.
 constexpr int kMostPlanes = 128, kMostRows = 256, kMostColumns = 10000;
 
-// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at a node of one plane is seen up to `margin`
-// nodes aside on the next, and so many nodes more there are at both ends of a row.
+// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. The content of a node on one plane is seen up to
+// `margin` nodes aside on the next. So rows have `margin` more nodes at both ends.
 struct LatticeGrid {
   int across, down, planes, margin;
   float x0, y0, s0, step_x, step_y, step_s;
@@ -60,7 +60,7 @@ struct LatticePlan : LatticeGrid {
   }
 };
 
-// How fast the light field of a part varies: second derivatives of its splats' exponents, weighted by opacity and
+// How fast the light field of a part varies: second derivatives of its splats' exponents, weighted by opacity. They are
 // summed in bins of the offsets from which the splats are seen.
 class LatticeCurvature {
  public:
@@ -122,8 +122,8 @@ class LatticeCurvature {
     widen(margin, out);
   }
 
-  // The three parts of plan(), for kernels in which threads share the work: lay() has rows, planes and steps,
-  // plane_lean() how a plane leans, and widen() the columns, from the largest of |lean|.
+  // The three parts of plan(), for kernels in which threads share the work. lay() sets rows, planes and steps,
+  // plane_lean() returns the lean of a plane, and widen() sets the columns from the largest |lean|.
   LFGS_HD void lay(const Totals& of, float fineness, int most_planes, LatticeGrid& out) const {
     const float unit = of.weight > 0 ? fineness * std::sqrt(of.weight) : 1e20f;  // if nothing is seen, corners will do
     const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(of.y), kMostRows);
@@ -156,8 +156,8 @@ class LatticeCurvature {
     return n >= 1 ? n < float(most) ? int(n) : most : 1;
   }
 
-  // The mean disparity at a place among the offsets, from 0 for the lowest to 1 for the highest: linear between the two
-  // bins beside it, of which one that sees nothing does not count.
+  // The mean disparity at a fraction of the offsets, from 0 for the lowest to 1 for the highest. It is linear between
+  // the two neighbouring bins; a bin that sees nothing does not count.
   LFGS_HD float shear_at(float fraction) const {
     const float place = fraction * kBins - 0.5f;
     const int below = place > 0 ? int(place) : 0, above = below + 1 < kBins ? below + 1 : below;

@@ -1,11 +1,13 @@
 // Front-to-back blending of splats, and its backward pass. A sample lets T_i = (1 - alpha_1) ... (1 - alpha_(i-1)) of
-// the light through to splat i, which adds its weight w_i = alpha_i T_i. With v_i what a unit of that weight adds to
-// the loss,
+// the light through to splat i, which adds its weight w_i = alpha_i T_i. v_i is the derivative of the loss by that
+// weight.
 //
-//   dL/dalpha_i = T_i v_i - (total - prefix_i) / (1 - alpha_i),
+//   dL/dalpha_i = T_i v_i - (total - prefix_i) / (1 - alpha_i).
 //
-// total the sum of w v over all splats and the background, prefix_i that up to and with splat i. The total follows from
-// the image, so the backward pass walks front to back as well. Twin of "over" in cuda/common/blend.cuh.
+// total is the sum of w v over all splats and the background, prefix_i the sum up to and with splat i. The total
+// follows from the image, so the backward pass walks front to back as well. The formula has a twin in
+// cuda/common/blend.cuh. One copy would cost speed or bits: here it is masks and fused operations of Highway on a
+// vector, there branches on one float, whose fusing nvcc chooses.
 
 #if defined(LFGS_MATH_OVER_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_MATH_OVER_INL_H_
@@ -24,8 +26,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// One splat over a vector of samples: `weight` is its share of the light of each, which their transmittances lose. A
-// sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
+// Blend one splat over a vector of samples: `weight` is its part of the light of each, which their transmittances lose.
+// A sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
 // background. Return whether a sample ended and with it the last of the vector.
 template <class D>
 HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmittance, hn::TFromD<D>* HWY_RESTRICT rest,
@@ -59,7 +61,7 @@ HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_REST
   return stop;
 }
 
-// Return dL/dalpha, and add this splat to `prefix`. kEstimate: divide by an estimate and a Newton step, as the dense
+// Return dL/dalpha, and add this splat to `prefix`. kEstimate: divide by an estimate and a Newton step, as the image
 // sensor does; the lens sensor divides exactly. Which is used decides the last digits of its gradients.
 template <bool kEstimate, class D>
 HWY_INLINE hn::Vec<D> OverBackward(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::Vec<D> weight, hn::Vec<D> v,
@@ -71,8 +73,8 @@ HWY_INLINE hn::Vec<D> OverBackward(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn:
   return hn::MulSub(before, v, later);
 }
 
-// The gradient of the exponent, log2 alpha, from that of alpha: zero unless alpha follows the exponent (`free`), as it
-// does not where it is cut or limited.
+// Return the gradient of the exponent, log2 alpha, from the gradient of alpha. It is zero unless `free`: where alpha is
+// cut or limited it does not follow the exponent.
 template <class D>
 HWY_INLINE hn::Vec<D> ExponentBackward(D d, hn::Vec<D> g_alpha, hn::Vec<D> alpha, hn::Mask<D> free) {
   return hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, hn::TFromD<D>(kLn2))));

@@ -1,11 +1,11 @@
-// EWA projection of one Gaussian by a camera, or by all cameras of an off-axis rig at once: a Shape and a Camera become
+// EWA projection of one Gaussian by a camera, or by all cameras of an off-axis rig at once. A Shape and a Camera become
 // a Splat. The backward pass takes the gradient of the Splat back to both.
 //
 // For the camera at offset s, the projected mean is u(s) = u0 + s du, and the projected covariance (Zwicker et al.
-// 2001) is xx(s), quadratic, xy(s), linear, and yy, constant. A splat stores them in conditional form,
+// 2001) is xx(s), quadratic, xy(s), linear, and yy, constant. A splat stores them in conditional form. log2(e)/2 is
+// folded into tau and 1/S.
 //   -log2 weight = tau dy^2 + (px - m(s))^2 / S(s),   dy = py - v0,
-//   m(s) = u0 + c0 dy + s (du + c1 dy),   S(s) = S0 + S1 s + S2 s^2,
-// with log2(e)/2 folded into tau and 1/S.
+//   m(s) = u0 + c0 dy + s (du + c1 dy),   S(s) = S0 + S1 s + S2 s^2.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -66,8 +66,8 @@ struct CameraGradient {
   glm::vec<3, R> translation{R(0)};
 };
 
-// What projection and its backward pass share. It is cheaper to compute it again for the backward pass than to store
-// it.
+// Intermediate values of the projection and its backward pass. To compute them again for the backward pass is cheaper
+// than to store them.
 template <class R>
 struct Projection {
   glm::vec<3, R> t;                // mean in camera axes
@@ -130,7 +130,7 @@ struct Projection {
     return s;
   }
 
-  // The projected factor has the rows `across` + s g `deep` and `down` / iy^(1/2); times its own transpose it is the
+  // The projected factor has the rows `across` + s g `deep` and `down` / iy^(1/2). Times its own transpose it is the
   // projected covariance without blur. m0 + s m1 are its minors, times iy^(1/2).
   struct Minors {
     glm::vec<3, R> across, deep, m0, m1;
@@ -143,8 +143,8 @@ struct Projection {
     }
   };
 
-  // Compute S(s) = xx(s) - xy(s)^2 / yy as a sum of squares of minors (Cauchy and Binet), for the difference has no
-  // digits left where a needle is some thousand pixels long. So S(s) never falls below the blur's variance.
+  // Compute S(s) = xx(s) - xy(s)^2 / yy as a sum of squares of minors (Cauchy and Binet). The difference has no digits
+  // left for a needle some thousand pixels long. So S(s) never falls below the blur's variance.
   LFGS_HD void conditional_variance(Splat<R>& s) const {
     const R blur(kBlurVariancePx);
     const Minors m(*this);
@@ -153,16 +153,16 @@ struct Projection {
     s.S2 = (glm::dot(m.m1, m.m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
   }
 
-  // What an aperture adds to xx(s), px^2: per unit of offset the mean moves by fx (1/Z0 - 1/Z) along its row, and what
-  // lies deeper or nearer than the mean by fx/Z^2 per unit of depth more or less. Together they are the exact second
-  // moment of the footprints that are averaged; xy and yy stay as they are (Zwicker et al., "Antialiasing for
-  // automultiscopic 3D displays", 2006).
+  // Return the part of an aperture in xx(s), px^2. Per unit of offset the mean moves by fx (1/Z0 - 1/Z) along its row.
+  // Points deeper or nearer than the mean move by fx/Z^2 per unit of depth more or less. This is the exact second
+  // moment of the averaged footprints; xy and yy stay the same (Zwicker et al., "Antialiasing for automultiscopic 3D
+  // displays", 2006).
   LFGS_HD R aperture_variance(const Camera<R>& camera) const {
     const R per_offset = camera.fx * camera.aperture, shift = camera.inverse_zero_depth - iz, shear = iz * iz;
     return per_offset * per_offset * (shift * shift + shear * shear * V.zz);
   }
 
-  // D(s) before it is divided: S(s) without what the blur adds to it, if it is that of an anti-aliased scene.
+  // D(s) before compensate() divides it: S(s), in an anti-aliased scene without the blur.
   LFGS_HD Compensation<R> unfiltered_variance(const Camera<R>& camera, const Splat<R>& s) const {
     if (!camera.antialiased) return {s.S0, s.S1, s.S2};
     const Minors m(*this);
@@ -170,9 +170,9 @@ struct Projection {
             glm::dot(m.m1, m.m1) / R(kHalfLog2e)};
   }
 
-  // For cameras with an aperture and for anti-aliased scenes: adds what the aperture does to S(s), lowers the opacity
-  // of a splat to the highest that it has over the rig, so that the splat's bounds hold for all cameras, and returns
-  // the square of the factor that is left. `out` is D(s) divided by it; D(s) / S(s) is then at most 1.
+  // Compensate for the aperture and for the blur of anti-aliased scenes. Add the aperture to S(s), and lower the
+  // opacity to its highest over the rig. So the splat's bounds hold for all cameras. Return the square of the factor.
+  // `out` is D(s) divided by it; D(s) / S(s) is then at most 1.
   LFGS_HD R compensate(const Camera<R>& camera, Splat<R>& s, Compensation<R>& out) const {
     out = unfiltered_variance(camera, s);
     if (camera.aperture > 0) s.S0 += aperture_variance(camera) / R(kHalfLog2e);
@@ -184,8 +184,8 @@ struct Projection {
     return most;
   }
 
-  // The backward pass of compensate() for one camera: returns the gradient of D that follows from that of the lowered
-  // opacity, and adds the gradient of S to g.S0.
+  // The backward pass of compensate() for one camera. Return the gradient of D, from the gradient of the lowered
+  // opacity, and add the gradient of S to g.S0.
   LFGS_HD Compensation<R> compensate_backward(const Camera<R>& camera, Splat<R>& g) const {
     Splat<R> s;
     conditional_variance(s);
@@ -195,9 +195,9 @@ struct Projection {
     return {half / D, 0, 0};
   }
 
-  // Add to `out` and `camera_out` the gradients that follow from `s`, the gradient of the splat; for a compensated
-  // splat also from `g_D`, the gradient of D before compensate() divides it. What out.quaternion gets is the gradient
-  // of the unit quaternion: a sum of it over cameras may cancel where quaternion_gradient would be infinite.
+  // Add to `out` and `camera_out` the gradients that follow from `s`, the gradient of the splat. For a compensated
+  // splat add also those from `g_D`, the gradient of D before compensate() divides it. What out.quaternion gets is the
+  // gradient of the unit quaternion: a sum of it over cameras may cancel where quaternion_gradient would be infinite.
   template <bool kCompensated = false>
   LFGS_HD void backward(const Camera<R>& camera, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
                         CameraGradient<R>& camera_out, const Compensation<R>& g_D = {}) const {

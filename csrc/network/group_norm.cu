@@ -1,6 +1,6 @@
-// Group normalisation of feature maps, followed by SiLU. A block has one group of channels of one image: it reads the
-// group twice, the first time for mean and variance, the second time (then from the cache) to write the result. A
-// thread has two channels in some of the pixels.
+// Group normalisation of feature maps, followed by SiLU. A block has one group of channels of one image. It reads the
+// group twice: first for mean and variance, then (from the cache) to write the result. A thread has two channels in
+// some of the pixels.
 #include "network/group_norm.h"
 
 #include "cuda/common/blend.cuh"

@@ -13,9 +13,9 @@ struct FeatureMaps {
   int channels, groups;
 };
 
-// out = silu(weight (in - mean) / sqrt(variance + eps) + bias), where mean and variance are those of a group of
-// channels of one image (Wu & He, ECCV 2018, eq. 1 to 3). All arrays are bfloat16, two in a word; arithmetic is in
-// float. out may be the same array as in.
+// out = silu(weight (in - mean) / sqrt(variance + eps) + bias). mean and variance are over a group of channels of one
+// image (Wu & He, ECCV 2018, eq. 1 to 3). All arrays are bfloat16, two in a word; arithmetic is in float. out may be
+// the same array as in.
 void group_norm_silu(const FeatureMaps& maps, const uint32_t* in, const uint32_t* weight, const uint32_t* bias,
                      float eps, uint32_t* out, Stream stream);
 

@@ -1,4 +1,4 @@
-// What projection needs to know of a camera, or of a whole rig whose cameras are projected to at once.
+// A camera for projection, or a whole rig whose cameras are projected to at once.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -7,8 +7,8 @@
 
 namespace lfgs {
 
-// A pinhole camera (OpenCV axes, pixel centres at i + 0.5). A Camera with a sweep is a rig: its cameras stand on the
-// camera x-axis at offset s, with the principal point shifted so that the plane z = zero_depth shows no parallax.
+// A pinhole camera (OpenCV axes, pixel centres at i + 0.5). A Camera with a sweep is a rig. Its cameras stand on the
+// camera x-axis at offset s. Their principal points are shifted such that the plane z = zero_depth shows no parallax.
 template <class R>
 struct Camera {
   glm::mat<3, 3, R> rotation{R(1)};  // world to camera

@@ -13,8 +13,8 @@
 
 namespace lfgs {
 
-// For panels whose sub-pixels do not stand in stripes: how far place k of a pixel is from stripe k, as a phase, and
-// which channel it has, by row and column modulo kCellPeriod. Places are numbered in the order in which a lens meets
+// Of panels whose sub-pixels do not stand in stripes: the distance of place k of a pixel from stripe k, as a phase, and
+// the channel. Both are by row and column modulo kCellPeriod. Places are numbered in the order in which a lens meets
 // them.
 constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // columns; the same in sub-pixels
 struct SubpixelCells {
@@ -61,8 +61,8 @@ struct Lens {
   // Set phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
   // stripes.
   void set_cells(const std::vector<uint64_t>& phases, const std::vector<int>& channels);
-  // Whether the sub-pixels of a row follow each other as their stripes do, each less than one sub-pixel from its own:
-  // those of a lens then lie side by side.
+  // Whether the sub-pixels of a row follow each other as their stripes do, each less than one sub-pixel from its own.
+  // Then the sub-pixels of a lens lie side by side.
   bool stands_in_order() const;
   // Whether a place has the same channel in all pixels.
   bool has_one_order() const;

@@ -28,14 +28,14 @@ inline int64_t band_count(int64_t height_px) { return (height_px + kBandRows - 1
 inline int intersection_gradient_size(int colour_order, bool compensated = false) {
   return kSplatFields + 3 * (colour_order + 1) + (compensated ? kCompensationFields : 0);
 }
-// The same for ordinary images; absolute: with the sums over samples of |gradient| of u0 and of v0 behind the others
+// The same for ordinary images. absolute: with the sums over samples of |gradient| of u0 and of v0 behind the others
 // (Ye et al., "AbsGS", 2024).
 inline int image_intersection_gradient_size(bool absolute) {
   return intersection_gradient_size(0) + (absolute ? 2 : 0);
 }
 
-// The gradient of an intersection, or a sum over intersections: what the samples of a band add to the gradients of a
-// splat's fields, of its colours by power of s, and, for a compensated splat on a panel, of its compensation.
+// The gradient of an intersection, or a sum over intersections. It is the part of a band's samples in the gradients of
+// a splat: of its fields, its colours by power of s and, on a panel, its compensation.
 template <class T>
 struct IntersectionGradient {
   T* numbers;
@@ -57,8 +57,8 @@ struct Counters {
   int64_t evaluations = 0;    // samples at which a splat was evaluated, with the lanes that it missed
   int64_t scratch_bytes = 0;
   // Lens only. Tiles drawn splat by splat, tiles without splats, samples that stopped before the last splat, and tiles
-  // drawn from lattices; then lattices that were good enough, lattices so coarse that their run was halved, and runs
-  // for which lattices were given up.
+  // drawn from lattices. Lattices that fitted, lattices whose run was halved, and runs for which lattices were given
+  // up.
   int64_t tiles = 0, empty_tiles = 0, stopped_samples = 0, lattice_tiles = 0;
   int64_t lattices = 0, split_lattices = 0, refused_lattices = 0;
 
@@ -136,7 +136,7 @@ double project_direct(const Gaussians<const T>& gaussians, const Camera<double>&
                       const Quality& quality, double tolerance, const Splats<T>& out, int threads);
 
 // screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in pixels, 0 where nothing is
-// drawn; if the intersections have absolute ones, [I, N, 4], with these behind.
+// drawn. With absolute gradients it is [I, N, 4], with these behind.
 template <class T>
 void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
                              const int64_t* first_intersection, const T* intersection_gradients,

@@ -18,7 +18,8 @@ struct WeaveFan {
   double box = 0;                  // how many views wide each sub-pixel averages; 0: it takes the nearest one
 };
 
-// What of a view the panel shows, in shares of the view; see Window in lightfield_gs/encoding/weave_geometry.py.
+// The part of a view that the panel shows, in fractions of the view; see Window in
+// lightfield_gs/encoding/weave_geometry.py.
 struct WeaveWindow {
   double left = 0, top = 0, width = 1, height = 1;
   double low_x = 0, low_y = 0, high_x = 1, high_y = 1;

@@ -29,7 +29,7 @@ _VERBS = {"read": "reading", "draw": "drawing", "write": "writing"}
 
 
 @dataclass(frozen=True)
-class Place:
+class Worker:
     """The resources of a process.
 
     Attributes:
@@ -61,16 +61,16 @@ class Run:
     Args:
         plan: the items to do.
         manifest: gets a line when an item begins and when it ends.
-        place: where the process works.
+        worker: where the process works.
         heading: entries of the manifest's line on the run.
     """
 
-    def __init__(self, plan: Plan, manifest: Manifest, place: Place, heading: Record) -> None:
-        self._plan, self._manifest, self._place, self._heading = plan, manifest, place, heading
-        self._id, self._where = now(), f"{socket.gethostname()} {place.name}"
+    def __init__(self, plan: Plan, manifest: Manifest, worker: Worker, heading: Record) -> None:
+        self._plan, self._manifest, self._worker, self._heading = plan, manifest, worker, heading
+        self._id, self._where = now(), f"{socket.gethostname()} {worker.name}"
         self._tally, self._on_way = _Tally(failures=list(plan.failures)), set[int]()
         self._change = threading.Condition()  # of the two
-        self._most = place.readers + place.writers + _QUEUED
+        self._most = worker.readers + worker.writers + _QUEUED
 
     def run(self, start: Callable[[], Callable[[Any], Task]]) -> list[str]:
         """Do the items and return the reasons of failures.
@@ -78,17 +78,17 @@ class Run:
         Args:
             start: loads what all items need, and returns the function that makes the task of an item.
         """
-        self._manifest.append({"run": self._id, **self._heading, "places": [self._place.name]})
+        self._manifest.append({"run": self._id, **self._heading, "places": [self._worker.name]})
         began, switch, plan = time.perf_counter(), sys.getswitchinterval(), self._plan
         sys.setswitchinterval(_SWITCH_S)
         make = start()
         ready = time.perf_counter()
         tqdm.set_lock(threading.RLock())  # its own would be for several processes
         # The bar comes first: a stream that is captured is no terminal
-        with tqdm(total=len(plan.todo), desc=self._place.name, unit="item", disable=None) as self._bar:
+        with tqdm(total=len(plan.todo), desc=self._worker.name, unit="item", disable=None) as self._bar:
             with capturable_streams():
                 pipeline = Pipeline(
-                    make, self._place.readers, self._place.writers, self._on_begin, self._on_end, self._on_broken
+                    make, self._worker.readers, self._worker.writers, self._on_begin, self._on_end, self._on_broken
                 )
                 try:
                     for item in plan.failed:
@@ -163,7 +163,7 @@ class Run:
         ended = tally.done + len(tally.failures) - len(self._plan.failures)
         total = tally.done + len(tally.failures) + kept
         print(f"{self._manifest.folder}: {kept + tally.done} of {total} items are done, {kept} of them before")
-        threads = {"read": self._place.readers, "draw": 1, "write": self._place.writers}
+        threads = {"read": self._worker.readers, "draw": 1, "write": self._worker.writers}
         fractions = {part: tally.seconds[part] / (max(seconds, 1e-9) * threads[part]) for part in PARTS}
         parts = "; ".join(
             f"{_VERBS[part]} {tally.seconds[part]:.1f} s, {fractions[part]:.0%} of {counted(threads[part], 'thread')}"
@@ -171,7 +171,7 @@ class Run:
         )
         bound = _VERBS[max(PARTS, key=lambda part: fractions[part])]
         print(
-            f"{self._place.name}: {counted(ended)} in {seconds:.1f} s after {start_s:.1f} s of start, "
+            f"{self._worker.name}: {counted(ended)} in {seconds:.1f} s after {start_s:.1f} s of start, "
             f"{ended / max(seconds, 1e-9):.3g} a second: {parts}; bound by {bound}",
             flush=True,
         )

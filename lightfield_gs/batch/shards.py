@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, report_error
 from lightfield_gs.base.device import choose_device, cores
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.batch.run import EXIT_BROKEN, Place
+from lightfield_gs.batch.run import EXIT_BROKEN, Worker
 
 _CORES_A_PROCESS = 4  # without a GPU: more cores draw one image faster, and fewer images in all
 _MOST_WRITERS, _MOST_READERS = 32, 8
@@ -31,10 +31,10 @@ _PATIENCE_S = 5.0  # for a process to note what it had on its way
 Shard = tuple[int, int]  # number, counted from 1, and how many there are
 
 
-def choose_places(
+def choose_workers(
     devices: str | None, processes: int | None, threads: int | None, have_gpus: bool = False
-) -> list[Place]:
-    """Return the places of the processes on this machine.
+) -> list[Worker]:
+    """Return the workers of the processes on this machine.
 
     Args:
         devices: "cpu", or GPUs such as "cuda:0,cuda:1"; None: all GPUs, or the CPU without one.
@@ -49,11 +49,11 @@ def choose_places(
     if not gpus:
         count = processes or max(1, own // _CORES_A_PROCESS)
         each = threads or max(1, own // count)
-        return [Place(f"cpu:{n}", "cpu", None, each, 1, max(1, each // 2)) for n in range(count)]
+        return [Worker(f"cpu:{n}", "cpu", None, each, 1, max(1, each // 2)) for n in range(count)]
     count = processes or len(gpus) * processes_per_gpu(own // len(gpus), have_gpus, _least_memory(gpus))
     each = max(1, own // count)
     return [
-        Place(
+        Worker(
             f"cuda:{gpus[n % len(gpus)]}" + (f" process {n // len(gpus)}" if count > len(gpus) else ""),
             "cuda",
             _visible_name(gpus[n % len(gpus)]),
@@ -102,8 +102,8 @@ def _visible_name(gpu: int) -> str:
     return seen[gpu] if gpu < len(seen) else str(gpu)
 
 
-def run_shards(call: Callable[[Any, Shard, Place], int], options: Any, places: list[Place], folder: Path) -> int:
-    """Run `call(options, shard, place)` in a process for each place, and return the highest exit code.
+def run_shards(call: Callable[[Any, Shard, Worker], int], options: Any, workers: list[Worker], folder: Path) -> int:
+    """Run `call(options, shard, worker)` in a process for each worker, and return the highest exit code.
 
     A process that dies is started anew as long as the manifests in `folder` grow: it begins with the items that it had
     on their way, one at a time, and leaves out those that killed it twice.
@@ -113,9 +113,9 @@ def run_shards(call: Callable[[Any, Shard, Place], int], options: Any, places: l
     codes = [0]
 
     def begin(number: int) -> None:
-        shard = number + 1, len(places)
-        process = context.Process(target=_run, args=(call, options, shard, places[number]), name=places[number].name)
-        with _environment("CUDA_VISIBLE_DEVICES", places[number].visible):
+        shard = number + 1, len(workers)
+        process = context.Process(target=_run, args=(call, options, shard, workers[number]), name=workers[number].name)
+        with _environment("CUDA_VISIBLE_DEVICES", workers[number].visible):
             process.start()
         running[process.sentinel] = process, number
 
@@ -124,7 +124,7 @@ def run_shards(call: Callable[[Any, Shard, Place], int], options: Any, places: l
 
     sizes: dict[int, int] = {}
     try:
-        for number in range(len(places)):
+        for number in range(len(workers)):
             begin(number)
         while running:
             for sentinel in wait(list(running)):
@@ -146,13 +146,13 @@ def run_shards(call: Callable[[Any, Shard, Place], int], options: Any, places: l
     return max(codes)
 
 
-def _run(call: Callable[[Any, Shard, Place], int], options: Any, shard: Shard, place: Place) -> None:
+def _run(call: Callable[[Any, Shard, Worker], int], options: Any, shard: Shard, worker: Worker) -> None:
     """Be a process of a batch: it ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process
     signal.signal(signal.SIGTERM, _stop)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        sys.exit(call(options, shard, place))
+        sys.exit(call(options, shard, worker))
     except (InputError, OSError) as error:
         sys.exit(report_error("lightfield-gs", error, ""))
     except KeyboardInterrupt:

@@ -27,7 +27,7 @@ from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
-from lightfield_gs.rasterizer.frame_cuda import Frames
+from lightfield_gs.rasterizer.frame_cuda import DirectFrames
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
@@ -222,7 +222,7 @@ def _colours(subject: Subject, quality: Quality) -> Draw:
     background = background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
     job = DirectRender(subject.gaussians.fields().values(), background, lenticular_camera(subject.panel, subject.rig))
     if subject.gaussians.means.is_cuda:
-        frames = Frames(job, quality)
+        frames = DirectFrames(job, quality)
         frames.orders, frames.colour_order = (COLOUR_ORDER,), COLOUR_ORDER
         return partial(frames.draw, job, True)
     return partial(draw_direct, job, True, quality)

@@ -23,7 +23,7 @@ from lightfield_gs.io.atomic import check_folder, remove_left_over
 
 if TYPE_CHECKING:
     from lightfield_gs.batch.manifest import Manifest, Plan
-    from lightfield_gs.batch.run import Place
+    from lightfield_gs.batch.run import Worker
     from lightfield_gs.commands.batch_tasks import Setup
 
 EXIT_SOME_FAILED = 1
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     from lightfield_gs.batch.items import read_items
     from lightfield_gs.batch.manifest import Manifest, make_plan
     from lightfield_gs.batch.run import now
-    from lightfield_gs.batch.shards import choose_places, run_shards
+    from lightfield_gs.batch.shards import choose_workers, run_shards
 
     setup, options = _setup(args)
     check_folder(args.output)
@@ -88,9 +88,9 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(
                 "--shard is one process, on the GPU of CUDA_VISIBLE_DEVICES; leave out --processes and --devices"
             )
-        (place,) = choose_places(args.devices, 1, args.threads)
-        place = replace(place, name="{} shard {}/{}".format(place.device, *args.shard))
-        return _without_waiting(partial(run_shard, args, args.shard, place))
+        (worker,) = choose_workers(args.devices, 1, args.threads)
+        worker = replace(worker, name="{} shard {}/{}".format(worker.device, *args.shard))
+        return _without_waiting(partial(run_shard, args, args.shard, worker))
     items, left = read_items(args.input, f".{args.format}", args.output, with_maps=args.depth is None)
     if args.input.is_dir() and (paired := [item for item in items if item.words]):
         first = f"{paired[0].input} with {paired[0].words[0].partition('=')[2]}"
@@ -108,13 +108,13 @@ def run(args: argparse.Namespace) -> int:
             print(f"{args.output}: all {plan.kept} items were done before, by {manifest.path}")
             return 0
         have_gpus = any(item.is_long for item, _ in plan.todo)
-        places = choose_places(args.devices, args.processes, args.threads, have_gpus)[: len(plan.todo) or 1]
-        if len(places) == 1:
-            return _without_waiting(partial(_do, plan, manifest, places[0], setup, options))
-    return run_shards(run_shard, args, places, args.output)
+        workers = choose_workers(args.devices, args.processes, args.threads, have_gpus)[: len(plan.todo) or 1]
+        if len(workers) == 1:
+            return _without_waiting(partial(_do, plan, manifest, workers[0], setup, options))
+    return run_shards(run_shard, args, workers, args.output)
 
 
-def run_shard(args: argparse.Namespace, shard: tuple[int, int], place: Place) -> int:
+def run_shard(args: argparse.Namespace, shard: tuple[int, int], worker: Worker) -> int:
     """Do every N-th item in this process; return 1 if some of them failed. Raises InputError."""
     from lightfield_gs.batch.items import read_items
     from lightfield_gs.batch.manifest import Manifest, make_plan
@@ -124,15 +124,15 @@ def run_shard(args: argparse.Namespace, shard: tuple[int, int], place: Place) ->
     with Manifest(args.output, shard) as manifest:
         some = items[shard[0] - 1 :: shard[1]]
         plan = make_plan(some, manifest, options, overwrite=args.overwrite, check=args.check, since=args.since)
-        return _do(plan, manifest, place, setup, options)
+        return _do(plan, manifest, worker, setup, options)
 
 
-def _do(plan: Plan, manifest: Manifest, place: Place, setup: Setup, options: dict[str, Any]) -> int:
+def _do(plan: Plan, manifest: Manifest, worker: Worker, setup: Setup, options: dict[str, Any]) -> int:
     from lightfield_gs.batch.run import Run
     from lightfield_gs.commands.batch_tasks import load
 
     heading = {"options": options, "versions": package_versions()}
-    failures = Run(plan, manifest, place, heading).run(partial(load, setup, place))
+    failures = Run(plan, manifest, worker, heading).run(partial(load, setup, worker))
     return EXIT_SOME_FAILED if failures else 0
 
 

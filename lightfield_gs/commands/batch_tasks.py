@@ -18,7 +18,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.items import Item
 from lightfield_gs.batch.manifest import Known, facts
 from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record
-from lightfield_gs.batch.run import Place
+from lightfield_gs.batch.run import Worker
 from lightfield_gs.commands.options.parser import Parser, join_values, read_options
 from lightfield_gs.io.atomic import make_folder
 
@@ -44,16 +44,16 @@ class Setup:
     video_words: tuple[str, ...] = ()
 
 
-def load(setup: Setup, place: Place) -> Callable[[tuple[Item, Known | None]], Any]:
+def load(setup: Setup, worker: Worker) -> Callable[[tuple[Item, Known | None]], Any]:
     """Load what all items need, and return the function that makes the task of an item."""
     import torch
 
-    use_threads(place.threads)
-    if place.device == "cuda":
+    use_threads(worker.threads)
+    if worker.device == "cuda":
         torch.zeros(1, device="cuda")  # loads what takes seconds
-    copies = HostCopies(place.writers + DRAWN_AHEAD) if place.device == "cuda" else None
+    copies = HostCopies(worker.writers + DRAWN_AHEAD) if worker.device == "cuda" else None
     kinds = {"encode": EncodeTask, "fit": FitTask, "video": VideoTask}
-    return lambda pair: kinds[pair[0].command](pair[0], pair[1], setup, place, copies)
+    return lambda pair: kinds[pair[0].command](pair[0], pair[1], setup, worker, copies)
 
 
 class EncodeTask:
@@ -63,14 +63,14 @@ class EncodeTask:
         item: the photo or scene.
         known: what the manifest knows of it.
         setup: the options of all items.
-        place: where the process works.
+        worker: where the process works.
         copies: as Encoding takes them.
     """
 
     def __init__(
-        self, item: Item, known: Known | None, setup: Setup, place: Place, copies: HostCopies | None = None
+        self, item: Item, known: Known | None, setup: Setup, worker: Worker, copies: HostCopies | None = None
     ) -> None:
-        self.item, self.known, self.setup, self.place, self.copies = item, known, setup, place, copies
+        self.item, self.known, self.setup, self.worker, self.copies = item, known, setup, worker, copies
         self.output = setup.folder / item.name
         self.inputs: Record = {}
         self.outputs: Record = {}
@@ -126,7 +126,7 @@ class EncodeTask:
         return known is not None and (known.is_other or bool(known.inputs))
 
     def _given(self) -> dict[str, Any]:
-        return self.setup.given | {"device": self.place.device, "threads": self.place.threads}
+        return self.setup.given | {"device": self.worker.device, "threads": self.worker.threads}
 
     def _is_kept(self) -> bool:
         """Note the hashes of the inputs; return whether the outputs were made of the same."""
@@ -188,7 +188,7 @@ class FitTask(EncodeTask):
 
         scene = str(self.output.with_suffix(".ply"))
         words = [*self.setup.fit_words, *self.item.fit_words, "-o", scene, "--", self.item.input]
-        options = read_options(FitOptions, _parsed("fit", words, {"device": self.place.device}))
+        options = read_options(FitOptions, _parsed("fit", words, {"device": self.worker.device}))
         return replace(options, report=replace(options.report, fresh=options.report.fresh or self.is_fresh))
 
 

@@ -90,8 +90,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
-    from lightfield_gs.show.preview import to_integers
-    from lightfield_gs.show.sheet import in_rows
+    from lightfield_gs.show.preview import in_rows, to_integers
 
     path = check_image_path(options.output)
     check_outputs((path,), (options.image, options.panel.panel, options.psf))

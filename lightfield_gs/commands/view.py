@@ -65,8 +65,7 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
 
     import torch
 
-    from lightfield_gs.show.page.exports import exports
-    from lightfield_gs.show.page.routes import steering_routes
+    from lightfield_gs.show.page.routes import exports, steering_routes
     from lightfield_gs.show.page.stage import Stage
 
     watch.lap("start")

@@ -37,8 +37,18 @@ def render_views(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Tensor:
-    """Pictures [K, H, W, 3] of the cameras at the view coordinates x [K] of a panel, of its size, without
-    gradients. antialiased, view_filter: see `encode`. Raises InputError."""
+    """Render images [K, H, W, 3] of the panel's size from the cameras of a rig, without gradients.
+
+    Args:
+        gaussians: one scene.
+        panel: of whose views x counts.
+        rig: of the cameras.
+        x: [K], view coordinates of the cameras.
+        background: as of `encode`, and so are antialiased and view_filter.
+
+    Raises:
+        InputError: for arguments of other types or values.
+    """
     expect("gaussians", gaussians, Gaussians)
     expect("antialiased", antialiased, bool)
     gaussians.validate_layout()
@@ -58,8 +68,10 @@ def draw_cameras(
     stats: Stats | None = None,
     threads: int | None = None,
 ) -> Tensor:
-    """Image [1, K, H, W, 3] of one scene before cameras [K], unchecked and without gradients. background: what
-    broadcasts to [1, K, 3]."""
+    """Draw one scene before cameras [K], unchecked and without gradients.
+
+    background: broadcasts to [1, K, 3]. Returns the image [1, K, H, W, 3].
+    """
     means, cameras = recentre(gaussians.means, cameras)
     cameras = cameras.to(gaussians.means)
     _, *others = gaussians.fields().values()
@@ -92,7 +104,7 @@ def encode_classic(
     antialiased: bool,
     aperture: Aperture,
 ) -> Tensor:
-    """One dense image per view that the panel shows; with continuous views, one per distinct x."""
+    """Draw one image per view that the panel shows, and interlace them; continuous views: one per distinct x."""
     with stats.stage("plan"):
         places, x = _classic_plan(panel, continuous, gaussians.device)
     pixels = panel.width_px * panel.height_px
@@ -114,7 +126,7 @@ def encode_classic(
 def classic_with_gradients(
     gaussians: Gaussians, panel: Panel, rig: Rig, continuous: bool, background: Tensor, antialiased: bool
 ) -> Tensor:
-    """encode_classic with a graph. It keeps what the reverse of every view needs, and so is for small panels."""
+    """Return encode_classic's image with a graph. It keeps every view's state for the backward: for small panels."""
     places, x = _classic_plan(panel, continuous, gaussians.device)
     order, taken = [], []
     for first in range(0, len(x), chunk := _views_at_a_time(panel)):
@@ -133,12 +145,12 @@ def _views_at_a_time(panel: Panel) -> int:
 
 
 def _shown_by(places: Tensor, first: int, count: int) -> Tensor:
-    """The sub-pixels [M] that images first .. first + count - 1 show."""
+    """Return the sub-pixels [M] that images first .. first + count - 1 show."""
     return ((places >= first) & (places < first + count)).nonzero().squeeze(1)
 
 
 def _take_over(out: Tensor, images: Tensor, places: Tensor, first: int) -> None:
-    """Copies into out [M] the sub-pixels that the images [C, M] show, those at places first .. first + C - 1."""
+    """Copy into out [M] the sub-pixels that the images [C, M] show, at places first .. first + C - 1."""
     if len(images) == 1 and not out.is_cuda:  # takes half the time of what follows
         np.copyto(out.numpy(), images[0].numpy(), where=places.numpy() == first)
         return
@@ -148,16 +160,21 @@ def _take_over(out: Tensor, images: Tensor, places: Tensor, first: int) -> None:
 
 @lru_cache(maxsize=1)  # of a panel at 8K this takes a second
 def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple[Tensor, np.ndarray]:
-    """What views_shown returns, with the places on the device."""
+    """Return what views_shown returns, with the places on the device."""
     places, x = views_shown(panel, continuous)
     return torch.from_numpy(places).to(device), x
 
 
 def interlace(views: Tensor, panel: Panel) -> Tensor:
-    """Takes every sub-pixel of a panel from the view that it belongs to: views [N, H, W, 3] -> [H, W, 3], same dtype.
+    """Take every sub-pixel of a panel from its view: views [N, H, W, 3] -> [H, W, 3], same dtype.
 
-    N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
-    tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
+    Args:
+        views: as many as the panel has, of its size. View 0 is the right-most eye's, with invert_views the left-most
+            one's. Tiles of a quilt are in the other order.
+        panel: says which view each sub-pixel shows.
+
+    Raises:
+        InputError: for views of another number or size.
     """
     views = to_tensor("views", views)
     expect("panel", panel, Panel)

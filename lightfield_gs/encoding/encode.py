@@ -29,7 +29,7 @@ from lightfield_gs.panels.lens import lenticular_camera, view_aperture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.direct import DirectRender
-from lightfield_gs.rasterizer.frame_cuda import frames_of
+from lightfield_gs.rasterizer.frame_cuda import known_frames
 from lightfield_gs.rasterizer.image_render import PINHOLE
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import EXACT, Quality
@@ -83,7 +83,7 @@ def draw_direct(
     """
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
     if job.scene.device.type == "cuda":
-        return frames_of(job, quality).draw(job, as_bytes, stats, out)
+        return known_frames(job, quality).draw(job, as_bytes, stats, out)
     work = job.workspace(stats, threads, quality)
     with stats.stage("composite"):
         out = job.new_image(as_bytes) if out is None else out
@@ -110,37 +110,51 @@ def encode(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Tensor:
-    """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
+    """Draw the image [H, W, 3] that a panel shows of a scene: each sub-pixel is seen by the camera of its view.
 
-    method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "sorted"
-    renders only the sub-pixels too, but view by view, with any cameras and any view map (Shi et al. 2025); "classic"
-    renders one dense image per view and interlaces them, the usual way and the cross-check of the others.
-    views: "integer": camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
-    Only for "sorted": cameras [N] at the panel's resolution, the right-most eye's first, in place of the rig's;
-    view_map int32 [H, W, 3] by image channel, which of the N cameras each sub-pixel shows, or -1 for the background
-    (or a SortedPlan made of such a map, to sort only once), in place of the panel's; memory_budget: bytes that the work
-    memory may take on the device of the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or
-    1 GiB on CUDA); on CUDA those asked of torch's allocator, which may round each buffer up.
-    output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
-    "direct" and "classic" are differentiable once in the five fields of the Gaussians and in the background. Where
-    gradients are wanted, quality, threads, stats, out and, of "classic", view_filter are refused, and so is "sorted".
-    quality: "exact", "high", "fast", "draft" or a Quality, of "direct": how much error is allowed for less time.
-    threads: CPU threads, 1..1024 (default: torch's).
-    stats: a dict to fill with stages_ms (on CUDA the stages then wait for each other), pairs, evaluations,
-    evaluations_per_subpixel (both None on CUDA), work_bytes, gaussians_culled, colour_error; for "direct" also skipped:
-    Gaussians not drawn by reason, tiles from lattices, lattices and, on the CPU, samples that ended early and orders of
-    colours, while on CUDA the kernel that the frame chose; for "sorted" also memory_bytes and memory_bytes_unchunked,
-    by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
-    out: of "direct", an image of the same size, type and device, e.g. of the frame before, that is drawn over and
-    returned: on a CPU a new one of 88 MB costs 10 to 25 ms, for the system to find its memory.
-    antialiased: for scenes that were trained so, see `render`; of any method. "direct" takes up to half as long again,
-    and on CUDA draws them neither from lattices nor in half precision, whatever the quality.
-    view_filter: of any method with a rig, angular anti-aliasing: how many views wide a box of camera positions each
-    sub-pixel's picture is averaged over; 0: none, 1: as wide as a view. What moves between views by more than its own
-    size no longer shows as separate copies to an eye between them, and is blurred along the rows instead (Zwicker et
-    al., "Antialiasing for automultiscopic 3D displays", 2006); splats in the zero plane stay sharp. Each splat is
-    widened by the variance of the box and keeps its light by a lower opacity. Takes as long as antialiased.
-    Raises InputError.
+    Args:
+        gaussians: one scene, [N, ...].
+        panel: its lens says which view each sub-pixel shows.
+        rig: the fan of cameras behind the views; not needed by "sorted" with cameras.
+        method: "direct" renders the sub-pixels alone; all cameras of the rig share one projection and one sort.
+            "sorted" renders the sub-pixels alone too, view by view, with any cameras and any view map (Shi et al.
+            2025). "classic" renders one image per view and interlaces them: the usual way, and the cross-check of the
+            others.
+        views: "integer": the camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
+        cameras: of "sorted", in place of the rig's: [N] at the panel's resolution, the right-most eye's first.
+        view_map: of "sorted", in place of the panel's: int32 [H, W, 3] by image channel. Its values are the camera,
+            0..N - 1, that each sub-pixel shows, or -1 for the background. A SortedPlan made of such a map is sorted
+            only once.
+        memory_budget: of "sorted": bytes of work memory on the device of the Gaussians, beside arguments and image.
+            None: the plan and 256 MiB, or on CUDA 1 GiB. On CUDA torch's allocator may round each buffer up.
+        background: three numbers in 0..1, or a tensor of three.
+        output: "uint8" = round(255 clamp(c, 0, 1)), "float32", or "float64", which is computed in that precision. Float
+            outputs of "direct" and "classic" are differentiable once in the five fields and in the background. Where
+            gradients are wanted, these are refused: "sorted", quality, threads, stats, out, and view_filter of
+            "classic".
+        quality: of "direct": "exact", "high", "fast", "draft" or a Quality: how much error is allowed for less time.
+        threads: of the CPU, 1..1024; None: torch's.
+        stats: a dict to fill with stages_ms, pairs, evaluations, evaluations_per_subpixel, work_bytes, gaussians_culled
+            and colour_error. On CUDA the stages then wait for each other, and there are no evaluations (None). "direct"
+            adds skipped: Gaussians not drawn by reason, tiles and lattices; on the CPU also samples that ended early
+            and orders of colours, on CUDA the kernel. "sorted" adds memory_bytes and memory_bytes_unchunked by stage:
+            geometry, image (the sorted sub-pixels) and binning; of the largest chunk of views, and of all views at
+            once.
+        out: of "direct": an image of the same size, type and device that is overwritten and returned, such as the frame
+            before. On a CPU a new image of 88 MB costs 10 to 25 ms, in which the system finds its memory.
+        antialiased: for scenes that were trained so, see `render`; of any method. "direct" takes up to half as long
+            again. On CUDA it then uses neither lattices nor half precision, whatever the quality.
+        view_filter: of any method with a rig: angular anti-aliasing, the width in views of a box of camera positions
+            that each sub-pixel is averaged over; 0: none, 1: a view. Points that move between views by more than their
+            size then blur along the rows, in place of separate copies for an eye between views; the zero plane stays
+            sharp (Zwicker et al., "Antialiasing for automultiscopic 3D displays", 2006). Each splat is widened by the
+            variance of the box, and its opacity is lowered by the compensation. Takes as long as antialiased.
+
+    Returns:
+        The image, of the type of `output`.
+
+    Raises:
+        InputError: for arguments of other types, shapes or values, and for arguments of another method.
     """
     check_options(method, views, output)
     check_types(gaussians, panel, rig, cameras, stats, antialiased)

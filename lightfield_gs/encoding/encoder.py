@@ -13,7 +13,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options, check_view_filter, refuse_gradients, wants_gradients
 from lightfield_gs.encoding.encode import encode
-from lightfield_gs.encoding.encoder_frames import STAGES, CpuFrames, CudaFrames
+from lightfield_gs.encoding.encoder_frames import STAGES, CpuFrameCache, CudaFrameCache
 from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -23,28 +23,34 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 
 class Encoder:
-    """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
+    """Draw the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
 
-    panel, rig, views, background, output, quality, antialiased and view_filter are those of `encode`. `rig` and
-    `background` may be set between frames, and the rig altered: a moving zero plane, another cone, another pose. The
-    others are what kept stages and graphs were made for: they can be read only. No gradients. Raises InputError.
+    Frames that show what the frame before shows are not drawn again, and the image is the same to the bit. `stats`
+    tells: {"frames": n, "reused": {stage: frames that did without it}}. There are no gradients.
 
-    What the frame before shows already is not drawn again, and the image is the same to the bit. `stats` tells:
-    {"frames": n, "reused": {stage: frames that did without it}}.
+    `rig` and `background` may be set between frames, and the rig altered: a moving zero plane, another cone or pose.
+    The other arguments are read-only, for stages and graphs were made for them.
 
-    On the CPU values are compared with copies, so any change is seen. Each image is a tensor of its own. Where nothing
-    has changed the image is there already, and where only the background has, all but the composite is.
+    On the CPU values are compared with copies, so any change is seen. Each image is a tensor of its own. If nothing has
+    changed, the image is copied; if only the background has changed, only the composite runs.
 
-    On CUDA a comparison would wait for the device. The whole frame, from the Gaussians to the image, is one CUDA graph,
-    captured for the tensors of the first call and replayed in full as long as the same tensors come, whose values may
-    change: nothing waits for the device then, and values are checked at the capture only. Other tensors make another
-    capture, and so does another rig the second time that it is seen; the first time the same kernels are launched one
-    by one, with colours as fine as the rigs so far needed: bytes may be rounded otherwise than by `encode`, which goes
-    by its own rig. So may those of the frame in which a scene outgrows the room of the frames before: its tiles share
-    one list, and the next frame has room. versioned=True promises that values change by torch's own in-place operations
-    alone, which count them: then the same tensors, or the same but for sh, count as unchanged; order and bins are kept
-    for other colours, but not for another rig. What torch does not count are changes through .data, DLPack, CUDA graphs
-    and kernels of one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
+    On CUDA a comparison would wait for the device. The whole frame is one CUDA graph, captured for the tensors of the
+    first call, and replayed as long as the same tensors come; their values may change. Then nothing waits for the
+    device, and values are checked at the capture alone. Other tensors make another capture, and so does a rig that is
+    seen a second time. The first time a rig is seen, the same kernels are launched one by one, with colours as fine as
+    the rigs so far needed. Bytes may then be rounded otherwise than by `encode`, which goes by its own rig. The same
+    holds for a frame in which a scene outgrows the capacity of the frames before: its tiles share one list. The next
+    frame has capacity.
+
+    Args:
+        panel: as of `encode`, and so are rig, views, background, output, quality, antialiased and view_filter.
+        versioned: promise that values change by torch's in-place operations alone, which torch counts. Then the same
+            tensors count as unchanged, and order and bins are kept if sh alone changes, but not for another rig. torch
+            does not count changes through .data, DLPack, CUDA graphs and other kernels: call `forget` after those.
+            Inference tensors count nothing and are always drawn.
+
+    Raises:
+        InputError: for arguments of other types or values.
     """
 
     def __init__(
@@ -116,7 +122,7 @@ class Encoder:
 
     def forget(self) -> None:
         """Has the next frame drawn in full, and gives back the memory that was kept for it."""
-        self._frames: CpuFrames | CudaFrames | None = None
+        self._frames: CpuFrameCache | CudaFrameCache | None = None
 
     def __call__(self, gaussians: Gaussians) -> Tensor:
         """The image [H, W, 3]. On CUDA it is the same tensor every time: the next call draws over it.
@@ -151,12 +157,12 @@ class Encoder:
                 antialiased=self.antialiased,
                 view_filter=self.view_filter,
             )
-        if not isinstance(self._frames, CudaFrames if on_cuda else CpuFrames):
+        if not isinstance(self._frames, CudaFrameCache if on_cuda else CpuFrameCache):
             precision = torch.float64 if self.output == "float64" else torch.float32
             self._frames = (
-                CudaFrames(as_bytes, self.quality, self.versioned, self.antialiased)
+                CudaFrameCache(as_bytes, self.quality, self.versioned, self.antialiased)
                 if on_cuda
-                else CpuFrames(precision, as_bytes, self.quality, self.antialiased)
+                else CpuFrameCache(precision, as_bytes, self.quality, self.antialiased)
             )
         view = lenticular_camera(self.panel, self.rig, self.views == "continuous", self.view_filter)
         image, kept = self._frames.draw(gaussians, self.background, view)

@@ -25,18 +25,28 @@ def prune(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Gaussians:
-    """The scene without the Gaussians that contribute least to the image that the panel shows of it by this rig.
+    """Remove the Gaussians that contribute least to the image that a panel shows of a scene by a rig.
 
-    A Gaussian contributes its weights, alpha times the transmittance of what stands before it, in all sub-pixels. Those
-    of the smallest sums are left out, as many as together stay within contribution_cut (0..1) of the sum that an opaque
-    image has. For colours in 0..1 and any background the mean of |image - image of the whole scene| is then at most
-    contribution_cut (and 1e-4, at which samples end), and a sample errs by the sum of the weights left out there at
-    most. Proof: take them away one by one, the farthest first. Each still has its weight w in a sample, and what it hid
-    shows in its stead: the sample changes by w (behind - own colour).
+    A Gaussian contributes its weights, alpha times the transmittance before it, in all sub-pixels. The smallest sums
+    are left out, as long as together they stay within contribution_cut of the sum of an opaque image. For colours in
+    0..1 and any background the mean of |image - image of the whole scene| is then at most contribution_cut, and 1e-4,
+    at which samples end. A sample errs by at most the sum of the weights left out there. Proof: take them away one by
+    one, the farthest first. Each still has its weight w in a sample, and what it hid shows in its place: the sample
+    changes by w (behind - own colour).
 
-    Takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
-    rig's may show what was left out. gaussians: [N, ...], float32, or float64 on the CPU. antialiased: they are of a
-    scene that was trained so, see `render`; view_filter: of the image, see `encode`. Raises InputError.
+    It takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
+    rig's may show what was left out.
+
+    Args:
+        gaussians: [N, ...], float32, or float64 on the CPU.
+        panel: whose image counts.
+        rig: of the viewpoints.
+        contribution_cut: 0..1.
+        antialiased: for scenes that were trained so, see `render`.
+        view_filter: of the image, see `encode`.
+
+    Raises:
+        InputError: for arguments of other types or values.
     """
     contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     weights = contributions(gaussians, panel, rig, antialiased, view_filter)
@@ -45,7 +55,7 @@ def prune(
 
 
 def left_out(weights: Tensor, panel: Panel, contribution_cut: float) -> Tensor:
-    """[N] bool: which Gaussians `prune` leaves out, by what they contribute [N]: the least, within the cut."""
+    """Return [N] bool: which Gaussians `prune` leaves out, by their contributions [N]."""
     ascending = weights.sort(stable=True)
     fits = ascending.values.cumsum(0) <= contribution_cut * 3 * panel.width_px * panel.height_px
     return torch.zeros_like(fits).index_copy_(0, ascending.indices, fits)
@@ -54,7 +64,7 @@ def left_out(weights: Tensor, panel: Panel, contribution_cut: float) -> Tensor:
 def contributions(
     gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: bool = False, view_filter: float = 0.0
 ) -> Tensor:
-    """[N] float64: what each Gaussian contributes to the image of a panel, its weights summed over all sub-pixels.
+    """Return [N] float64: each Gaussian's weights in the image of a panel, summed over all sub-pixels.
 
     That is the derivative of the sum of the image by its colour. Raises InputError.
     """

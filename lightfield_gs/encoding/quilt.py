@@ -1,4 +1,4 @@
-"""A scene to a quilt: one dense picture for each view of a fan, side by side in one image."""
+"""A scene to a quilt: one picture for each view of a fan, side by side in one image."""
 
 from __future__ import annotations
 
@@ -33,12 +33,17 @@ def quilt(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Tensor:
-    """The quilt uint8 [H, W, 3] of a scene: a view each of the rig's fan, the left-most camera's at the bottom left.
+    """Draw the quilt uint8 [H, W, 3] of a scene: one view of the rig's fan in each tile, the left-most bottom left.
 
-    layout: with its size in pixels. rig: at the resolution of a tile (see QuiltLayout.fitted). panel: whose cone the
-    fan spans where the rig has none (None: layout.panel's of 40 degrees). antialiased, view_filter: see `encode`, in
-    views of the quilt. Pixels that belong to no tile are black.
-    Raises InputError.
+    Args:
+        gaussians: one scene.
+        layout: with its size in pixels. Pixels that belong to no tile are black.
+        rig: at the resolution of a tile, see QuiltLayout.fitted.
+        panel: whose cone the fan spans where the rig has none; None: layout.panel's of 40 degrees.
+        background: as of `encode`, and so are antialiased and view_filter, in views of the quilt.
+
+    Raises:
+        InputError: for arguments of other types or values.
     """
     expect("gaussians", gaussians, Gaussians)
     expect("layout", layout, QuiltLayout)
@@ -67,7 +72,7 @@ def quilt(
 
 
 def _fan(layout: QuiltLayout, panel: Panel | None, width: int, height: int) -> Panel:
-    """The panel that cameras are asked of: with a view for each tile, and the size of one."""
+    """Return the panel that cameras are asked of: with a view for each tile, and the size of one."""
     fan = layout.panel(40.0) if panel is None else panel
     values = {**fan.to_dict(), "width_px": width, "height_px": height, "views": layout.views, "invert_views": False}
     return Panel(**values)
@@ -77,11 +82,15 @@ def _fan(layout: QuiltLayout, panel: Panel | None, width: int, height: int) -> P
 def rgbd(
     gaussians: Gaussians, panel: Panel, rig: Rig, *, background: Colour = (1.0, 1.0, 1.0), antialiased: bool = False
 ) -> tuple[Tensor, tuple[float, float]]:
-    """The picture of the rig's centre camera with its depths beside it, and the depths at the ends of their scale.
+    """Draw the picture of the rig's centre camera with its depths beside it, and the depths at the ends of their scale.
 
-    Returns uint8 [H, 2 W, 3], H and W the panel's, and (near, far), view-space z in scene units. The right half is the
-    disparity, 1 / z, grey: 255 at near, 0 at far and where nothing is (Looking Glass's RGB-D). Reading it with
-    --depth-range near,far gives the depths back. Raises InputError where the camera sees nothing.
+    Returns:
+        uint8 [H, 2 W, 3], H and W the panel's; and (near, far), view-space z in scene units. The right half is the
+        disparity, 1 / z, grey: 255 at near, 0 at far and where nothing is (Looking Glass's RGB-D). Reading it with
+        --depth-range near,far gives the depths back.
+
+    Raises:
+        InputError: where the camera sees nothing.
     """
     cameras = rig.cameras_at(panel, [panel.views / 2])
     images = render(gaussians, cameras, background=background, alpha=True, depth=True, antialiased=antialiased)

@@ -1,9 +1,8 @@
-"""The views of a quilt, of a folder or of a light field to the image of a panel: interlacing views of any size and
-number.
+"""Interlacing views of any size and number: of a quilt, of a folder or of a light field, to the image of a panel.
 
-View q of M, counted from the left-most camera, stands at the place (q + 1/2) / M of the fan; a sub-pixel that shows
-the panel's x of N views stands at 1 - x / N (with invert_views x / N). So integer views of a panel fall exactly on
-those of a set of as many.
+View q of M, counted from the left-most camera, stands at the place (q + 1/2) / M of the fan. A sub-pixel that shows
+the panel's x of N views stands at 1 - x / N (with invert_views x / N). So integer views of a panel fall exactly on the
+views of a set of as many.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
 from lightfield_gs.encoding.sorted_plan import checked_view_map
-from lightfield_gs.encoding.weave_geometry import Fan, Fit, Window, window_of
+from lightfield_gs.encoding.weave_geometry import Fan, Fit, Window, find_window
 from lightfield_gs.encoding.weave_sampling import Held, NativePasses, TorchPasses, full_scale, reduced_picture, stored
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
@@ -31,7 +30,7 @@ _TYPES = (torch.uint8, torch.uint16, torch.float32)
 
 
 class ViewSource(Protocol):
-    """Views that are read when they are wanted, the left-most camera's first, all of one size and type."""
+    """Views that are read one by one, the left-most camera's first, all of one size and type."""
 
     count: int
     height_px: int
@@ -43,7 +42,7 @@ class ViewSource(Protocol):
 
 
 class _Stack:
-    """Views that are all there, [M, H, W, 3]."""
+    """Views in memory, [M, H, W, 3]."""
 
     def __init__(self, views: np.ndarray | Tensor):
         self.views = to_tensor("views", views)
@@ -71,34 +70,46 @@ def weave(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     device: str = "cpu",
 ) -> Tensor:
-    """The image [H, W, 3] of a panel from M views of any size, in their type: uint8, uint16 or float32 (0..1).
+    """Interlace M views of any size to the image [H, W, 3] of a panel, in their type: uint8, uint16 or float32 (0..1).
 
-    views: [M, h, w, 3], the left-most camera's first, as quilts have them, or a ViewSource, of which at most 1 GiB is
-    held at a time, or twice as many views as a sub-pixel mixes where that is more.
-    interpolation: between the two views beside a sub-pixel that falls between them: "linear" mixes them, "nearest"
-    takes one. place: "integer": of the panel's integer view; "continuous": of its exact x. Where M is the panel's N,
-    integer places need no interpolation: every sub-pixel is that of one view, as `interlace` has it.
-    view_filter: angular anti-aliasing: how many views of the panel wide a box around its place each sub-pixel is the
-    mean over, 0 (none) to 65536. It keeps what stands far from the panel from flickering as the eye moves, and makes it
-    softer (Halle, "Holographic stereograms as discrete imaging systems", 1994; Zwicker et al., "Antialiasing for
-    automultiscopic 3D displays", 2006). Each view stands for the places nearest to it: with as many views as the panel
-    has, 1 does nothing, 2 mixes 1/4, 1/2, 1/4 of three; with twice as many, 1 is the mean of the two that it has.
-    view_map: int32 [H, W, 3] in place of the panel's lens: which of the M views, 0 being the right-most camera's, or
-    -1 for the background.
-    aspect: width by height of a view as it is seen (None: of square pixels). fit: "cover" fills the panel and cuts off
-    what does not fit, "contain" shows all before the background, "stretch" distorts. crop: shares 0..1 of a view that
-    are cut off at its left, top, right and bottom first.
-    shift: how far the right-most camera's view moves to the right against the left-most one's, in widths of a view,
-    those between in proportion, -1..1: above 0 the scene moves back behind the panel, below 0 out of it. What shows
-    beside a view then is background, or with "cover" is cut off.
-    A sub-pixel has the place of its pixel in the picture, as in `encode`: colours there are bilinear, of a view that
-    is larger than it will be seen averaged first, and where sizes agree copies. Raises InputError.
+    A sub-pixel shows the point of the picture where its pixel lies, as in `encode`. Colours there are bilinear; a view
+    that is larger than it will be seen is averaged first; where sizes agree, colours are copied.
+
+    Args:
+        views: [M, h, w, 3], the left-most camera's first, as in quilts; or a ViewSource. Of a ViewSource at most 1 GiB
+            is held at a time, or twice as many views as a sub-pixel mixes if that is more.
+        panel: its lens says which view each sub-pixel shows.
+        interpolation: of a sub-pixel that falls between two views: "linear" mixes them, "nearest" takes one.
+        place: "integer": of the panel's integer view; "continuous": of its exact x. If M is the panel's N, integer
+            places need no interpolation: every sub-pixel is that of one view, as `interlace` has it.
+        view_filter: angular anti-aliasing, 0 (none) to 65536: the width, in views of the panel, of a box around its
+            place that each sub-pixel is the mean over. Points far from the panel then do not flicker as the eye moves,
+            and become softer (Halle, "Holographic stereograms as discrete imaging systems", 1994; Zwicker et al.,
+            "Antialiasing for automultiscopic 3D displays", 2006). Each view stands for the places nearest to it. If M
+            is N, 1 does nothing and 2 mixes 1/4, 1/2, 1/4 of three views; if M is 2 N, 1 is the mean of two views.
+        view_map: int32 [H, W, 3], in place of the panel's lens: one of the M views, 0 being the right-most camera's, or
+            -1 for the background.
+        aspect: width by height of a view as it is seen; None: of square pixels.
+        fit: "cover" fills the panel and cuts off the rest, "contain" shows all before the background, "stretch"
+            distorts.
+        crop: fractions 0..1 of a view that are cut off first, at its left, top, right and bottom.
+        shift: how far the right-most camera's view moves to the right against the left-most one's, -1..1 widths of a
+            view; views between move in proportion. Above 0 the scene moves back behind the panel, below 0 out of it.
+            Beside a view then shows the background, or with "cover" it is cut off.
+        background: red, green and blue in 0..1.
+        device: cpu or cuda, where the image is made.
+
+    Returns:
+        The image, on the device.
+
+    Raises:
+        InputError: for views that differ in size or type, and for other values than these.
     """
     source = _source(views)
     _check(panel, interpolation, place, background, device)
     width = real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS)
     seen_aspect = source.width_px / source.height_px if aspect is None else real_number("aspect", aspect, 0.01, 100)
-    window = window_of(panel, (source.width_px, source.height_px), seen_aspect, fit, crop, shift)
+    window = find_window(panel, (source.width_px, source.height_px), seen_aspect, fit, crop, shift)
     table = None if view_map is None else checked_view_map(view_map, panel, source.count)
     fan = Fan(panel, source.count, place == "continuous", table, _box(panel, source.count, table, interpolation, width))
     first = _picture(source, 0, window, device)
@@ -112,14 +123,16 @@ def weave(
 
 
 def _box(panel: Panel, count: int, table: np.ndarray | None, interpolation: str, width: float) -> float:
-    """How many of the views wide each sub-pixel averages, see Fan, by `weave`'s interpolation and view_filter."""
+    """Return the width of the box that each sub-pixel averages, see Fan, for `weave`'s options."""
     wide = width if table is not None else width * count / panel.views
     return min(float(count), max(wide, 1.0 if interpolation == "linear" else 0.0))
 
 
 def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most_mixed: int) -> Iterator[Held]:
-    """Views in groups that fit into memory. Each group but the first begins with the last views of the one before: as
-    many as a sub-pixel mixes, less one."""
+    """Yield views in groups that fit into memory.
+
+    Each group but the first begins with the last views of the one before: as many as a sub-pixel mixes, less one.
+    """
     if isinstance(source, _Stack) and source.views.device == first.device and source.views.shape[1:] == first.shape:
         yield Held(source.views.contiguous(), 0, source.count)  # they are all held anyway
         return
@@ -145,7 +158,7 @@ def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most
 
 
 def _picture(source: ViewSource, number: int, window: Window, device: str) -> Tensor:
-    """A view at the resolution that it is sampled at. Raises InputError."""
+    """Return a view at the resolution that it is sampled at. Raises InputError."""
     picture = to_tensor("views", source.view(number)).to(device)
     if picture.dtype not in _TYPES:
         raise InputError(f"views: expected uint8, uint16 or float32, got {picture.dtype}")

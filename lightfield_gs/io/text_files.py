@@ -141,9 +141,9 @@ def _loader() -> type:
     def plain_number(loader: Loader, node: yaml.ScalarNode) -> int | float:
         if re.match(r"[-+]?0[0-9_]|.*[:_]", node.value):
             raise yaml.YAMLError(f"'{node.value[:60]}' is a different number to different programs; write it plain")
-        return usual[node.tag](loader, node)
+        return constructors[node.tag](loader, node)
 
-    usual = dict(Loader.yaml_constructors)
+    constructors = dict(Loader.yaml_constructors)
     for tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
         Loader.add_constructor(tag, plain_number)
     Loader.add_implicit_resolver(

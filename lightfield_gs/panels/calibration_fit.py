@@ -218,8 +218,8 @@ def _expected_phase(viewpoint: Viewpoint, lens: _Lens, start: Panel, s: np.ndarr
             f"{viewpoint.name}: z of the eye must be larger than the lens gap of {abs(gap):.4g} mm, got {z}"
         )
     across_mm = (s + 3 * r * slant) * sub_mm * (z - distance) + (x - y * slant) * (distance + gap)
-    drawn = phase_in_middle(start) + (s + 3 * r * start.slant_tan) / start.line_number
-    return drawn - (lens.turns + lens.per_lens * s + 3 * lens.lean * r) + 0.5 - across_mm / (zone * (z + gap))
+    start_phase = phase_in_middle(start) + (s + 3 * r * start.slant_tan) / start.line_number
+    return start_phase - (lens.turns + lens.per_lens * s + 3 * lens.lean * r) + 0.5 - across_mm / (zone * (z + gap))
 
 
 def _solve(

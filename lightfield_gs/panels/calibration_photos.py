@@ -29,8 +29,15 @@ class CalibrationPhotoConstants:
     clipped: float = 0.99  # sRGB code from which on a pixel counts as clipped
     dark: float = 0.1  # light, by the 95th percentile, up to which a cell is too dark
     least_contrast: float = 0.1  # amplitude of the bars by their mean, at least
+    least_unclipped: float = 0.999  # unclipped fraction of a cell, at least
+    least_area: float = 0.2  # fraction of the cells that show bars, at least
+    least_extent: float = 0.5  # extent of these cells by the width and by the height of the panel, at least
     edge_points: int = 200  # points along an edge
     edge_reach: float = 0.06  # distance from an edge that is searched, in lengths of the edge
+    edge_margin: float = 0.08  # fraction of an edge at either end without points
+    outliers: float = 2.5  # median distances from its line beyond which a point is left out, as on a stand before it
+    least_panel: float = 0.02  # fraction of the photograph that is bright, at least
+    area_tolerance: float = 0.1  # relative difference of the bright area from its quadrilateral, at most
     least_side_px: int = 32  # length of a side of the panel in the photographs, at least
     rim_px: float = 1.0  # distance from the rim of the photographs at which a corner is where the panel is cut off
 
@@ -110,21 +117,23 @@ def measure_fringes(viewpoint: Viewpoint, columns: int, rows: int) -> Fringes:
     shifts, mean = middle[..., :3], middle[..., :3].mean(2)
     # The sum of cos(a - 2 pi s/3) e^(2 pi i s/3) over s = 0, 1, 2 is 3/2 e^(i a)
     wave = shifts @ np.exp(2j * np.pi * np.arange(3) / 3) * (2 / 3)
-    seen = (
-        (middle[..., 3] > 0.999)
+    visible = (
+        (middle[..., 3] > CONSTANTS.least_unclipped)
         & (mean > CONSTANTS.dark * np.percentile(mean, 95))
         & (np.abs(wave) > CONSTANTS.least_contrast * mean)
     )
-    _check_seen(viewpoint, seen)
-    return Fringes(np.where(seen, wave / np.maximum(np.abs(wave), 1e-30), 0), corners)
+    _check_visible(viewpoint, visible)
+    return Fringes(np.where(visible, wave / np.maximum(np.abs(wave), 1e-30), 0), corners)
 
 
-def _check_seen(viewpoint: Viewpoint, seen: np.ndarray) -> None:
+def _check_visible(viewpoint: Viewpoint, visible: np.ndarray) -> None:
     """Raise InputError where too little of the panel shows bars to tell how they run."""
-    spread = [np.ptp(np.flatnonzero(seen.any(axis))) / seen.shape[1 - axis] if seen.any() else 0 for axis in (0, 1)]
-    if seen.mean() < 0.2 or min(spread) < 0.5:
+    spread = [
+        np.ptp(np.flatnonzero(visible.any(axis))) / visible.shape[1 - axis] if visible.any() else 0 for axis in (0, 1)
+    ]
+    if visible.mean() < CONSTANTS.least_area or min(spread) < CONSTANTS.least_extent:
         raise InputError(
-            f"{viewpoint.name}: the bars can be seen on {100 * seen.mean():.0f} % of the panel, "
+            f"{viewpoint.name}: the bars can be seen on {100 * visible.mean():.0f} % of the panel, "
             f"{100 * spread[0]:.0f} % of its width and {100 * spread[1]:.0f} % of its height; expected 20, 50 and 50 % "
             "at least. Show the shifts 0, 1 and 2, keep the exposure, clip nothing, darken the room, or check the "
             "corners"
@@ -170,7 +179,7 @@ def find_corners(light: np.ndarray, name: str = "photographs") -> np.ndarray:
     level = 0.5 * np.median(light[light > 0.5 * np.percentile(light, 99)])
     bright = uniform_filter(light, 5, mode="nearest") > level  # so that noise has no corners
     y, x = np.nonzero(bright)
-    if len(x) < 0.02 * light.size:
+    if len(x) < CONSTANTS.least_panel * light.size:
         raise InputError(f"{name}: no bright panel was found; give its corners")
     approximate = [np.argmin(x + y), np.argmin(y - x), np.argmax(x + y), np.argmax(y - x)]
     corners = np.stack([x[approximate], y[approximate]], 1) + 0.5
@@ -181,7 +190,7 @@ def find_corners(light: np.ndarray, name: str = "photographs") -> np.ndarray:
     refined = refined[:, :2] / refined[:, 2:]
     following = np.roll(refined, -1, 0)
     area = 0.5 * abs(np.sum(refined[:, 0] * following[:, 1] - refined[:, 1] * following[:, 0]))
-    if not 0.9 < bright.sum() / area < 1.1:
+    if not 1 - CONSTANTS.area_tolerance < bright.sum() / area < 1 + CONSTANTS.area_tolerance:
         raise InputError(f"{name}: what is bright is no quadrilateral; darken the room, or give the corners")
     if (refined < CONSTANTS.rim_px).any() or (refined > np.array(light.shape[::-1]) - CONSTANTS.rim_px).any():
         raise InputError(
@@ -200,7 +209,7 @@ def _edge(light: np.ndarray, level: float, start: np.ndarray, end: np.ndarray) -
     outwards = np.array([along[1], -along[0]]) / length
     reach = max(4.0, CONSTANTS.edge_reach * length)
     steps = np.linspace(reach, -reach, int(4 * reach) + 1)  # from outside to inside
-    feet = start + np.linspace(0.08, 0.92, CONSTANTS.edge_points)[:, None] * along
+    feet = start + np.linspace(CONSTANTS.edge_margin, 1 - CONSTANTS.edge_margin, CONSTANTS.edge_points)[:, None] * along
     profile = bilinear(light[..., None], feet[:, None] + steps[:, None] * outwards)[..., 0]
     inside = profile > level
     first = inside.argmax(1)
@@ -215,7 +224,7 @@ def _edge(light: np.ndarray, level: float, start: np.ndarray, end: np.ndarray) -
         middle = points.mean(0)
         normal = np.linalg.svd(points - middle)[2][1]
         away = np.abs((points - middle) @ normal)
-        points = points[away <= max(0.5, 2.5 * float(np.median(away)))]
+        points = points[away <= max(0.5, CONSTANTS.outliers * float(np.median(away)))]
     return np.array([*normal, -normal @ middle])
 
 

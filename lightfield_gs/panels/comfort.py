@@ -191,15 +191,15 @@ def _vergence(apart_mm: float, distance_mm: float) -> float:
     return 2 * math.atan((EYE_SEPARATION_MM - apart_mm) / (2 * distance_mm))
 
 
-def _comfortable_amount(places: tuple[PanelDepth, PanelDepth], panel: Panel) -> float | None:
+def _comfortable_amount(contents: tuple[PanelDepth, PanelDepth], panel: Panel) -> float | None:
     """Return the factor of the disparities at which the first of these depths reaches the limit."""
     factors = []
-    for place in places:
-        if panel.viewing_distance_mm is not None and place.eyes_mm:
-            limit = math.radians(math.copysign(COMFORT_DEG, place.eyes_mm))
+    for content in contents:
+        if panel.viewing_distance_mm is not None and content.eyes_mm:
+            limit = math.radians(math.copysign(COMFORT_DEG, content.eyes_mm))
             angle = _vergence(0, panel.viewing_distance_mm) - limit
             most = EYE_SEPARATION_MM - 2 * panel.viewing_distance_mm * math.tan(angle / 2)
-            factors.append(most / place.eyes_mm)
+            factors.append(most / content.eyes_mm)
     return min(factors, default=None)
 
 
@@ -236,17 +236,17 @@ def _panel_tangent(panel: Panel) -> float:
     return math.tan(math.radians(panel.cone_deg) / 2)
 
 
-def _describe(place: PanelDepth) -> str:
+def _describe(content: PanelDepth) -> str:
     """Return the line of a report on one depth."""
-    edges = f"{abs(place.edge_px):.1f} px"
-    if place.edge_mm is None or place.eyes_px is None or place.eyes_mm is None:
-        side = "before" if place.edge_px < 0 else "behind"
+    edges = f"{abs(content.edge_px):.1f} px"
+    if content.edge_mm is None or content.eyes_px is None or content.eyes_mm is None:
+        side = "before" if content.edge_px < 0 else "behind"
         return f"{side} the panel, {edges} to either side in the outermost views"
-    side = "before" if place.eyes_mm < 0 else "behind"
-    how_far = "infinitely far" if place.behind_mm is None else f"{abs(place.behind_mm):.3g} mm"
+    side = "before" if content.eyes_mm < 0 else "behind"
+    how_far = "infinitely far" if content.behind_mm is None else f"{abs(content.behind_mm):.3g} mm"
     return (
-        f"{how_far} {side} the panel, {edges} ({abs(place.edge_mm):.2f} mm) to either side in the outermost views, "
-        f"{abs(place.eyes_px):.1f} px ({abs(place.eyes_mm):.2f} mm) between the eyes"
+        f"{how_far} {side} the panel, {edges} ({abs(content.edge_mm):.2f} mm) to either side in the outermost views, "
+        f"{abs(content.eyes_px):.1f} px ({abs(content.eyes_mm):.2f} mm) between the eyes"
     )
 
 

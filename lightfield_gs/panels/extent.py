@@ -33,8 +33,8 @@ class ExtentConstants:
 _CONSTANTS = ExtentConstants()
 
 _NEAR = _core.NEAR_DEPTH
-_ENOUGH = 20_000  # Gaussians that show well enough how far all of them reach
-_MANY = 1 << 17  # that show it to a thousandth or two
+_ENOUGH = 20_000  # Gaussians that measure the extent well enough for a search
+_MANY = 1 << 17  # Gaussians that measure it to a thousandth or two
 
 
 def content_extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
@@ -86,9 +86,9 @@ def hashed_subsample(gaussians: Gaussians) -> Gaussians:
     few = -(-gaussians.count // _MANY)
     if few == 1:
         return gaussians
-    place = torch.arange(gaussians.count // few, device=gaussians.device)
+    index = torch.arange(gaussians.count // few, device=gaussians.device)
     # Knuth's multiplicative hash, The Art of Computer Programming, vol. 3, section 6.4
-    return select(gaussians, few * place + (place * 2654435761 >> 16) % few)
+    return select(gaussians, few * index + (index * 2654435761 >> 16) % few)
 
 
 def select(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
@@ -109,8 +109,8 @@ def content_weights(gaussians: Gaussians) -> Tensor:
     scene without them must give the same weights.
     """
     opacities = gaussians.opacities.clamp_min(_CONSTANTS.least_weight)
-    drawn = opacities >= OPACITY_CUT
-    opacities = torch.where(drawn | ~drawn.any(), opacities, 0)
+    visible = opacities >= OPACITY_CUT
+    opacities = torch.where(visible | ~visible.any(), opacities, 0)
     usual = opacities.double().square().sum() / opacities.double().sum()
     return torch.where(opacities >= _CONSTANTS.haze * usual, opacities, 0)
 

@@ -222,8 +222,8 @@ def _bounded(gaussians: Gaussians, panel: Panel, pose: np.ndarray) -> Rig:
     widest = max(panel.width_px, panel.height_px) / 2 / _WIDEST_TAN
     kept = _in_view(gaussians, pose, panel.width_px / 2 / widest, panel.height_px / 2 / widest)
     if bool(kept.any()):
-        seen = select(gaussians, kept)
-        numbers = content_extent(seen, _tensor(pose, seen)).tolist()
+        visible = select(gaussians, kept)
+        numbers = content_extent(visible, _tensor(pose, visible)).tolist()
         if numbers[-1] > 0:
             rig = fit_rig(numbers, panel, pose)
     if _is_narrow(rig, panel):
@@ -281,9 +281,9 @@ def _clear_distance(content: Gaussians, rest: Gaussians, panel: Panel, turn: np.
     few, chosen, best = subsample(content), 1.0, -_CONSTANTS.worth
     for nearer in (1.0, *_CONSTANTS.nearer):
         rig = _bounded(few, panel, _camera_in_front(few, panel, turn, nearer))
-        seen = visibility.visible_fraction(content, before, panel, rig) * _fraction_in_frame(few, panel, rig)
-        if seen > best + _CONSTANTS.worth:
-            chosen, best = nearer, seen
+        visible = visibility.visible_fraction(content, before, panel, rig) * _fraction_in_frame(few, panel, rig)
+        if visible > best + _CONSTANTS.worth:
+            chosen, best = nearer, visible
         if best >= _CONSTANTS.visible:
             break
     return chosen
@@ -324,7 +324,7 @@ def _field_of_view_rad(panel: Panel) -> float:
 
 
 _KEY = "lightfield-gs rig:"
-_PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and how many numbers each has
+_PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and their numbers of values
 
 _WAY_OUT = "give --up, --camera or --rig, which go before it"
 

@@ -38,7 +38,7 @@ def cell_table(panel: Panel) -> CellTable:
     """Return the cell table of a panel with cells."""
     offsets = subpixel_offsets(panel)
     channels = np.argsort(offsets.astype(np.float64), axis=-1, kind="stable")
-    beyond = np.take_along_axis(offsets, channels, -1) - np.arange(3)  # the stripe at the same place
+    beyond = np.take_along_axis(offsets, channels, -1) - np.arange(3)  # the stripe of the same rank
     shift = (beyond.min() + beyond.max()) / 2
     whole = round(shift * LENS_WIDTH / Fraction(panel.line_number)) % LENS_WIDTH
     step = panel.phase_steps()[1]

@@ -80,15 +80,15 @@ class Look:
             size / 2 + self.zoom * (centre - size / 2) + pan * size
             for size, centre, pan in zip(sizes, rig.principal_point_px, self.pan)
         )
-        seen = replace(rig, focal_px=(self.zoom * fx, self.zoom * fy), principal_point_px=(cx, cy))
-        return replace(seen, zero_depth=self._zero_depth(seen, panel, gaussians), cone_deg=self._cone_deg(rig, panel))
+        moved = replace(rig, focal_px=(self.zoom * fx, self.zoom * fy), principal_point_px=(cx, cy))
+        return replace(moved, zero_depth=self._zero_depth(moved, panel, gaussians), cone_deg=self._cone_deg(rig, panel))
 
     def _cone_deg(self, rig: Rig, panel: Panel) -> float | None:
         """Return 2 atan(a tan(cone/2)); None where nothing changes, so that the panel's cone stays in force."""
         if self.cone_deg is None and self.depth_amount == 1:
             return rig.cone_deg
-        own = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
-        cone = own if self.cone_deg is None else self.cone_deg
+        current = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
+        cone = current if self.cone_deg is None else self.cone_deg
         if self.depth_amount == 1:
             return cone
         return math.degrees(2 * math.atan(self.depth_amount * math.tan(math.radians(cone) / 2)))

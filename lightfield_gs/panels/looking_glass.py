@@ -22,7 +22,7 @@ from lightfield_gs.io.text_files import parse_json, read_json
 from lightfield_gs.panels.cells import PATTERNS
 
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
-_SERIALS = ("serial", "hwid")  # the key of a calibration, and that of the display that it belongs to
+_SERIALS = ("serial", "hwid")  # the keys of a calibration, and of its display
 _NUMBERS = (
     "pitch",
     "slope",
@@ -182,7 +182,7 @@ def _distinct(found: Iterator[_Calibration]) -> list[_Calibration]:
 def _calibrations(data: Any) -> Iterator[_Calibration]:
     """Yield all calibrations, in the order of the file."""
     pending: list[tuple[Any, tuple[Any, ...], tuple[str, ...]]] = [(data, (), ())]
-    seen: dict[int, Any] = {}  # by identity, in case one holds itself; kept alive, so that no identity comes twice
+    visited: dict[int, Any] = {}  # by identity, in case one holds itself; kept alive, so that no identity comes twice
     while pending:
         value, path, serials = pending.pop()
         if isinstance(value, str):
@@ -191,14 +191,14 @@ def _calibrations(data: Any) -> Iterator[_Calibration]:
             continue
         if isinstance(value, dict):
             plain = {key: _unwrap(part) for key, part in value.items()}
-            own = _serials(plain)
+            own_serials = _serials(plain)
             if len(_MARKS & {_usual_name(key) for key in plain}) > 1:
-                yield _Calibration(plain, (*own, *serials), path)
+                yield _Calibration(plain, (*own_serials, *serials), path)
                 continue
-            serials = own or serials
-        if id(value) in seen:
+            serials = own_serials or serials
+        if id(value) in visited:
             continue
-        seen[id(value)] = value
+        visited[id(value)] = value
         parts = value.items() if isinstance(value, dict) else enumerate(value)
         pending += reversed([(part, (*path, key), serials) for key, part in parts])
 

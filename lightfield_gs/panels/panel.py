@@ -1,6 +1,6 @@
 """A slanted-lenticular panel: which of its views every sub-pixel shows.
 
-For row i from the top, column j and place k of a sub-pixel within its pixel, left to right, all 0-based
+For row i from the top, column j and stripe k of a sub-pixel within its pixel, left to right, all 0-based
 (Shi et al., Photonics 2025, 12(3), 279, section 3; van Berkel 1999):
     D = 3 j + 3 i tan(slant) + k + phase            x = N frac(D / line_number)            n = floor(x)
 evaluated in wrapping 64-bit fixed point, so that every implementation agrees bit for bit. Panels whose sub-pixels do
@@ -304,8 +304,8 @@ class Panel:
         """
         return _phase_steps(self.line_number, self.slant_tan, self.phase)
 
-    def place(self, channel: int) -> int:
-        """Return the rank k, left to right, of image channel 0, 1, 2 (red, green, blue) in a pixel of stripes."""
+    def stripe_index(self, channel: int) -> int:
+        """Return the stripe k, left to right, of image channel 0, 1, 2 (red, green, blue) in a pixel of stripes."""
         return channel if self.subpixel_order == "RGB" else 2 - channel
 
     def phase_rows(self, rows_per_chunk: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
@@ -340,7 +340,7 @@ class Panel:
 def subpixel_offsets(panel: Panel) -> np.ndarray:
     """Return D of sub-pixels less D of the first stripe, Fractions [PERIOD, PERIOD, 3] by row, column, channel."""
     if not panel.subpixel_cells:
-        stripes = [Fraction(panel.place(channel)) for channel in range(3)]
+        stripes = [Fraction(panel.stripe_index(channel)) for channel in range(3)]
         return np.broadcast_to(np.array(stripes, object), (PERIOD, PERIOD, 3))
     slant = Fraction(panel.slant_tan)
     offsets = np.array(
@@ -357,7 +357,7 @@ def subpixel_phases(panel: Panel) -> np.ndarray:
     """
     if not panel.subpixel_cells:
         step = panel.phase_steps()[1]
-        phases = [panel.place(channel) * step % LENS_WIDTH for channel in range(3)]
+        phases = [panel.stripe_index(channel) * step % LENS_WIDTH for channel in range(3)]
         return np.array(phases, np.uint64) + np.zeros((PERIOD, PERIOD, 1), np.uint64)
     per_subpixel = LENS_WIDTH / Fraction(panel.line_number)
     # Rounded up, as all phases are

@@ -50,8 +50,8 @@ def width_dots(characters: int) -> int:
 def text_dots(text: str) -> np.ndarray:
     """Return the lit dots of a text of digits, + - . and spaces: bool [HEIGHT_DOTS, width_dots(len(text))]."""
     out = np.zeros((HEIGHT_DOTS, width_dots(len(text))), bool)
-    for place, letter in enumerate(text):
-        out[1:6, 4 * place + 1 : 4 * place + 4] = _DOTS[letter]
+    for position, letter in enumerate(text):
+        out[1:6, 4 * position + 1 : 4 * position + 4] = _DOTS[letter]
     return out
 
 
@@ -203,8 +203,8 @@ def _tiling(size_px: int, tile_dots: int, dot_px: int) -> _Tiling:
     """Return whole tiles in the middle of so many pixels, or one that is cut."""
     tile_px = tile_dots * dot_px
     covered = max(1, size_px // tile_px) * tile_px
-    place = np.arange(size_px) + (covered - size_px) // 2
-    return place % tile_px // dot_px, (place >= 0) & (place < covered)
+    position = np.arange(size_px) + (covered - size_px) // 2
+    return position % tile_px // dot_px, (position >= 0) & (position < covered)
 
 
 def single(panel: Panel, first: int, last: int | None = None) -> np.ndarray:
@@ -315,8 +315,8 @@ def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = N
     for disparity, first, last in zip(np.linspace(most, -most, count), borders, borders[1:]):
 
         def shade(x: np.ndarray, _: slice, disparity: float = float(disparity)) -> np.ndarray:
-            place = columns + disparity * to_right * (0.5 - x / panel.views)
-            return np.mod(place / period, 1) < 0.5
+            position = columns + disparity * to_right * (0.5 - x / panel.views)
+            return np.mod(position / period, 1) < 0.5
 
         out[first:last] = draw(panel, shade, slice(int(first), int(last)))
         _label(out[first:last], _format_signed(float(disparity), most), panel)

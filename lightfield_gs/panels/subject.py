@@ -86,11 +86,11 @@ def find_subject(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -
     distances = (points - place).norm(dim=1)
     cut = _cut(points - place, distances, weight, radius)
     if cut is not None and _CONSTANTS.small_ratio * cut <= math.sqrt(_CONSTANTS.gap_ratio) * extent:
-        share = float(weight[distances > cut].sum() / weight.sum())
+        fraction = float(weight[distances > cut].sum() / weight.sum())
         return Subject(
             _within(means, place, cut),
-            f"{share:.1%} of the scene lies far around its dense part and was left out of the framing",
-            share,
+            f"{fraction:.1%} of the scene lies far around its dense part and was left out of the framing",
+            fraction,
         )
     if radius <= _CONSTANTS.small_ball * extent and _surrounds(
         points - place, distances > 2 * _CONSTANTS.neighbourhood * radius

@@ -20,8 +20,8 @@ from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
-_SIZE_PX = 256  # width of the picture that is looked at, so large that thin things do not blend with what is behind
-_FRACTION_SIZE_PX = 128  # width of the picture where it only matters how much of the content shows
+_SIZE_PX = 256  # width of the pictures, so large that thin things do not blend with their background
+_FRACTION_SIZE_PX = 128  # width of the pictures that measure a visible fraction
 
 
 @dataclass(frozen=True)
@@ -64,23 +64,23 @@ def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
     Returns:
         View-space z; None where the camera sees nothing.
     """
-    seen = _disparities(gaussians, panel, rig)
-    return None if seen is None else _subject_front(*seen)
+    surfaces = _disparities(gaussians, panel, rig)
+    return None if surfaces is None else _subject_front(*surfaces)
 
 
 def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
     """Return `subject_depth` if the visible scene is deep and empty near the zero plane, else None."""
-    seen = _disparities(gaussians, panel, rig)
-    if seen is None:
+    surfaces = _disparities(gaussians, panel, rig)
+    if surfaces is None:
         return None
-    disparities, _ = seen
+    disparities, _ = surfaces
     far, near = torch.quantile(
         disparities, torch.tensor([_CONSTANTS.depth_tail, 1 - _CONSTANTS.depth_tail]).to(disparities)
     ).tolist()
     around = (disparities * rig.zero_depth).log().abs() <= math.log(_CONSTANTS.near_zero)
     if near < _CONSTANTS.deep * far or float(around.double().mean()) > _CONSTANTS.in_gap:
         return None
-    return _subject_front(*seen)
+    return _subject_front(*surfaces)
 
 
 def _subject_front(disparities: Tensor, weights: Tensor) -> float:
@@ -109,8 +109,8 @@ def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
     with torch.no_grad():
         alone = cast(Tensor, render(degree_zero(content), cameras.select([0]), alpha=True).alpha).sum((1, 2))
-        seen = render(replace(both, sh=white), cameras, background=(0, 0, 0)).image[..., 0].sum((1, 2))
-    return float((seen / alone.clamp_min(1e-9)).min())
+        surfaces = render(replace(both, sh=white), cameras, background=(0, 0, 0)).image[..., 0].sum((1, 2))
+    return float((surfaces / alone.clamp_min(1e-9)).min())
 
 
 def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, Tensor] | None:
@@ -250,11 +250,11 @@ def view_coverage(gaussians: Gaussians, panel: Panel, rig: Rig) -> ViewCoverage:
         )
     near, far = np.quantile(depth[surface], [_CONSTANTS.depth_tail, 1 - _CONSTANTS.depth_tail])
     fractions = []
-    for x, seen in zip(outermost, alpha[1:]):
+    for x, surfaces in zip(outermost, alpha[1:]):
         factor = small_rig.focal_px[0] * float(small_rig.offset(x, panel))
         moves = factor * (1 / rig.zero_depth - 1 / np.where(surface, depth, 1))
         goes_on = _between(surface, moves)
-        fractions.append(float((goes_on & (seen < opaque)).sum() / max(1, goes_on.sum())))
+        fractions.append(float((goes_on & (surfaces < opaque)).sum() / max(1, goes_on.sum())))
     return ViewCoverage(float(near), float(far), (fractions[0], fractions[1]))
 
 

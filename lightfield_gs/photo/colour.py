@@ -36,7 +36,7 @@ _CONSTANTS = ColourConstants()
 _SRGB_CICP = (1, 2), (1, 2, 6, 13)
 _SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # x and y of red, green and blue
 _UNCALIBRATED = 65535  # Exif's ColorSpace of other colours than sRGB; in cameras, Adobe RGB
-_STRIP_PIXELS = 1 << 20  # converted at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
+_STRIP_PIXELS = 1 << 20  # converted at a time: Pillow keeps four bytes a pixel beside input and output
 _MOST_PIXELS = 1 << 24  # of a picture that stays in floating point; larger ones are converted to 8 bits
 _MOST_THREADS = 4
 
@@ -147,7 +147,7 @@ def _convert_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours
                     "colours are only about right; export it as RGB"
                 ],
             )
-        # Each thread has a transform of its own, for a transform remembers the last colour that it met
+        # Each thread needs its own transform, because a transform caches the last colour
         transforms = [
             ImageCms.buildTransform(
                 source,

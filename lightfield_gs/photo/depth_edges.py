@@ -153,7 +153,7 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
     hard = is_near.float()
     alpha = sure * alpha + (1 - sure) * hard
     alpha = torch.where((alpha - hard).abs() < _CONSTANTS.trace, hard, alpha)
-    # Of each surface as much as is seen is the pixel's own, so that both together are the pixel again
+    # Each surface takes its visible part of the pixel's difference, so that both together give the pixel again
     rest = (colour - alpha[:, None] * f - (1 - alpha[:, None]) * b) / (alpha**2 + (1 - alpha) ** 2)[:, None]
     own_near, own_far = (f + alpha[:, None] * rest).clamp(0, 1), (b + (1 - alpha[:, None]) * rest).clamp(0, 1)
     return Matte(rows, columns, is_near, alpha, own_near, own_far, 1 / near.disparity[known].clamp_min(1e-30))

@@ -27,7 +27,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
 from lightfield_gs.rasterizer.direct import DirectRender
-from lightfield_gs.rasterizer.frame_cuda import Frames
+from lightfield_gs.rasterizer.frame_cuda import DirectFrames
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
@@ -86,7 +86,7 @@ class PhotoEncoder:
         self.gaussians: Gaussians | None = None
         self.rig: Rig | None = None
         self._captured: _Capture | None = None
-        self._frames: Frames | None = None
+        self._frames: DirectFrames | None = None
 
     @torch.no_grad()
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
@@ -158,7 +158,7 @@ class PhotoEncoder:
         view = lenticular_camera(self.panel, rig, self.views == "continuous")
         job = DirectRender(gaussians.fields().values(), background, view)
         if self._frames is None:
-            self._frames = Frames(job, self.quality)
+            self._frames = DirectFrames(job, self.quality)
         return self._frames.draw(job, self.output == "uint8")
 
 

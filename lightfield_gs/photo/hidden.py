@@ -32,6 +32,7 @@ class HiddenConstants:
     same_depth: float = 0.1  # relative difference of depths up to which a pixel close by is of the same surface
     texture: float = 0.02  # length by the width: up to some 6 times it is texture, beyond it the first guess decides
     bend: float = 0.15  # largest relative change of disparity of a surface where it continues
+    fringe_disparity: float = 0.97  # largest disparity of the fringe by that of the surface in front
 
 
 _CONSTANTS = HiddenConstants()
@@ -97,10 +98,10 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
         return Hidden(hole, fringe, disparity, image, [])
     guess, slope = _continue_disparity(disparity, depth, focal_px, runs, covered)
     colours = _continue_colours(image, depth, runs, covered)
-    # Held at what is seen of the far surfaces: everything that is not hole. Where the guess is torn, two surfaces meet.
+    # Held at the visible far surfaces: everything but the hole. Where the guess is torn, two surfaces meet.
     linked = [joined_with(1 / guess.clamp_min(1e-30), dim, focal_px[1 - dim]) for dim in (0, 1)]
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
-    # In the fringe the depths may be mixed as the colours are: the farthest close by is that of the far surface
+    # In the fringe the depths may be mixed like the colours: the farthest one close by is of the far surface
     far = torch.where(hole & ~fringe, bent, torch.where(disparity > 0, disparity, torch.inf))
     far = -max_filter(-far, _CONSTANTS.fringe_px)
     nearest = torch.where(covered, _CONSTANTS.behind * disparity, torch.where(fringe, far, torch.inf))
@@ -116,7 +117,7 @@ def fill_hidden(hidden: Hidden, depth: Tensor) -> Tensor:
         return hidden.image
     guide = hidden.disparity.nan_to_num(0).clamp_min(1e-12).log()
     filled_in = complete(hidden.image, hidden.hole, torch.isfinite(depth), guide)
-    # The texture is that of the patches, and what is larger than it the first colours', without a seam at the border
+    # The texture comes from the patches, larger structure from the first colours, without a seam at the border
     off, length = hidden.image - filled_in, _CONSTANTS.texture * depth.shape[1]
     return (filled_in + solve_membrane(off, hidden.hole, hidden.linked, anchor=length**-2)).clamp(0, 1)
 
@@ -139,7 +140,7 @@ def _find_runs(depth: Tensor, focal_px: float) -> _HiddenRun:
     most = _CONSTANTS.reach * width
     for column in range(1, width):
         begins = torn[column - 1] & nearer[column - 1]
-        # The second step of a smoothed edge begins no new surface: what goes on is the farther one
+        # The second step of a smoothed edge begins no new surface: the farther one continues
         begins &= (current < 0) | (since > _CONSTANTS.stairs_px)
         far = torch.where(begins, z[column - 1], far)
         current = torch.where(begins, column - 1, current)
@@ -155,7 +156,9 @@ def _find_runs(depth: Tensor, focal_px: float) -> _HiddenRun:
 
 def _find_fringe(covered: Tensor, depth: Tensor) -> Tensor:
     """Return the pixels at most a fringe off a covering pixel, and farther than it, bool [H, W]."""
-    return 1 / depth < 0.97 * max_filter(torch.where(covered, 1 / depth, 0), _CONSTANTS.fringe_px)
+    return 1 / depth < _CONSTANTS.fringe_disparity * max_filter(
+        torch.where(covered, 1 / depth, 0), _CONSTANTS.fringe_px
+    )
 
 
 def _continue_disparity(

@@ -44,6 +44,8 @@ class InpaintingConstants:
     coarsest_px: int = 40  # shorter side of the coarsest level, about
     # weight of a difference of log disparity by one of colour: a patch comes from its own surface
     depth_weight: float = 4.0
+    depth_cost_limit: float = 2.0  # largest square of that weighted difference
+    depth_cost_factor: float = 0.05  # factor of this square in the cost of a patch
     # rounds of matching and voting, from the finest level on; the last for all coarser ones
     rounds: tuple[int, int, int, int] = (2, 3, 4, 6)
     matched_pixels: int = 1 << 15  # pixels of the hole at which patches are matched, at most: more are copied
@@ -90,12 +92,12 @@ def solve_membrane(
     guess = flat[index]
     inside = number[neighbours]
     known = inside < 0
-    # What neighbours outside the hole say, and the guiding steps, go to the right side
+    # Values of neighbours outside the hole, and the guiding steps, go to the right side
     right = anchor * first
     for side in range(4):
         held = torch.where(known[side][:, None], flat[neighbours[side]], 0)
         right = right + weights[side][:, None] * (held - guides[side][:, None])
-    # The sum over neighbours in the hole is one gather: a row of zeros stands for those that are not, or not linked
+    # The sum over neighbours in the hole is one gather: a row of zeros stands for all other neighbours
     inside = torch.where(known | (weights == 0), len(index), inside).T.contiguous()
     diagonal = weights.sum(0)[:, None] + anchor
 
@@ -247,7 +249,7 @@ def _copy_matches(search: _Matches, level: _Level, scale: int) -> Tensor:
     """
     goal = max_filter(level.hole, 1).nonzero()
     matches, is_set = search.grid()
-    # Between which four places of the grid a pixel is, and how far
+    # The position of a pixel between four positions of the grid
     at = ((goal + 0.5) / scale - 0.5) / _CONSTANTS.stride
     low = at.floor()
     fraction = ((at - low) * 2 - 0.5).clamp(0, 1)
@@ -343,7 +345,11 @@ class _Matches:
         apart = self.patches[which] - self.colours[there.flatten()].view(len(which), -1, 3)
         cost = apart.square_().sum((1, 2)) / len(self.offsets)
         apart = guide[self.patch_pixels[which, middle]] - guide[there[:, middle]]
-        return cost + (_CONSTANTS.depth_weight * apart).square().clamp_max(2.0) * 0.05
+        return (
+            cost
+            + (_CONSTANTS.depth_weight * apart).square().clamp_max(_CONSTANTS.depth_cost_limit)
+            * _CONSTANTS.depth_cost_factor
+        )
 
     def improve(self, searches: bool) -> None:
         """Try the neighbours' matches, and with `searches` random positions closer and closer to the match."""
@@ -375,7 +381,7 @@ class _Matches:
         """Set each pixel of the hole to the mean of the patches over it; the most similar count most."""
         scale = self.cost.quantile(0.5) if len(self.cost) < 1 << 20 else self.cost.median()
         weight = torch.exp(-self.cost / (2 * scale.clamp_min(1e-6)))[:, None]
-        near = torch.exp(-(self.offsets**2).sum(1) / 4.0)  # a patch knows best what is in its middle
+        near = torch.exp(-(self.offsets**2).sum(1) / 4.0)  # a patch is most reliable in its middle
         goal = self.centres[:, None] + self.offsets
         inside = (goal >= 0).all(2) & (goal[..., 0] < self.height) & (goal[..., 1] < self.width)
         weight = ((weight * near + 1e-9) * inside).view(-1, 1)

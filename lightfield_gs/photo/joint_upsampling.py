@@ -80,7 +80,7 @@ def disparities_to_z(values: Tensor, limits: tuple[float, float] | None = None) 
 def distances_to_z(values: Tensor) -> Estimate:
     """Return the estimate of distances [h, w]; numbers that are no distance > 0 get no depth."""
     measured = (values > 1 / FARTHEST) & (values < FARTHEST)
-    # The place of a pixel without a distance counts as infinitely far, until it is left out
+    # A pixel without a distance counts as infinitely far, until it is left out
     disparities = torch.where(measured, 1 / values, 0)
     low, high = _percentiles(disparities)
     notes = [] if bool(measured.all()) else [f"{1 - float(measured.double().mean()):.1%} have no distance"]
@@ -163,7 +163,7 @@ class _Voters:
 
     def vote(self, rows: Tensor, columns: Tensor, colours: Tensor) -> Tensor:
         """Return the disparities [M] of pixels of the photo [M] with these colours [M, 3]."""
-        y, x = ((place + 0.5) * small / size for place, small, size in zip((rows, columns), self.small, self.size))
+        y, x = ((index + 0.5) * small / size for index, small, size in zip((rows, columns), self.small, self.size))
         row, column = y.floor().long()[:, None] + self.down, x.floor().long()[:, None] + self.right
         around = self.padded[:, row + _CONSTANTS.radius_px, column + _CONSTANTS.radius_px]
         values, trust = around[0], around[4]

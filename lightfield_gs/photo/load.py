@@ -91,8 +91,7 @@ def turn_with_photo(
 
 
 _INSTALL = "pip install 'lightfield-gs[rembg]'"
-# The model is named here, for rembg's own choice has changed between versions, once to weights that may not be used
-# commercially.
+# rembg's default model has changed between versions, once to weights without commercial use.
 # U^2-Net: Qin et al., "U^2-Net: Going deeper with nested U-structure for salient object detection", 2020; Apache-2.0.
 _MODEL = "u2net"
 
@@ -127,7 +126,7 @@ def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
 
 
 __all__ = ["NoCutOut", "Photo", "load_photo", "cut_out_photo", "plain_background_mask"]
-_STRIP_PIXELS = 1 << 19  # that are joined at a time
+_STRIP_PIXELS = 1 << 19  # of colours and alpha that are joined at a time
 _OTHER_CUT_OUTS = "give RGBA, a cut-out with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]')"
 
 
@@ -312,9 +311,9 @@ def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
     opaque = alpha > 0.5
     rows, columns = np.flatnonzero(opaque.any(1)), np.flatnonzero(opaque.any(0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    inside, seen = rgb[box].copy(), opaque[box]
+    inside, covered = rgb[box].copy(), opaque[box]
     edges = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
-    inside[~seen] = np.median(np.concatenate([inside[edge][seen[edge]] for edge in edges]), 0)
+    inside[~covered] = np.median(np.concatenate([inside[edge][covered[edge]] for edge in edges]), 0)
     cut = cut_from_plain_background(inside)
     if cut is None:
         return None

@@ -25,6 +25,7 @@ class MarginConstants:
     """
 
     depth_tail: float = 0.05  # fraction of the pixels before the near depth of the zero plane, and behind the far one
+    side_quantiles: tuple[float, float] = (0.02, 0.98)  # of the depths along the photo's left and right sides
     more_px: int = 4  # pixels in addition to the look of the outermost views past the photo
     widest: float = 1.5  # margin on each side, in photos, at most
     nearer: float = 1.05  # ratio of disparities from which on a thing stands before the border
@@ -99,18 +100,18 @@ def fit_to_panel(
     sides = torch.cat([depth[:, 0], depth[:, -1]])
     known = sides[torch.isfinite(sides)].double().cpu().numpy()
     zeros = np.array([zero, near] if on_near else [zero])[:, None]
-    moves = np.abs(1 - zeros / np.quantile(known, [0.02, 0.98])).max() if len(known) else 0.0
+    moves = np.abs(1 - zeros / np.quantile(known, _CONSTANTS.side_quantiles)).max() if len(known) else 0.0
     shown = panel.width_px / sizes[0] / zoom, panel.height_px / sizes[1] / zoom
     across = (shown[0] - width) / 2 + focal_px[0] * tan * moves + _CONSTANTS.more_px
     down = (shown[1] - height) / 2 + _CONSTANTS.more_px
     most = _CONSTANTS.widest * width, _CONSTANTS.widest * height
     x, y = (math.ceil(min(max(part, 0), limit)) for part, limit in zip((across, down), most))
-    seen = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)
+    kept = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)
     return PanelFit(
         Rig(np.eye(4), focal, centre, float(zero)),
         (x, y, x, y),
-        1 - seen,
-        1 - seen * width * height / (shown[0] * shown[1]),
+        1 - kept,
+        1 - kept * width * height / (shown[0] * shown[1]),
     )
 
 
@@ -144,7 +145,7 @@ def extend_with_margin(
         smooth = torch.lerp(smooth, _blur(disparity, blur), fraction)
         reached = blur
     known = torch.where(outside, smooth, disparity)
-    # What stands before all that the photo's border shows is a thing of its own, which is not to be there twice
+    # A thing before everything at the photo's border stands alone and must not appear twice
     source = ~outside & measured[within] & (known <= _CONSTANTS.nearer * known[outside].max())
     if int(source.sum()) < _CONSTANTS.fewest * depth.numel():
         source = ~outside & measured[within]

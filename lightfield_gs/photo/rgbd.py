@@ -146,13 +146,13 @@ def _layers(
     is_near = matte.is_near
     rows, columns = matte.rows, matte.columns
     colours[rows, columns] = torch.where(is_near[:, None], matte.near, matte.far)
-    seen = opacity.clone()
-    # A pixel lets through what lies behind it only where that is known
+    front_opacity = opacity.clone()
+    # A pixel is transparent only where the surface behind it is known
     soft = is_near & found.hole[rows, columns]
-    seen[rows[soft], columns[soft]] *= (
+    front_opacity[rows[soft], columns[soft]] *= (
         coverage_to_opacity(matte.alpha[soft], _CONSTANTS.std_px, _CONSTANTS.opacity) / _CONSTANTS.opacity
     )
-    parts = [_surface_gaussians(torch.isfinite(depth).nonzero(), depth, seen, colours, focal, centre)]
+    parts = [_surface_gaussians(torch.isfinite(depth).nonzero(), depth, front_opacity, colours, focal, centre)]
     before = ~is_near & (matte.alpha > 0)
     r, c = rows[before], columns[before]
     rim, front, cover = depth.clone(), colours.clone(), opacity.clone()
@@ -166,7 +166,7 @@ def _layers(
 
 
 def _surface_gaussians(
-    places: Tensor,
+    pixels: Tensor,
     depth: Tensor,
     opacity: Tensor,
     colours: Tensor,
@@ -177,7 +177,7 @@ def _surface_gaussians(
     """Return the Gaussians of pixels of a surface.
 
     Args:
-        places: Pixels [M, 2] (row, column).
+        pixels: [M, 2] (row, column).
         depth: [H, W].
         opacity: [H, W].
         colours: [H, W, 3].
@@ -185,7 +185,7 @@ def _surface_gaussians(
         centre: (cx, cy), pixels.
         torn: Whether the surface is open at edges.
     """
-    rows, columns = places.unbind(1)
+    rows, columns = pixels.unbind(1)
     steepest = STEEPEST if torn else _CONSTANTS.steepest_hidden
     z, across, down = (
         values[rows, columns]

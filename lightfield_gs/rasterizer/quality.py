@@ -15,33 +15,33 @@ OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
 
 @dataclass(frozen=True)
 class Quality:
-    """Knobs that trade errors, of colours in 0..1, for run time. By default nothing is given up.
+    """Knobs that trade errors, of colours in 0..1, for run time; by default nothing is given up.
 
-    opacity_cut: 1/255..0.5; a Gaussian leaves samples alone where its alpha is below. What that loses outside is added
-        inside: opacities rise by cut - 1/255 (to 0.99 at most), which keeps the integral of alpha. A sample that K
-        Gaussians would have reached changes by at most K cut. With rough evaluation it is whole patches of samples that
-        are left alone, and opacities rise by as much less: the same cut costs about 6 dB less.
-    transmittance_stop: 1e-4..0.5; a sample ends before its transmittance would fall below, and the Gaussian that ends
-        it takes what light is left: an error of at most the stop. Pays where scenes are deep and opaque.
-    colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image: what
-        interpolation may err, and as much again for powers that are left out. Where no polynomial is so good, which is
-        near the cameras, colours are exact. 0: all colours are exact.
-    lattice_error: 0..1; where the light field is smooth it is evaluated on a coarse lattice in (x, y, view) only, and
+    opacity_cut: 1/255..0.5. A Gaussian leaves samples alone where its alpha is below the cut. Opacities rise by cut -
+        1/255 (to 0.99 at most), which keeps the integral of alpha. A sample that K Gaussians would have reached changes
+        by at most K cut. Approximate evaluation leaves out whole patches of samples, and opacities rise by as much
+        less: the same cut then costs about 6 dB less.
+    transmittance_stop: 1e-4..0.5. A sample ends before its transmittance would fall below the stop. The Gaussian that
+        ends it takes the light that is left: an error of at most the stop. Pays where scenes are deep and opaque.
+    colour_error: 0..1, of the polynomials that stand for spherical harmonics over the rig, hence of the image.
+        Interpolation may err by this, and as much again may be left out with the highest powers. Near the cameras,
+        where no polynomial is so good, colours are exact. 0: all colours are exact.
+    lattice_error: 0..1. Where the light field is smooth, it is evaluated on a coarse lattice in (x, y, view) and
         interpolated. As a check the middle of every cell is evaluated too. Nodes are moved by two thirds of the errors
-        round them (on CUDA only if those are too large), so that bends err to both sides. A lattice is good enough if
-        what is left is nowhere in the middles larger than this, its root mean square over a run of tiles (on CUDA: a
-        tile) no larger than a fifth of this, and no node was moved farther than this; else it is refined, split or
-        given up. Between nodes and middles the error is what a smooth field makes of it, without a bound. Colours on a
-        lattice end at 0 and 1; on the CPU its nodes have 8 bits. 0: no lattice. On CUDA panels with sub-pixel cells and
-        anti-aliased scenes have none.
-    contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
-        hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
-        most the sum of the alphas left out there, and the mean of all samples by at most this, unless Gaussians are
-        few: the sums are taken as integrals. Pays in captures of many small Gaussians, not where all are alike.
-        `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
-    evaluation_error: 0..1; of the arithmetic. From 0.02 on samples may be evaluated with numbers of 16 bits, twice as
-        many at a time (on CUDA), or in fewer operations and until a transmittance of 0.002 (on the CPU): some 60 dB;
-        colours above 1 lose at most that share. 0: float32.
+        round them, on CUDA only if those are too large: so bends err to both sides. A lattice is accepted if three
+        errors are small. In the middles none is larger than this; their root mean square over a run of tiles (on CUDA:
+        a tile) is a fifth of this or less; and no node was moved farther than this. Else the lattice is refined, split
+        or given up. Between nodes and middles the error has no bound. Colours on a lattice end at 0 and 1; on the CPU
+        its nodes have 8 bits. On CUDA panels with sub-pixel cells and anti-aliased scenes have no lattices. 0: none.
+    contribution_cut: 0..1. A Gaussian is left out if its alphas, summed over all sub-pixels as if nothing hid it, are
+        less than contribution_cut * sub-pixels / Gaussians. A sample changes by at most the sum of the alphas left out
+        there. The mean of all samples changes by at most this, unless Gaussians are few: the sums are taken as
+        integrals. Pays in captures of many small Gaussians, not where all are alike. `prune` also looks at what hides
+        them, once for a scene, and leaves out more for the same error. 0: none.
+    evaluation_error: 0..1, of the arithmetic. From 0.02 on samples may be evaluated approximately, with some 60 dB: on
+        CUDA with numbers of 16 bits, twice as many at a time; on the CPU in fewer operations, until a transmittance of
+        0.002. Colours above 1 lose at most that fraction. 0: float32.
+
     Raises InputError for numbers out of their ranges.
     """
 

@@ -149,7 +149,7 @@ class CudaWorkspace:
                 scratch_bytes,
                 self.stream,
             )
-        self.stats.pairs += count
+        self.stats.intersections += count
         if self.stats.device is not None:  # only then, for reading the count back waits for the device
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())

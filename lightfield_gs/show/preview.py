@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import json
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import cast
@@ -17,7 +21,6 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.look_around import write_look_around_page
 
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
 FILES = ("views.png", "look-around.webp", "look-around.html", *_EYES)
@@ -146,3 +149,38 @@ def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
             quality=_WEBP_QUALITY,
             method=2,
         )
+
+
+_PAGE = Path(__file__).parent / "page" / "files" / "look_around.html"
+_WEBP_QUALITY = 85
+
+
+def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
+    """Writes frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one of them at a time.
+
+    The frames are in the file as WebP. Raises InputError where it cannot be written.
+    """
+    page = _PAGE.read_text(encoding="utf-8")
+    height, width = frames[0].shape[:2]
+    words = {"title": title, "width": width, "height": height, "frames": [_data_url(frame) for frame in frames]}
+    # Within a script a "<" of a title could end it
+    page = page.replace("{/* views */}", json.dumps(words).replace("<", "\\u003c"))
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _data_url(frame: np.ndarray) -> str:
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(frame).save(file, "WEBP", quality=_WEBP_QUALITY, method=2)
+    return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def in_rows(pictures: Sequence[np.ndarray], columns: int = 4) -> np.ndarray:
+    """One or more pictures [h, w, 3] in rows of `columns`, from the left and from the top; what is left of the last row
+    is black. A single picture stays as it is."""
+    columns = min(columns, len(pictures))
+    missing = -len(pictures) % columns
+    every = [*pictures, *[np.zeros_like(pictures[0])] * missing]
+    return np.concatenate([np.concatenate(every[i : i + columns], 1) for i in range(0, len(every), columns)])

@@ -7,11 +7,11 @@ import pytest
 from batch_maker import run_shard
 
 from lightfield_gs import InputError
-from lightfield_gs.batch.run import Place, now
-from lightfield_gs.batch.shards import choose_places, processes_per_gpu, run_shards
+from lightfield_gs.batch.run import Worker, now
+from lightfield_gs.batch.shards import choose_workers, processes_per_gpu, run_shards
 
 pytestmark = pytest.mark.not_sanitized
-PLACES = [Place("one", "cpu", readers=2, writers=2), Place("two", "cpu", readers=2, writers=2)]
+WORKERS = [Worker("one", "cpu", readers=2, writers=2), Worker("two", "cpu", readers=2, writers=2)]
 MOST_ON_WAY = 2 + 2 + 4
 
 
@@ -29,7 +29,7 @@ def test_what_kills_a_process_fails_and_takes_nothing_with_it(tmp_path, capfd):
     bad.append("exits")
     names = [*plain[:20], *bad, *plain[20:], "kept"]
     options = {"names": names, "folder": str(tmp_path), "since": now()}
-    assert run_shards(run_shard, options, PLACES, tmp_path) == 1
+    assert run_shards(run_shard, options, WORKERS, tmp_path) == 1
     found = ended(tmp_path)
     status = {name: record["status"] for name, record in found.items()}
     assert status == dict.fromkeys(names, "done") | dict.fromkeys(bad, "failed")
@@ -59,16 +59,16 @@ def test_what_kills_a_process_fails_and_takes_nothing_with_it(tmp_path, capfd):
 
 def test_a_process_that_cannot_begin_ends_the_batch(tmp_path, capfd):
     options = {"names": ["a", "b"], "folder": str(tmp_path), "unfit": "no such thing", "since": now()}
-    assert run_shards(run_shard, options, PLACES, tmp_path) == 2
+    assert run_shards(run_shard, options, WORKERS, tmp_path) == 2
     assert "error: no such thing" in capfd.readouterr().err
 
 
 def test_cores_are_shared_out():
-    places = choose_places("cpu", 2, None)
-    assert [place.name for place in places] == ["cpu:0", "cpu:1"] and places[0].threads == places[1].threads >= 1
-    assert choose_places("cpu", 1, 3)[0].threads == 3
+    workers = choose_workers("cpu", 2, None)
+    assert [worker.name for worker in workers] == ["cpu:0", "cpu:1"] and workers[0].threads == workers[1].threads >= 1
+    assert choose_workers("cpu", 1, 3)[0].threads == 3
     assert [processes_per_gpu(cores, False, 80 << 30) for cores in (1, 4, 8, 64)] == [1, 1, 2, 4]
     assert processes_per_gpu(64, True, 80 << 30) == 1
     assert [processes_per_gpu(64, False, gib << 30) for gib in (1, 5, 80)] == [1, 2, 4]
     with pytest.raises(InputError, match="--devices: expected cpu, or GPUs such as cuda:0,cuda:1, got 'gpu'"):
-        choose_places("gpu", None, None)
+        choose_workers("gpu", None, None)

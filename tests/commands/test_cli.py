@@ -330,7 +330,7 @@ def test_simulate(folder, capsys):
 
 def test_simulate_a_row_of_eyes_with_a_measured_spread(folder, capsys):
     from lightfield_gs.panels.simulate import Psf, simulate
-    from lightfield_gs.show.sheet import in_rows
+    from lightfield_gs.show.preview import in_rows
 
     image, psf = (PANEL.view_map() * 20).astype(np.uint8), Psf((-2.0, 0.0, 3.0), (0.0, 1.0, 0.2))
     write_image("o.png", image)

@@ -39,7 +39,7 @@ def layout(panel: Panel) -> str:
         torch.zeros(3, device="cuda"),
         lenticular_camera(panel, rig(panel), False),
     )
-    return frame_cuda.Frame(job, EXACT, 0, 0).native.lens_column_layout
+    return frame_cuda.DirectFrame(job, EXACT, 0, 0).native.lens_column_layout
 
 
 def test_the_layout_is_the_largest_that_stands_twice_on_a_multiprocessor(monkeypatch):

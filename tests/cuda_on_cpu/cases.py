@@ -128,7 +128,7 @@ def harmonic_piece() -> tuple[Gaussians, Panel, Rig]:
     return Gaussians(*(field[near] for field in scene.fields().values())), panel, rig
 
 
-# Kernels that go on behind where a sample ends, and panels on which few splats are for their careful way
+# Kernels that go on behind where a sample ends, and panels on which few splats are for their exact formulas
 OPAQUE_FRAMES = [("pixel", "narrow cone"), ("pixel-small", "narrow cone"), ("lens-column", "default")]
 
 

@@ -75,9 +75,9 @@ def drawn(
         antialiased,
     )
 
-    def with_places(places: int) -> frame_cuda.Frame:
+    def with_places(places: int) -> frame_cuda.DirectFrame:
         order = colour_order if job.scene.degree else 0
-        return frame_cuda.Frame(job, quality, order, places, kernel)
+        return frame_cuda.DirectFrame(job, quality, order, places, kernel)
 
     probe = with_places(0)
     probe.project(), probe.bin()
@@ -118,7 +118,7 @@ def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
 def chosen(scene, panel, rig) -> str:
     """The kernel that a frame chooses; it is not drawn."""
     job = DirectRender(scene.fields().values(), torch.tensor(cases.BACKGROUND), lenticular_camera(panel, rig, False))
-    frame = frame_cuda.Frame(job, EXACT, 0, 0)
+    frame = frame_cuda.DirectFrame(job, EXACT, 0, 0)
     frame.project()
     return frame.state()["kernel"]
 
@@ -148,7 +148,7 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
     job = DirectRender(
         scene.fields().values(), torch.tensor(cases.BACKGROUND), lenticular_camera(panel, rig, views == "continuous")
     )
-    frame = frame_cuda.Frame(job, Quality.of(quality), 8, int(share * expected["intersections"]), kernel)
+    frame = frame_cuda.DirectFrame(job, Quality.of(quality), 8, int(share * expected["intersections"]), kernel)
     image = torch.full((job.height, job.width, 3), 7.0)
     frame.draw(job.background, image)
     scene.sh.copy_(right)
@@ -174,7 +174,7 @@ def compensated(
 ) -> dict[str, object]:
     """With half the places that the pairs need, if views are continuous."""
     panel, continuous = cases.panel_of(name), views == "continuous"
-    kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as Frames does
+    kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as DirectFrames does
     return drawn(
         cases.fine(degree), panel, cases.rig_of(panel), views, kernel, kept, 0.5 if continuous else 1.0, **options
     )

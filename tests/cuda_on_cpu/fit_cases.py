@@ -13,7 +13,7 @@ from lightfield_gs.fitting.optimizer import Gradients, RawParameters, activate, 
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.random import dropout, normals, uniforms
 
-# Images, height, width, share of SSIM, photos of bytes, weights; more and less than a strip of the kernels
+# Images, height, width, lambda of SSIM, photos of bytes, weights; more and less than a strip of the kernels
 LOSSES = [
     (1, 1, 1, 0.2, False, False),
     (2, 45, 67, 0.2, True, True),

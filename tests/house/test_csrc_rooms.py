@@ -84,7 +84,7 @@ def test_every_include_is_there():
 def test_an_include_that_runs_back_up_is_found():
     text = '#include "base/config.h"\n#include <vector>\n  #  include "cpu/tile_lists.h"\n#include "hwy/highway.h"\n'
     assert wrong_includes("math/footprint.h", text) == ["cpu/tile_lists.h"]
-    assert wrong_includes("cpu/direct/lens_run.h", text) == []
+    assert wrong_includes("cpu/direct/lens_layout.h", text) == []
     assert wrong_includes("cuda/frame/pixel/pixel_fit.cuh", '#include "cuda/frame/lattice/lattice_rows.cuh"') == [
         "cuda/frame/lattice/lattice_rows.cuh"
     ]

@@ -1,4 +1,4 @@
-"""README.md and docs/: commands run, what they point at is there, and nothing is said twice.
+"""README.md and docs/: commands run, what they point at is there.
 
 Commands run in this process, one document after the other, each in a folder of its own with stand-ins for the files
 that it names. What would take minutes is made small: the panel, the scenes and repeats of benchmarks, the steps and
@@ -25,7 +25,7 @@ import pytest
 import torch
 import yaml
 from command_line import PANEL, scene
-from documents import DOCUMENTS, LANGUAGES, REASONS, ROOT, anchors, blocks, links, named_paths, prose, sentences
+from documents import DOCUMENTS, LANGUAGES, REASONS, ROOT, anchors, blocks, links, named_paths, prose
 from fit_capture import write_capture
 from PIL import Image
 from srn_scene import write_object
@@ -301,11 +301,3 @@ def test_every_page_is_in_the_table_of_contents():
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     pages = {page for entry in yaml.safe_load(text)["nav"] for page in entry.values()}
     assert pages == {path.name for path in DOCUMENTS if path.parent != ROOT}
-
-
-def test_no_sentence_is_written_twice():
-    owner: dict[str, str] = {}
-    for document in DOCUMENTS:
-        for sentence in sentences(document):
-            assert sentence not in owner, (document.name, owner[sentence], sentence)
-            owner[sentence] = document.name

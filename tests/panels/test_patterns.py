@@ -41,14 +41,14 @@ def at_hand(source) -> Panel:
 
 
 def eye_of(panel: Panel, view: float, y_mm: float = 0.0) -> tuple[float, float, float]:
-    """A place at the viewing distance from which the middle of that view is seen, from DESIGN 3: x = N (1/2 - xi/E)."""
+    """Return an eye at the viewing distance that sees the middle of that view, from DESIGN 3: x = N (1/2 - xi/E)."""
     zone_mm = 2 * panel.viewing_distance_mm * math.tan(math.radians(panel.cone_deg) / 2)
     xi = (0.5 - (view + 0.5) / panel.views) * zone_mm * (-1 if panel.invert_views else 1)
     return xi + y_mm * panel.slant_tan, y_mm, panel.viewing_distance_mm
 
 
 def read_number(seen: np.ndarray, panel: Panel) -> int:
-    """The number whose picture is most like what is seen."""
+    """Return the number whose picture is most like the seen one."""
     rows, columns = ((np.arange(part) + 0.5) / part for part in seen.shape[:2])
     where = np.ix_((rows * panel.height_px).astype(int), (columns * panel.width_px).astype(int))
     grey = seen.mean(2) - seen.mean()
@@ -122,7 +122,7 @@ def test_the_band_that_looks_right_says_the_change(source, parameter, span, off)
 
 @pytest.mark.parametrize("invert", [False, True])
 def test_depth_ramp_moves_as_far_as_it_says(invert):
-    """What lies in front moves to the left when the eye goes to the right."""
+    """Content in front moves to the left when the eye goes to the right."""
     panel = replace(TOY, width_px=960, views=40, invert_views=invert)
     image = depth_ramp(panel, most_px=12, bands=3)
     right, left = (

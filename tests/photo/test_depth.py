@@ -128,7 +128,7 @@ def test_a_range_the_other_way_round_is_that_of_a_map_the_other_way_round(tmp_pa
     ],
 )
 def test_numbers_that_stand_for_the_sky_are_far(tmp_path, sky, dtype, scale):
-    """At twice the farthest that was measured, or holes, and said."""
+    """Infinite distances lie at twice the farthest measured one, or are holes; a message says so."""
     values = np.array([[1, 1.5, 2, 40, 0]]) * (1 if scale is None else 1000)
     np.save(tmp_path / "s.npy", np.concatenate([values, np.full((1, 5), sky)]).astype(dtype))
     z = read_depth(tmp_path / "s.npy", scale=scale)

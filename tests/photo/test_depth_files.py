@@ -49,7 +49,7 @@ def test_an_archive_of_arrays(tmp_path):
 
 
 def test_an_archive_that_would_fill_the_memory(tmp_path):
-    """A few kilobytes that say they are 16 GB."""
+    """A file of a few kilobytes claims 16 GB."""
     header = np.lib.format.header_data_from_array_1_0(np.ones((1, 1)))
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         with archive.open("depth.npy", "w") as file:
@@ -115,7 +115,7 @@ def test_the_depth_part_of_an_exr_of_several_is_taken(tmp_path):
 
 
 def test_an_exr_without_a_depth_channel_is_what_it_was(tmp_path):
-    """A normal's Z is none; one grey channel, or three alike, are a map."""
+    """The Z of a normal is no depth; one grey channel, or three equal ones, are a map."""
     write_channels(tmp_path / "n.exr", {f"Normal.{part}": Z + index for index, part in enumerate("XYZ")})
     with pytest.raises(lf.InputError, match="in colour"):
         read_numbers(tmp_path / "n.exr")

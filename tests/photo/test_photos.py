@@ -62,8 +62,8 @@ def test_pieces_of_the_object_stay(tmp_path):
 
 
 @pytest.mark.parametrize("diagonal", [False, True])
-def test_pieces_are_connected_pixels(diagonal):
-    """Against growing each from its first pixel."""
+def test_components_are_connected_pixels(diagonal):
+    """Compare with components grown from their first pixels."""
     random = np.random.default_rng(0)
     for share in (0, 0.3, 0.5, 0.7, 1):
         flags, values = random.random((13, 17)) < share, random.random((13, 17))
@@ -184,7 +184,7 @@ def test_encode_says_what_it_took_the_photo_for(folder, capsys):
 
 
 def test_strips_change_nothing(tmp_path, monkeypatch):
-    """What keeps 50 megapixels small: the same, a few rows at a time."""
+    """Strips keep photos of 50 megapixels small; the result is that of the whole."""
     from lightfield_gs.models import crop
     from lightfield_gs.photo import colour, plain
 

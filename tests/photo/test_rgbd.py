@@ -42,7 +42,7 @@ def rotations(quaternions: torch.Tensor) -> torch.Tensor:
 
 @pytest.mark.parametrize("offset", [0.0, 0.15, -0.4, 0.6])
 def test_views_from_the_side_are_those_of_the_scene(offset):
-    """What the photo shows is seen again, closed and in its colours; what it hides is filled, not a hole."""
+    """The visible scene appears closed and in its colours; the hidden part is filled, not a hole."""
     image, depth = photo_and_depth()
     gaussians = from_depth(image, depth, (FOCAL, FOCAL))
     truth, _, points = view(WIDTH, HEIGHT, FOCAL, offset)

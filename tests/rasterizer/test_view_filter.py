@@ -22,8 +22,7 @@ from lightfield_gs.rasterizer.scene import GradientRequest
 from lightfield_gs.reference.blend import LOW_PASS_PX2, Projection, Scene, square
 from lightfield_gs.reference.light_field import rig_eye
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.page.controls import Controls
-from lightfield_gs.show.page.stage import Stage
+from lightfield_gs.show.page.stage import Controls, Stage
 from lightfield_gs.show.preview import contact_sheet, look_around
 
 BACKGROUND = (0.1, 0.6, 0.3)

@@ -23,11 +23,9 @@ from lightfield_gs.panels.quilt import panel_quilt
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.show.page import routes
-from lightfield_gs.show.page.controls import Controls, orbited
-from lightfield_gs.show.page.exports import exports
-from lightfield_gs.show.page.routes import shown_routes, steering_routes
+from lightfield_gs.show.page.routes import exports, shown_routes, steering_routes
 from lightfield_gs.show.page.server import Server
-from lightfield_gs.show.page.stage import Stage, cut_out
+from lightfield_gs.show.page.stage import Controls, Stage, cut_out, orbited
 from lightfield_gs.show.preview import to_integers
 
 CELLS = replace(

@@ -19,10 +19,8 @@ from test_page import serving
 from lightfield_gs import encode
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.framing import frame_scene
-from lightfield_gs.show.page.controls import Controls
-from lightfield_gs.show.page.exports import exports
-from lightfield_gs.show.page.routes import shown_routes, steering_routes
-from lightfield_gs.show.page.stage import Stage
+from lightfield_gs.show.page.routes import exports, shown_routes, steering_routes
+from lightfield_gs.show.page.stage import Controls, Stage
 from lightfield_gs.show.preview import write_preview
 
 pytestmark = pytest.mark.not_sanitized  # a sanitizer that is loaded before a browser stops it

@@ -1,12 +1,12 @@
 """Cameras for a set of views of one's own meshes: `python -m training.blender.plan --panel 65in-8k-96v -o cone.json`.
 
-The cameras stand where the panel's rig has its views, on a line through the centre camera, within --cone-margin times
-the panel's cone; each is turned to the middle of the zero plane, where the object is. (The rig's own cameras stay
-parallel and shift their images instead: they see the same rays, on another image plane.) Further rows are the same fan
-from a raised and a lowered centre camera; further directions the same from other sides.
+The cameras stand at the views of the panel's rig, on a line through the centre camera, within --cone-margin times the
+panel's cone. Each is turned to the object, in the middle of the zero plane. The rig's own cameras stay parallel and
+shift their images instead, so they see the same rays on another image plane. Further rows are the same fan from a
+raised and a lowered centre camera; further directions the same from other sides.
 
-The plan is a transforms.json without its images (io/captures/transforms.py describes the layout): world z up, object
-about the origin with a bounding box whose diagonal is 1. Blender renders each object into a folder of its own from it.
+The plan is a transforms.json without images; io/captures/transforms.py describes the layout. The world has z up, and
+the object about the origin, with a bounding box whose diagonal is 1. Blender renders each object into its own folder.
 """
 
 from __future__ import annotations
@@ -44,11 +44,14 @@ def look_at(position: np.ndarray) -> np.ndarray:
 def fan(
     panel: Panel, distance: float, cone_deg: float, direction_deg: float, elevation_deg: float, columns: int
 ) -> np.ndarray:
-    """Camera-to-world matrices [columns,4,4] (OpenCV axes) at places of the panel's rig, turned to the origin.
+    """Return camera-to-world matrices [columns,4,4] (OpenCV axes) at views of the panel's rig, turned to the origin.
 
-    The centre camera looks from `distance` at the origin, at `direction_deg` round the z axis from the -y axis and
-    elevation_deg above the xy plane. The fan spans cone_deg evenly in angle, its centre first if columns is odd: one
-    column is the centre alone.
+    The fan spans cone_deg evenly in angle, with its centre first if columns is odd: one column is the centre alone.
+
+    Args:
+        distance: of the centre camera from the origin, to which it looks.
+        direction_deg: of the centre camera round the z axis, from the -y axis.
+        elevation_deg: of the centre camera above the xy plane.
     """
     direction, elevation = math.radians(direction_deg), math.radians(elevation_deg)
     centre = distance * np.array(

@@ -1,9 +1,9 @@
 """The background of pictures that have neither alpha nor mask: decided once for all views of an object.
 
-Renders have a background of exactly one colour: then a pixel that differs at all is object, however pale, but for the
-faint thin ring that resizing leaves round an outline, and the outline's mixed pixels can be parted into object and
-background. Photographs before a plain wall, and pictures in lossy formats,
-have a background of about one colour, and the object is what stands out from it.
+Renders have a background of exactly one colour. A pixel of any other colour is object, however pale, except in the
+faint thin ring that resizing leaves round an outline. Mixed pixels of the outline are parted into object and
+background. Photographs before a plain wall, and pictures in lossy formats, have a background of about one colour. The
+object stands out from it.
 """
 
 from __future__ import annotations

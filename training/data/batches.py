@@ -66,10 +66,10 @@ def _images(plan: BatchPlan, views: ResidentViews, chosen: slice, size: int) -> 
 
 
 def _resizing(plan: BatchPlan, chosen: slice, size: int, axis: int) -> Tensor:
-    """Weights [B,I,S,P] of the P pixels of a window along x (axis 0) or y (axis 1) in the S pixels of a resized crop.
+    """Return weights [B,I,S,P] of a window's P pixels along an axis, x (0) or y (1), in the S pixels of a resized crop.
 
-    A triangle as wide as the pixels of the crop, or of the window where those are wider, normalized over the pixels of
-    the crop, those beyond the window or the frame included: what crop_resize does to photos.
+    The filter is a triangle, as wide as the pixels of the crop or of the window, whichever are wider. As in
+    crop_resize, its weights add up to 1 over all pixels of the crop, also those beyond the window or the frame.
     """
     device, crops = plan.crops.device, plan.crops[:, chosen]
     start, side = crops[..., axis, None], crops[..., 2, None]

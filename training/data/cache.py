@@ -1,8 +1,8 @@
 """Decoded views of a folder of objects, kept on disk as raw bytes and mapped into memory.
 
-Decoding a view takes milliseconds, a training step needs dozens: so every set is decoded once. Only the rectangle that
-holds the object is stored (outside it a premultiplied image is zero), which halves the space at no loss; beside it
-stands the square that a photo of that view would be cropped to.
+A training step needs dozens of views, and each takes milliseconds to decode, so every set is decoded once. The cache
+holds only the rectangle round the object, which halves the space: outside it a premultiplied image is zero. It also
+holds the square to which a photo of the view would be cropped.
 """
 
 from __future__ import annotations

@@ -26,12 +26,13 @@ _WINDOW_PX = 7  # side of the windows whose medians the depths are, so that spec
 
 
 def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> tuple[float, float]:
-    """Writes an .npz with `depth`, float16 [H, W], the view-space z of what the photograph shows, scene units, NaN
-    where the scene shows nothing, and `focallength_px`; returns the smallest and the largest z. Depths are medians of
-    7 x 7 pixels.
+    """Write an .npz with the depth of a photograph, and return the smallest and the largest z.
 
-    The photograph's lens distortion is left out. Raises InputError for files that cannot be read or written, for a
-    name that the capture does not have, and where the scene shows nothing there.
+    The file holds `depth`, float16 [H, W], and `focallength_px`. Depth is the view-space z in scene units, a median of
+    7 x 7 pixels, and NaN where the scene shows nothing. The photograph's lens distortion is left out.
+
+    Raises:
+        InputError: a file cannot be read or written, the capture lacks the name, or the scene shows nothing there.
     """
     if check_output_path(output).suffix.lower() != ".npz":
         raise InputError(f"{output}: expected a name that ends in .npz")

@@ -1,8 +1,8 @@
 """Gather photographs for random objects: `python -m training.data.gather_photographs --output data/photographs`.
 
-Random objects wear pieces of them. Takes those that scikit-image's wheel brings and that are in the public domain or
-under CC0 (`pip install scikit-image`; its documentation says so of each), and the package's own. Any folder of
-photographs will do in its place: the more they differ, the better. LICENCES.txt beside them says what each is.
+Random objects wear pieces of them. The photographs are the package's own, and those of scikit-image's wheel (`pip
+install scikit-image`) that its documentation calls public domain or CC0. LICENCES.txt beside them names the licence of
+each. Any other folder of photographs will do: the more they differ, the better.
 """
 
 from __future__ import annotations

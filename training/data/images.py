@@ -33,11 +33,17 @@ class Cutout:
 
 
 def find_cutout(views: ObjectImages, background: Choice = "auto") -> Cutout:
-    """What cuts an object out of its views: masks, else alpha where a view has any, else its background.
+    """Choose how an object is cut out of its views: by masks, else by alpha if a view has any, else by its background.
 
-    background: of views that have neither: that of one colour which is found, white, black, or none, the whole picture
-    being the subject as in the rooms of the original renderer. Views that cannot be read do not count. Raises
-    InputError for a background that no view has.
+    Views that cannot be read do not count.
+
+    Args:
+        background: of views without masks and alpha: "auto" finds its colour, "white" and "black" name it, and with
+        "none"
+            the whole picture is the subject, as in the rooms of the original renderer.
+
+    Raises:
+        InputError: no view has such a background.
     """
     if views.mask_paths is not None:
         return Cutout("masks")

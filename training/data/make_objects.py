@@ -1,9 +1,9 @@
 """Make a set of random objects to train on: `python -m training.data.make_objects --output data/objects/made`.
 
-Random objects (training/data/procedural.py) from 12 cameras within 30 degrees of azimuth and 10 of elevation about the
-first, in SRN layout with WebP pictures, framed as the project's other sets. With --photographs their skins are pieces
-of photographs and their shapes less regular. Training can draw such objects itself, new ones in every step
-(`procedural` in the configuration), and then needs no such set: this is for looking at them, and for other programs.
+The objects are random ones of training/data/procedural.py, framed as in the project's other sets. Each has 12 cameras
+within 30 degrees of azimuth and 10 of elevation about the first, in SRN layout with WebP pictures. With --photographs
+their skins are pieces of photographs and their shapes less regular. Training draws such objects itself, new ones in
+every step (`procedural` in the configuration). A set is for looking at them, and for other programs.
 
 Objects are drawn on the GPU where there is one, else by all cores. On one machine a seed gives the same set every time.
 """

@@ -1,9 +1,13 @@
 """Make a small set to try training with: `python -m training.data.make_small --output data/small`.
 
-Random objects (training/data/procedural.py), drawn by the project's own rasterizer in SRN layout, as the configurations
-cpu.yaml and compare-small.yaml take them: train_cone, 12 views within 30 degrees of azimuth and 10 of elevation about
-the first; train_sphere, 12 views of the same objects in the same worlds, from all round; val, other objects from the
-angles that scores are given for. On one machine it is the same set every time: less than 2 MB, in less than a minute.
+The objects are random ones of training/data/procedural.py, drawn by the project's own rasterizer in SRN layout. The
+configurations cpu.yaml and compare-small.yaml take them:
+
+- train_cone: 12 views within 30 degrees of azimuth and 10 of elevation about the first;
+- train_sphere: 12 views of the same objects in the same worlds, from all round;
+- val: other objects, from the angles of the scores.
+
+On one machine the set is the same every time. It takes less than 2 MB and less than a minute.
 """
 
 from __future__ import annotations
@@ -69,8 +73,16 @@ def _write_object(root: Path, name: str, numbers: np.ndarray, angles: dict[str, 
 
 
 def stored_views(frames: torch.Tensor, world_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Premultiplied frames [...,4,S,S] and cameras [...,4,4] of `orbit` as files have them: pictures uint8 [...,S,S,4]
-    with straight alpha, and camera-to-world matrices [...,4,4] of a world in whose origin the object's middle is."""
+    """Convert views of `orbit` to what files hold.
+
+    Args:
+        frames: [...,4,S,S], premultiplied.
+        cameras: [...,4,4].
+
+    Returns:
+        Pictures uint8 [...,S,S,4] with straight alpha, and camera-to-world matrices [...,4,4] of a world with the
+        middle of the object at its origin.
+    """
     frames = frames.movedim(-3, -1)
     straight = torch.cat([frames[..., :3] / frames[..., 3:].clamp_min(1e-6), frames[..., 3:]], -1).clamp(0, 1)
     pictures = (255 * straight * (frames[..., 3:] >= 0.5 / 255)).round().to(torch.uint8).cpu().numpy()

@@ -1,8 +1,8 @@
 """Objects in a folder, each in either layout: SRN or transforms.json (see lightfield_gs.io.captures).
 
 An object is named by a path: the folder of an SRN object, or the transforms file of the other layout. The views of an
-object may come in splits, transforms_train.json, transforms_val.json and transforms_test.json, each with views of its
-own; a transforms.json beside them is not read. An object without splits belongs to every one.
+object may come in splits of their own: transforms_train.json, transforms_val.json and transforms_test.json. A
+transforms.json beside them is not read. An object without splits belongs to all of them.
 """
 
 from __future__ import annotations

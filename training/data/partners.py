@@ -16,10 +16,14 @@ def _places(cached: CachedSet) -> list[Path]:
 
 
 def find_partners(sets: list[CachedSet], target_sets: list[CachedSet]) -> np.ndarray:
-    """For each object of sets the number, among all objects of sets + target_sets, of the one with its targets.
+    """Return for each object of `sets` the number of the object with its targets, among sets + target_sets.
 
-    target_sets: one for each of sets, with an object at the same place in its folder for each object of the set; none:
-    every object has its own targets. Raises InputError where a set or an object has no partner.
+    Args:
+        target_sets: one for each set, with an object at the same place in its folder for each object of the set; none:
+            every object has its own targets.
+
+    Raises:
+        InputError: a set or an object has no partner.
     """
     if not target_sets:
         return np.arange(sum(len(cached.objects) for cached in sets))

@@ -75,18 +75,20 @@ class Augmentation:
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """B examples of I = 1 + V images: the input picture, then the V target views, the first of which is the source too.
+    """B examples of I = 1 + V images: the input picture, then V target views, the first of which is the source too.
 
-    rectangles: int64 [B,I,5], as ResidentViews takes them; all views of the run fit windows of window_px (height,
-    width), so that all steps of a stage have the same shapes.
-    origins: [B,I,2], x and y of a window's first pixel in its frame; directions: [B], -1 where columns run to the left
-    (mirrored frames), else 1. crops: [B,I,3], left, top and side of the squares cut out of the frames.
-    recoloured: bool [B]; permutations: int64 [B,3]; gains: [B,3]; gammas: [B]: see training/data/batches.py.
-    intrinsics: [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4], the world being the
-    source camera's axes. backgrounds: [B,V,3]. source_px, target_px: side of the input pictures and of the targets.
-    taps: pixels of a frame that one pixel of an image is made of along an axis, at most, in any step of these sizes.
-    procedural: the examples after these, if any. photo: the faults of the input pictures of both, if any. Tensors are
-    float32 unless said.
+    Tensors are float32 by default. All views of a run fit windows of one size, so all steps of a stage have the same
+    shapes.
+
+    Attributes:
+        rectangles: int64 [B,I,5], as ResidentViews takes them. window_px: height and width of all windows. origins:
+        [B,I,2], x and y of a window's first pixel in its frame. directions: [B], -1 where columns run to the left
+        (mirrored frames), else 1. crops: [B,I,3], left, top and side of the squares cut out of the frames. recoloured,
+        permutations, gains, gammas: bool [B], int64 [B,3], [B,3] and [B]: see training/data/batches.py. intrinsics:
+        [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4]; the world is the source camera's
+        axes. backgrounds: [B,V,3]. source_px, target_px: sides of the input pictures and of the targets. taps: the most
+        pixels of a frame along an axis that one pixel of an image is made of, in any step of these sizes. procedural:
+        the examples after these, if any. photo: the faults of the input pictures of both, if any.
     """
 
     rectangles: Tensor
@@ -269,11 +271,11 @@ class BatchPlanner:
         return PhotoPlan(*(values[order] for values in vars(faults).values()))
 
     def _framing(self, drawn: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Sides [B,I] of the crops of all images, and how far their centres are moved [B,I,2] right and down; in units
-        of the square round the object.
+        """Return sides [B,I] of the crops of all images, and shifts [B,I,2] of their centres right and down.
 
-        The input is cropped as a photo would be, moved and resized a little; targets to a larger square about the
-        object, or to a smaller one somewhere inside its square.
+        Both are in units of the square round the object. The input is cropped as a photo would be, moved and resized a
+        little. Targets are cropped to a larger square about the object, or to a smaller one somewhere inside its
+        square.
         """
         jitter = (2 * drawn["jitter"] - 1) * self.augmentation.source_jitter
         low, high = self.augmentation.target_zoom

@@ -1,7 +1,7 @@
 """Pictures of random objects: surfels on superquadrics, coloured, lit, and rendered by the project's rasterizer.
 
-Everything is one set of tensor operations for all objects. These are hundreds, and the host waits for the device to
-leave out what no camera sees, and in the rasterizer: so the objects of several steps are drawn in one go.
+All objects go through the same hundreds of tensor operations. The host waits for the device in the rasterizer, and
+before it leaves out hidden surfels. So the objects of several steps are drawn at once.
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor,
 
 @torch.no_grad()
 def draw_frames(plan: ProceduralPlan, intrinsics: Tensor) -> Tensor:
-    """What each camera of a plan's world_to_camera sees in a frame of its own, not cropped to the object: premultiplied
-    RGBA [B,V,4,T,T].
+    """Return the whole frame of each camera of a plan's world_to_camera: premultiplied RGBA [B,V,4,T,T].
 
-    intrinsics: [4], (fx, fy, cx, cy) in pixels of frames of target_px.
+    Args:
+        intrinsics: [4], (fx, fy, cx, cy) in pixels of frames of target_px.
     """
     frames = intrinsics.expand(*plan.world_to_camera.shape[:2], 4)
     return _pictures(_drawn(_visible(_surfels(plan), plan), plan), plan.world_to_camera, frames, plan.target_px)
@@ -215,8 +215,7 @@ def _lit(colours: Tensor, gloss: Tensor, normal: Tensor, light: Tensor) -> Tenso
 
 
 def _squares(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor, Tensor]:
-    """Focal length [B,I,1] and principal point [B,I,2] of each image in units of its side: the square round the object,
-    framed as planned."""
+    """Return focal lengths [B,I,1] and principal points [B,I,2] of images in units of their sides."""
     cameras = torch.cat([plan.world_to_camera[:, :1], plan.world_to_camera], 1)
     points = surfels["point"][:, None] @ cameras[..., :3, :3].mT + cameras[..., None, :3, 3]
     low, high = (points[..., :2] / points[..., 2:]).aminmax(dim=2)

@@ -1,8 +1,8 @@
 """Make a small capture of a large one: `python -m training.data.reduce_capture --source FOLDER --output FOLDER`.
 
-Takes photographs that COLMAP posed, shrinks them by an area filter to JPEG without metadata, and writes the model as
-text, its cameras scaled to the smaller photographs and lenses as they are, without observations. Made so, the one in
-lightfield_gs/data/banana has less than a megabyte: it is what `make demo-fit` fits, and what tests take for real
+The photographs need poses of COLMAP. An area filter shrinks them to JPEG without metadata. The model becomes text: its
+cameras fit the smaller photographs, its lenses stay, and it has no observations. The capture in
+lightfield_gs/data/banana was made so and has less than a megabyte. `make demo-fit` fits it, and tests use it as real
 photographs.
 """
 

@@ -10,10 +10,12 @@ from training.data.cache import CachedSet
 
 
 class ResidentViews:
-    """The O objects of all sets and their M views: pixels on a device, what describes them on the host.
+    """The O objects of all sets and their M views: pixels on a device, everything else on the host.
 
-    first_view: [O], number of each object's view 0. widths_px [M], rectangles [M,5] (offsets into the pixels of all
-    sets), squares [M,3], camera_to_world [M,4,4], intrinsics [M,4]: of each view, as in CachedObject.
+    Attributes:
+        first_view: [O], number of each object's view 0.
+        widths_px, rectangles, squares, camera_to_world, intrinsics: [M], [M,5], [M,3], [M,4,4] and [M,4], as in
+            CachedObject; rectangles begin with offsets into the pixels of all sets.
     """
 
     def __init__(self, sets: list[CachedSet], device: torch.device | str = "cpu") -> None:

@@ -58,13 +58,17 @@ def has_neighbour(camera_to_world: np.ndarray, angle_deg: float) -> np.ndarray:
 class ViewSampler:
     """Draws objects without replacement epoch by epoch, any view as source, targets inside the cone about it.
 
-    poses: camera_to_world [V,4,4] of each object. azimuth_deg, elevation_deg: half widths of the cone; 180 and 90 take
-    every view (the full sphere). neighbour_deg: only views of which another one looks within this angle are sources.
-    target_poses: of the views that targets are drawn from, in the same world, where these are not the object's own.
+    Objects and sources come from one stream of random numbers, targets from another. Runs that differ in targets alone
+    draw the same sources, if every view with a neighbour also has a target.
 
-    Objects and sources come from one stream of random numbers, targets from another: what differs in targets alone
-    draws the same sources, if every view that has a neighbour also has a target. Raises InputError when an object has
-    no source with a target.
+    Args:
+        poses: camera_to_world [V,4,4] of each object.
+        azimuth_deg, elevation_deg: half widths of the cone; 180 and 90 take every view (the full sphere).
+        neighbour_deg: only views with another view within this angle are sources.
+        target_poses: of the views that are targets, in the same world; None: the object's own.
+
+    Raises:
+        InputError: an object has no source with a target.
     """
 
     def __init__(

@@ -1,8 +1,9 @@
 """Tapered, waisted and bent superquadrics, solid or with a hole: points of their surfaces, and what lies inside them.
 
 Superquadrics: Barr, "Superquadrics and angle-preserving transformations" (1981); his global deformations (1984). A part
-turns a profile, |r|^p + |z|^p = 1, about its z axis along a section, |x|^q + |y|^q = 1: p and q of 2 make a ball, 2 and
-many a cylinder, many and many a box. With a hole the profile does not reach the axis (a torus, a tyre, a tube).
+turns a profile, |r|^p + |z|^p = 1, about its z axis along a section, |x|^q + |y|^q = 1. With p = q = 2 it is a ball,
+with a large p a cylinder, with large p and q a box. With a hole the profile does not reach the axis (a torus, a tyre, a
+tube).
 """
 
 from __future__ import annotations

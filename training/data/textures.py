@@ -1,7 +1,7 @@
 """Photographs as the skin of random objects: pieces of them, and how a part wears one.
 
-A part takes one piece, repeated in mirror images, along the two local axes that its surface faces least, as a box
-is papered: three projections with seams between them, as many models of games have.
+A part repeats one piece in mirror images along the two local axes that its surface faces least. These are three
+projections with seams between them, as in many models of games.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 // Stage composite for the panel, and its backward pass. It reads splats, their lists by band and the lens, and writes
-// the image; the backward pass writes the gradients of intersections and of the background. A work item is one band of
-// rows: its tiles are drawn splat by splat (direct_blend-inl.h), or in runs from lattices where the quality allows it
+// the image. The backward pass writes the gradients of intersections and of the background. A work item is one band of
+// rows. Its tiles are drawn splat by splat (direct_blend-inl.h), or in runs from lattices where the quality allows it
 // (direct_lattice-inl.h).
 #include <algorithm>
 #include <array>
@@ -12,7 +12,7 @@
 #include "base/parallel.h"
 #include "cpu/dispatch.h"
 #include "cpu/direct/direct_job.h"
-#include "cpu/direct/lens_run.h"
+#include "cpu/direct/lens_layout.h"
 #include "cpu/tile_lists.h"
 #include "hwy/cache_control.h"
 #include "math/colour_polynomial.h"
@@ -55,7 +55,7 @@ constexpr int kLatticeTiles = 8, kLatticeLevels = 3;
 // lattices for kLeastFitting that it draws splat by splat. Bands between two that were not do without lattices.
 constexpr int64_t kLeastFitting = 3;
 constexpr int64_t kAhead = 4;     // so many splats before its turn, a splat is fetched from memory
-constexpr int64_t kLookOut = 32;  // splats drawn roughly between two searches for vectors that have stopped
+constexpr int64_t kLookOut = 32;  // splats drawn approximately between two searches for vectors that have stopped
 
 // What all bands of an image have in common.
 template <class T>
@@ -65,8 +65,8 @@ struct DirectScene {
   alignas(16) T background[kColourStride];
   Backdrop<T> backdrop;
   Backdrop<uint8_t> backdrop8;
-  // Where lattices are tried, projection leaves the opacity cut at 1/255, for a jump at a higher cut looks like an edge
-  // to a lattice. The cut is raised here, for tiles that are drawn splat by splat.
+  // Where lattices are tried, projection leaves the opacity cut at 1/255: a lattice would take a jump at a higher cut
+  // for an edge. The cut is raised here, for tiles that are drawn splat by splat.
   TileSplats<T> splats;
 
   explicit DirectScene(const DirectJob<T>& job_)
@@ -245,7 +245,7 @@ class DirectBands {
       counters_.stopped_samples += FinishTile(job_, tile_, layout_.samples(), scene_.background);
   }
 
-  // Blend a splat by a rough footprint if one is near enough; return whether.
+  // Blend a splat by an approximate footprint if one is near enough; return whether.
   bool draw_approximately(int32_t id, const TileSplat<float>& splat) {
     const float cut = float(job_.quality.sample_cut());
     if (ApproximateFootprint<true>::fits(splat.root))
@@ -271,11 +271,11 @@ class DirectBands {
   const Lens& lens_;
   const LensLayout& layout_;
   const bool compensated_ = job_.splats.compensations != nullptr;
-  const bool approximate_ = job_.quality.approximate() && !compensated_;  // rough footprints know of no compensation
+  const bool approximate_ = job_.quality.approximate() && !compensated_;  // approximate footprints have no compensation
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
   DirectTile<T> tile_;
   DirectLattice lattice_;
-  int64_t blended_ = 0;  // splats of this tile that were drawn roughly
+  int64_t blended_ = 0;  // splats of this tile that were drawn approximately
   TileLists tiles_;
   std::array<TileLists, kLatticeLevels> runs_;
   Counters counters_;

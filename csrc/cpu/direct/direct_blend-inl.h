@@ -1,5 +1,5 @@
-// Blend one splat into the samples of a lens tile, or take the gradient that these samples give to the splat; also
-// what a tile begins and ends with. composite_direct.cpp calls this splat by splat, nearest first.
+// Blend one splat into the samples of a tile of lenses, or sum the gradient that these samples give to the splat. Also
+// begin and finish a tile. composite_direct.cpp calls this splat by splat, nearest first.
 
 #if defined(LFGS_CPU_DIRECT_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_DIRECT_BLEND_INL_H_
@@ -40,7 +40,7 @@ HWY_NOINLINE void ForwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, con
   const int order = job.splats.orders[id];
   const V least_after = hn::Set(d, T(job.quality.stop));
   // Positive floats compare like their bits. With one subtracted, the zero of a sample that has stopped already becomes
-  // the largest number of all, so that the smallest is below the limit only where a sample stops now.
+  // the largest number. So the smallest is below the limit only where a sample stops now.
   const hn::RebindToUnsigned<Tag<T>> du;
   const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
   const bool ends_early = job.quality.ends_early();
@@ -64,7 +64,7 @@ HWY_NOINLINE void ForwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, con
       const auto channel = hn::Load(di, &tile.channel[i]);
       V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
 
-      // A sample whose transmittance would fall too low ends here: all light that is left goes to the background, or to
+      // A sample whose transmittance would fall too low ends here. The light that is left goes to the background, or to
       // this splat where samples end early
       if (HWY_UNLIKELY(stops)) {
         const auto stop = hn::Lt(after, least_after);
@@ -78,8 +78,8 @@ HWY_NOINLINE void ForwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, con
     }
   };
 
-  // First the powers of a few vectors, then their alphas, then their colours. Each is a chain of operations that wait
-  // for one another, and the shorter a chain the more of them does a processor work on at a time.
+  // First the powers of a few vectors, then their alphas, then their colours. Each is a chain of dependent operations.
+  // A processor works on more chains at a time when they are short.
   alignas(64) T values[kChunk * kLanes];
   for (const uint16_t *list = tile.list(), *all = list + count; list < all;) {
     const int some = int(std::min<int64_t>(all - list, kChunk));
@@ -126,7 +126,7 @@ void Forward(const DirectJob<T>& job, DirectTile<T>& tile, const T* background, 
   });
 }
 
-// Blend a splat by a rough footprint. Samples that stop are not looked for here; DirectTile::retire_below does that
+// Blend a splat by an approximate footprint. This does not look for samples that stop; DirectTile::retire_below does,
 // from time to time.
 template <class Footprint, int kOrder>
 HWY_NOINLINE void ApproximateSplat(const DirectJob<float>& job, DirectTile<float>& tile, int32_t id,
@@ -194,8 +194,8 @@ int64_t FinishTile(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples
   return stopped;
 }
 
-// Gradient sums for the share of a compensated splat, a vector each. They follow from the gradient of log2 alpha, for
-// log2 of the share is (log2 D(s) - log2 S(s)) / 2.
+// Gradient sums for the compensation of a splat, a vector each. They follow from the gradient of log2 alpha, for log2
+// of the compensation is (log2 D(s) - log2 S(s)) / 2.
 template <class D>
 struct CompensationSums {
   using V = hn::Vec<D>;
@@ -235,7 +235,7 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
   V g_colour[3 * (kMaxColourOrder + 1)], g_along = hn::Zero(d), g_across = hn::Zero(d);
   for (int k = 0; k < 3 * terms; ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
-  auto reverse = [&](uint16_t sample, const RowVectors<Tag<T>>& rows, V dy) {
+  auto backward = [&](uint16_t sample, const RowVectors<Tag<T>>& rows, V dy) {
     // Alpha again, and the transmittance before the splat
     const int64_t i = sample;
     const V s = hn::Load(d, &tile.s[i]);
@@ -297,7 +297,7 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
   };
   tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
     const RowVectors<Tag<T>> rows(of_group);
-    for (; list < end; ++list) reverse(*list, rows, hn::Load(d, of_group.dy));
+    for (; list < end; ++list) backward(*list, rows, hn::Load(d, of_group.dy));
   });
 
   // Sums over the lanes
@@ -309,8 +309,8 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
   if (order == kCircleOrder) out.colours()[kAlongSum] += sum(g_along), out.colours()[kAcrossSum] += sum(g_across);
 }
 
-// Load what the backward pass reads at every sample: the gradient of its colour and, as math/over-inl.h needs it, the
-// total, which is gradient times colour.
+// Load the inputs of the backward pass at every sample: the gradient of its colour, and the total of math/over-inl.h
+// (gradient times colour).
 template <class T>
 void LoadGradients(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples) {
   constexpr int kLanes = DirectTile<T>::kLanes;

@@ -1,5 +1,5 @@
-// Draw a run of lens tiles from a coarse lattice where that is as good as asked for: judge() draws a lattice for the
-// run and checks it, write() interpolates the run's sub-pixels and writes them to the image.
+// Draw a run of tiles from a coarse lattice where that is accurate enough. judge() draws a lattice for the run and
+// checks it; write() interpolates the run's sub-pixels and writes them to the image.
 
 #if defined(LFGS_CPU_DIRECT_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_DIRECT_LATTICE_INL_H_
@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "cpu/direct/lattice-inl.h"
-#include "cpu/direct/lens_run.h"
+#include "cpu/direct/lens_layout.h"
 #include "cpu/direct/direct_splat-inl.h"
 #include "hwy/highway.h"
 
@@ -41,13 +41,13 @@ class DirectLattice {
            row_.bytes();
   }
 
-  // The quality by which nodes are drawn. They stop so late that it is not seen, for it would be taken for an edge.
+  // The quality by which nodes are drawn. They stop so late that no lattice takes the stop for an edge.
   static Quality on_lattice(Quality quality) {
     quality.stop = std::min(quality.stop, std::max(0.1 * quality.lattice, kMinTransmittance));
     return quality;
   }
-  // Whether lattices can draw a panel. If it has cells, every vector of pixels must begin with the same kind of cell,
-  // and a place must have the same channel in all of them.
+  // Whether lattices can draw a panel. With cells, every vector of pixels must begin with the same kind of cell, and a
+  // place must have the same channel in all cells.
   static bool knows(const Lens& lens) { return !lens.has_cells || (kLanes % kCellPeriod == 0 && lens.has_one_order()); }
   void start_band() { fineness = first_fineness(float(quality_.lattice)), refused_ = 0; }
 
@@ -77,7 +77,7 @@ class DirectLattice {
       draw(nodes_, plan, splats, begin, end, background);
       draw(middles_, middles, splats, begin, end, background);
       const float moved = move_nodes();
-      // The error as a share of what is allowed. It grows with the square of the steps, which tells how fine the next
+      // The error, relative to the allowed one. It grows with the square of the steps, which tells how fine the next
       // lattice must be.
       const Error at_middles = error_at_middles();
       const float largest = std::max(at_middles.largest, moved);
@@ -126,8 +126,8 @@ class DirectLattice {
     nodes.finish(background);
   }
 
-  // Move every node by its share of the errors at the middles round it, see kNodeFactor, and return the largest move.
-  // Nodes round which errors have both signs, as at an edge, stay.
+  // Move every node by kNodeFactor times the mean error at the middles round it. Return the largest move. Nodes round
+  // which errors have both signs, as at an edge, stay.
   float move_nodes() {
     const Tag<float> d;
     const LatticePlan& plan = nodes_.plan();
@@ -207,8 +207,8 @@ class DirectLattice {
     }
   }
 
-  // The phases of one place in a vector of pixels. 32 bits, of which 2^32 are a lens, will do here: only now and then
-  // does a sub-pixel at the border of a view get the one beside.
+  // The phases of one place in a vector of pixels. 32 bits, with 2^32 a lens, are enough: a sub-pixel at the border of
+  // a view rarely gets the view beside it.
   struct Phases {
     hn::Vec<Words> phase;
     HWY_ALIGN uint32_t beyond[3][kLanes];  // what cells add at each place

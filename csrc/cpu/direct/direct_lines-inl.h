@@ -60,9 +60,9 @@ class DirectLines {
   static constexpr int kBlock = kLine * kLanes;  // bytes of a block, [lane][lens_column]
 
   // Transpose [16 lens_columns][lane] to [lane][16 lens_columns]. Interleaving the first half of the bytes with the
-  // second moves the highest bit of their index to its end; doing so four times moves all four bits of the lens column
-  // behind those of the lane. A block that reaches beyond the last lens column has samples of the next patch there,
-  // which are never copied.
+  // second moves the highest bit of their index to its end. Four times move all four bits of the lens column behind the
+  // bits of the lane. A block that reaches beyond the last lens column has samples of the next patch there, which are
+  // never copied.
   static HWY_INLINE void turn(const uint8_t* HWY_RESTRICT from, uint8_t* HWY_RESTRICT to) {
     if constexpr (kLanes >= 4) {
       const hn::FixedTag<uint8_t, kBlock / kLanes> d;

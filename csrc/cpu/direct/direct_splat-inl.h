@@ -1,6 +1,5 @@
-// What the samples of a lens tile evaluate of a splat: its colour, and its footprint. There are several footprints, the
-// exact one and cheaper ones for splats of which they err little; with_footprint chooses among those that every quality
-// allows.
+// The colour and the footprint of a splat at the samples of a tile. There are several footprints: the exact one, and
+// cheaper ones for splats where their error is small. with_footprint chooses the cheapest that every quality allows.
 
 #if defined(LFGS_CPU_DIRECT_SPLAT_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_DIRECT_SPLAT_INL_H_
@@ -22,7 +21,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-constexpr double kMostApproximateError = 0.005;  // of S^(-1/2) in rough footprints, relative; others: kMostRootError
+constexpr double kMostApproximateError =
+    0.005;  // of S^(-1/2) in approximate footprints, relative; others: kMostRootError
 
 // A splat's colour: its polynomial, [order + 1, kColourStride], or its terms on a circle, see math/colour_circle.h.
 template <class T>
@@ -120,7 +120,7 @@ struct ExactFootprint {
   HWY_INLINE V alpha(V power, V) const { return Alpha(D(), power, cut); }
 };
 
-// The share sqrt(D(s) / S(s)) of its opacity that a compensated splat keeps at its samples, see math/compensation.h.
+// The compensation sqrt(D(s) / S(s)) of a splat at its samples, see math/compensation.h.
 template <class T>
 struct CompensationFactor {
   using D = Tag<T>;
@@ -139,7 +139,7 @@ struct CompensationFactor {
   }
 };
 
-// alpha = min(0.99, share 2^power), zero where it is below least = 2^cut.
+// alpha = min(0.99, factor 2^power), zero where it is below least = 2^cut.
 template <class D>
 HWY_INLINE hn::Vec<D> CompensatedAlpha(D d, hn::Vec<D> power, hn::Vec<D> factor, hn::Vec<D> cut, hn::Vec<D> least) {
   const auto alpha = hn::Mul(hn::IfThenElseZero(hn::Ge(power, cut), Exp2(d, power)), factor);
@@ -199,10 +199,10 @@ struct PlainFootprint {
   HWY_INLINE V alpha(V power, V) const { return FaintAlpha(D(), power, cut); }
 };
 
-// The footprint in few operations, for rough evaluation. S^(-1/2) is taken as constant over the rig (kEven) or as a
-// straight line in s. 2^power is taken as y^16 with y = (gain (power + level))^2 + rest, whose relative error is below
-// 0.9 % where alpha is 1/255 to 1, and below 0.35 % from 0.05 on: unlike Exp2, squaring need not take the exponent
-// apart, and it loads few constants. RowTerms have gain and level in them already, see units().
+// The footprint in few operations, for approximate evaluation. S^(-1/2) is taken as constant over the rig (kEven) or as
+// a straight line in s. 2^power is approximated by y^16, y = (gain (power + level))^2 + rest. Its relative error is
+// below 0.9 % for alpha from 1/255 to 1, and below 0.35 % from 0.05 on. Unlike Exp2, squaring needs no split of the
+// exponent, and few constants. RowTerms have gain and level in them already, see units().
 template <bool kEven>
 class ApproximateFootprint {
  public:

@@ -3,8 +3,8 @@
 //
 // A sample is a sub-pixel; a *cell* is a lens, and the lens column t counts the sub-pixels of a lens from its left
 // edge. Samples at one lens column of neighbouring lenses show nearly the same view. So a vector holds 4 lenses x a few
-// rows at one lens column, and a splat, which sweeps over the views along a row, meets a short interval of lens columns
-// per patch of lenses. Lenses too narrow or too wide for that become cells of one sub-pixel each.
+// rows at one lens column. A splat sweeps over the views along a row, and meets a short interval of lens columns per
+// patch of lenses. Lenses too narrow or too wide for that become cells of one sub-pixel each.
 
 #if defined(LFGS_CPU_DIRECT_TILE_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_DIRECT_TILE_INL_H_
@@ -27,8 +27,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// What the exponent of a splat needs to know of a row, for one group of rows: as many rows as a vector spans, a number
-// for each lane.
+// The terms of a splat's exponent that depend on the row, for one group of rows. A group is the rows of a vector, with
+// a number for each lane.
 template <class T, int kLanes>
 struct RowTerms {
   alignas(64) T A[kLanes];   // log2 opacity - tau dy^2
@@ -157,7 +157,7 @@ class DirectTile {
     fill_rows(splat, u, v, units);
 
     // A patch at a time, which lens columns t may be touched. At lens column t the samples lie X + t slope right of the
-    // splat, measured in the middle row of the patch; the splat may touch them where |X + t slope| <= reach
+    // splat, in the middle row of the patch. The splat may touch them where |X + t slope| <= reach
     const T half = middle_row();
     const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
     const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
@@ -257,9 +257,9 @@ class DirectTile {
 
  private:
   // How many rows lie from one row of a group to the next. Lenses lean, so that what a lens shows at a lens column
-  // moves from row to row by a part of an lens_column. A group of rows that show nearly the same is met by a splat at
-  // fewer lens columns: this is the stride for which the parts differ least. A longer one makes groups taller, which
-  // costs about as much as a twentieth of a lens column a row.
+  // moves from row to row by a fraction of a lens column. If the rows of a group show nearly the same, a splat meets
+  // them at fewer lens columns. This is the stride for which the parts differ least. A longer one makes groups taller,
+  // which costs about as much as a twentieth of a lens column a row.
   static int row_stride(const LensLayout& layout) {
     int best = 1;
     double least = 2;
@@ -302,9 +302,9 @@ class DirectTile {
     }
   }
 
-  // Make one flat list of vectors from the ranges of lens_columns. Every patch writes eight entries at least, and the
-  // next patch overwrites what was too much: so only a patch with more takes a branch, which is rare where splats are
-  // small and the rule where they are large, and processors predict both.
+  // Make one flat list of vectors from the ranges of lens_columns. Every patch writes at least eight entries, and the
+  // next patch overwrites the surplus. So only a patch with more takes a branch. That is rare for small splats and the
+  // rule for large ones; processors predict both.
   HWY_INLINE int64_t fill_list() {
     const hn::FixedTag<uint16_t, 8> d16;
     const auto steps = hn::Mul(hn::Iota(d16, uint16_t(0)), hn::Set(d16, uint16_t(kLanes)));
@@ -376,8 +376,8 @@ class DirectTile {
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
   Rows rows_[kDown];
-  // Of each patch: its middle row; its first sample; the mean x of its samples at lens column 0; the centre and half
-  // spread of their offsets
+  // Of each patch: its middle row, its first sample, the mean x at lens column 0, and the centre and half spread of
+  // offsets
   hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_sample_, patch_x_, patch_s_, patch_half_s_;
   hwy::AlignedFreeUniquePtr<TI[]> first_sample_, count_;  // of each patch, the range of vectors that a splat may touch
   hwy::AlignedFreeUniquePtr<uint16_t[]> list_;            // of vectors, by their first samples

@@ -1,6 +1,6 @@
 // A coarse lattice over a part of the panel. LatticeNodes draws the light field at its nodes, all three channels at
-// once; LatticeErrors has what interpolation errs between them; LatticeRow interpolates, a row at a time. A plan says
-// where the nodes are (math/lattice_plan.h), direct_lattice-inl.h decides what is drawn from a lattice.
+// once. LatticeErrors holds the errors of interpolation between them. LatticeRow interpolates, a row at a time. A plan
+// says where the nodes are (math/lattice_plan.h), direct_lattice-inl.h decides what is drawn from a lattice.
 
 #if defined(LFGS_CPU_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LATTICE_INL_H_
@@ -159,8 +159,7 @@ class LatticeNodes {
     }
   }
 
-  // Lower A on the lines of the planes from first to last by the compensation that a compensated splat keeps
-  // there.
+  // Multiply the opacity by the compensation on the planes from first to last: add log2 of it to A on their lines.
   HWY_NOINLINE void compensate(const Splat<float>& splat, const Compensation<float>& c, int first, int last) {
     for (int k = first, l = first * plan_.down; k <= last; ++k) {
       const float s = s_.data[l], D = c.D0 + s * (c.D1 + s * c.D2), S = splat.S0 + s * (splat.S1 + s * splat.S2);
@@ -203,9 +202,9 @@ class LatticeNodes {
     }
   }
 
-  // List the blocks that the splat touches on the planes from first to last, and return the list's end. Two blocks
-  // are written for every line, and the next line overwrites what was too much: so the only branch is for lines with
-  // more, which are rare.
+  // List the blocks that the splat touches on the planes from first to last, and return the list's end. Every line
+  // writes two blocks, and the next line overwrites the surplus. So only lines with more blocks branch, and they are
+  // rare.
   HWY_INLINE const Block* list_blocks(int first, int last) {
     Block* to = list_.data.get();
     for (int k = first, l = first * plan_.down; k <= last; ++k)
@@ -261,7 +260,7 @@ class LatticeNodes {
   Buffer<float> transmittance_, colours_;  // [stride], [3, stride]
 };
 
-// What interpolation errs at the middles of cells, [3][planes - 1][down - 1][row], and its mean round a node.
+// Errors of interpolation at the middles of cells, [3][planes - 1][down - 1][row], and its mean round a node.
 class LatticeErrors {
  public:
   using D = Tag<float>;
@@ -283,7 +282,7 @@ class LatticeErrors {
     for (float* row = errors_.data() + spare_; row < errors_.data() + errors_.size(); row += wide_)
       std::fill_n(row - spare_, spare_, row[0]), std::fill_n(row + cells_, spare_, row[cells_ - 1]);
   }
-  // The mean error of the cells round each of a vector of nodes, the first being node i of a row of a plane; 0 where
+  // The mean error of the cells round each of a vector of nodes, from node i of a row of a plane on. It is 0 where
   // these errors have both signs.
   HWY_INLINE V round(int channel, int plane, int row_, int i, const LatticePlan& nodes) {
     const D d;
@@ -360,8 +359,8 @@ class LatticeRow {
     }
   }
 
-  // A channel's colour at x = x0 + along * step_x and s = s0 + up * step_s: linear along x on the plane below and on
-  // the plane above, then linear between the two. It is in the low 16 bits.
+  // A channel's colour at x = x0 + along * step_x and s = s0 + up * step_s. It is linear along x on the planes below
+  // and above, then linear between the two. It is in the low 16 bits.
   HWY_INLINE hn::Vec<DI> at(int channel, V along, V up) const {
     const D d;
     const hn::RebindToSigned<D> di;

@@ -1,5 +1,6 @@
-// Stage project for the panel, and its backward pass: Gaussians and the rig to splats, whose colours are polynomials in
-// the offset, or near the cameras on circles; and gradients of intersections to those of Gaussians.
+// Stage project for the panel, and its backward pass. It projects Gaussians by the rig to splats, whose colours are
+// polynomials in the offset, or on circles near the cameras. The backward pass takes the gradients of intersections to
+// the gradients of Gaussians.
 #include <algorithm>
 #include <vector>
 
@@ -37,7 +38,7 @@ double project_direct(const Gaussians<const T>& gaussians, const Camera<double>&
   const int64_t n = gaussians.count;
   const int order = out.colour_order, nodes = order + 1;
   const ColourBasis basis(order);
-  // Most that interpolation may err. In double, the exact twin, nothing is given up.
+  // The largest error of interpolation. Double precision, the exact twin, gives nothing up.
   const double most = sizeof(T) == 4 ? tolerance : std::min(tolerance, kDoubleColourError);
   const bool varies = order > 0 && rig.sweep > 0;
   const double least_light = quality.least_light(lens.width_px, lens.height_px, n);

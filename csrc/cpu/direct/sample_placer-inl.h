@@ -26,7 +26,7 @@ class SamplePlacer {
   using TI = hn::TFromD<hn::RebindToSigned<D>>;
   static constexpr int kLanes = int(hn::MaxLanes(D()));
 
-  // A cell in a row, which a lane stands for: its sub-pixel at lens column 0, its own first, and the first of the next
+  // The cell in a row of one lane: its sub-pixel at lens column 0, its own first sub-pixel, and the first of the next
   // cell.
   struct LaneCell {
     int64_t row, anchor, start, next_start;
@@ -106,14 +106,14 @@ class SamplePlacer {
   }
 
  private:
-  // A sub-pixel of a row of a panel with cells, by its number from the start of a period: its phase less the phase of
-  // stripe 0, and its channel.
+  // A sub-pixel in a row of a panel with cells, counted from the start of a period. `phase` is relative to the phase of
+  // stripe 0.
   struct CellRow {
     uint64_t phase;
     int64_t channel;
   };
 
-  // The offsets s of the samples at these phases, exact but for the last rounding. The phases then move on to the next
+  // Return the offsets s of the samples at these phases, exact but for the last rounding. Move the phases to the next
   // sub-pixel.
   HWY_INLINE V next_offsets(uint64_t* HWY_RESTRICT phases) const {
     const D d;

@@ -1,7 +1,7 @@
-// The loss of images against photographs, and its gradient. Two passes, each over bands of rows: the first blurs the
-// five moments and finds SSIM and its derivatives, the second blurs those and writes the gradient. Samples of a row lie
-// side by side, red, green, blue, so that a tap of the window is three samples from the next, and the loops run over
-// whole rows; the compiler turns them into vectors, once for every instruction set.
+// The loss of images against photographs, and its gradient. There are two passes over bands of rows. The first blurs
+// the five moments and finds SSIM and its derivatives; the second blurs the derivatives and writes the gradient.
+// Samples of a row lie side by side, red, green, blue. So taps of the window are three samples apart, and the loops run
+// over whole rows. The compiler vectorizes them, once for every instruction set.
 #include <algorithm>
 #include <vector>
 
@@ -32,8 +32,8 @@ struct Rows {
   const T* operator[](int64_t r) const { return numbers.data() + r * pitch + kMargin; }
 };
 
-// What a worker keeps: the band with the rows around it that windows reach, of up to three quantities; and up to five
-// of one row, blurred across the rows, and along the row as well.
+// Memory of a worker. It has up to three quantities of the band and of the rows around it that windows reach. It has up
+// to five quantities of one row, blurred across rows, then along the row.
 template <class T>
 struct LossScratch {
   Rows<T> band[3], across, blurred, weights, losses;

@@ -1,7 +1,7 @@
 // Stage composite for ordinary images, and its backward pass. It reads splats and their lists by band, and writes
-// colour, alpha and depth; the backward pass writes the gradients of intersections and of the background. A work item
-// is one band of one image. A band is cut into tiles, a tile into patches of one vector each (4 columns, as many rows
-// as fit), and splats are blended into a tile nearest first.
+// colour, alpha and depth. The backward pass writes the gradients of intersections and of the background. A work item
+// is one band of one image. A band has tiles, and a tile has patches of one vector each (4 columns, as many rows as
+// fit). Splats are blended into a tile nearest first.
 #include <algorithm>
 #include <iterator>
 #include <vector>
@@ -182,8 +182,8 @@ void FinishForward(const ImagesJob<T>& job, const ImageTile<T>& tile) {
   });
 }
 
-// Load what the backward pass reads at every sample: the gradients of colour and depth, and the total of
-// math/over-inl.h, which follows from the image. Add the gradient of the background to g_background.
+// Load the inputs of the backward pass at every sample: the gradients of colour and depth, and the total
+// (math/over-inl.h). Add the gradient of the background to g_background.
 template <class T>
 void BeginBackward(const ImagesJob<T>& job, ImageTile<T>& tile, T* g_background) {
   for (auto& channel : tile.gradient) std::fill(std::begin(channel), std::end(channel), T(0));

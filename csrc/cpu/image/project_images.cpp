@@ -1,5 +1,5 @@
-// Stage project for ordinary images, and its backward pass: Gaussians and cameras to splats with colours, and gradients
-// of intersections to those of Gaussians and cameras.
+// Stage project for ordinary images, and its backward pass. It projects Gaussians by cameras to splats with colours.
+// The backward pass takes the gradients of intersections to the gradients of Gaussians and cameras.
 #include <algorithm>
 #include <vector>
 

@@ -1,7 +1,7 @@
 // Stage composite for sub-pixels sorted by view, where each view is an ordinary camera. Read splats and lists of
-// sub-pixels, write the image. A work item is a group of bands of one view. A tile has only a few samples of the view;
-// they are loaded in batches, which are cut into patches of one vector each, and splats are blended into a batch
-// nearest first. The lists run along the columns, so that a patch is compact.
+// sub-pixels, write the image. A work item is a group of bands of one view. A tile has only a few samples of the view.
+// They are loaded in batches, with patches of one vector each, and splats are blended into a batch nearest first. The
+// lists run along the columns, so that a patch is compact.
 #include <algorithm>
 #include <numeric>
 #include <vector>
@@ -25,8 +25,8 @@
 #ifndef LFGS_COMPOSITE_SORTED_ONCE
 #define LFGS_COMPOSITE_SORTED_ONCE
 namespace lfgs {
-// Bands of a work item: the splats of a view that they share are read from memory once, while the lines of the image,
-// which all views write to, still fit a large cache.
+// Bands of a work item. The splats that they share are read from memory once. The lines of the image, which all views
+// write to, still fit a large cache.
 constexpr int64_t kBandsPerItem = 8;
 
 template <class T>
@@ -162,8 +162,8 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   }
 }
 
-// The groups of bands in the order of their intersections, most first and the upper of equals: then the last work items
-// to be handed out are small, and threads end together.
+// The groups of bands by their intersections, most first, the upper of equals first. So the last work items are small,
+// and threads end together.
 template <class T>
 std::vector<int64_t> HeaviestFirst(const SortedJob<T>& job) {
   const int64_t bands = band_count(job.height_px), groups = (bands + kBandsPerItem - 1) / kBandsPerItem;

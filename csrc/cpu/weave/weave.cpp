@@ -1,5 +1,5 @@
-// Stage weave. Each sub-pixel gathers four samples of each view that it mixes: a row of the panel reads a row or two of
-// every view, one after the other, so that these stay in the cache until the next row of the panel wants them again.
+// Stage weave. Each sub-pixel gathers four samples of each view that it mixes. A row of the panel reads a row or two of
+// every view, one after the other. So these rows stay in the cache for the next row of the panel.
 #include "stages/weave.h"
 
 #include <algorithm>
@@ -22,8 +22,9 @@ struct WeaveMix {
 // How many views a box touches at most.
 inline int64_t most_mixed(const WeaveFan& fan) { return std::min(fan.views, int64_t(std::ceil(fan.box)) + 1); }
 
-// Each view stands for the places nearer to it than to another, and the outermost for all beyond: its share is how much
-// of the box around `place` is its. A box of one view is linear interpolation. weights [most_mixed].
+// Each view covers the places nearer to it than to another view, and the outermost views cover all beyond. Its weight
+// is the fraction of the box around `place` that it covers. A box of one view is linear interpolation. weights
+// [most_mixed].
 inline WeaveMix mix_at(const WeaveFan& fan, double place, float* weights) {
   const int64_t last = fan.views - 1;
   const auto view_of = [&](double x) { return std::clamp(int64_t(x), int64_t(0), last); };
@@ -55,7 +56,7 @@ class WeaveMixes {
 };
 
 constexpr int64_t kRows = 8;  // of the panel, a work item
-// Places are rounded to so many parts of a pixel, so that where sizes agree they fall on pixels, whatever the rounding
+// Places are rounded to fractions of a pixel: where sizes agree they fall on pixels, whatever the rounding
 constexpr double kParts = 65536;
 
 // The two pixels beside a place along a side of a picture, and how much of the second is mixed in.
@@ -151,7 +152,7 @@ class Weaver {
   WeaveWindow window_;
   WeaveFan fan_;
   T* out_;
-  std::vector<double> places_, shifts_;  // of the panel's columns, in shares of a view; of the views
+  std::vector<double> places_, shifts_;  // of the panel's columns, in fractions of a view; of the views
   std::vector<Tap> columns_;             // of views without a shift
 };
 

@@ -1,5 +1,5 @@
-// What happens at one sample on the device: alpha, blending, the early end, storing, and the backward pass of blending;
-// and sums over the lanes of a warp. Twin of math/blend-inl.h and math/over-inl.h.
+// Arithmetic of one sample on the device: alpha, blending, the early end, storing, and the backward pass of blending.
+// Also sums over the lanes of a warp. Twin of math/blend-inl.h and math/over-inl.h.
 #pragma once
 
 #include <cstdint>
@@ -38,9 +38,9 @@ __device__ inline float to_alpha(float power) {
   return power >= float(kLog2MinAlpha) ? fminf(alpha, float(kMaxAlpha)) : 0.f;
 }
 
-// Blend a splat of this alpha into a sample: update its transmittance, and `weight` receives the splat's share of the
-// light. A sample whose transmittance would fall below the limit ends: it keeps what is left for the background
-// (`rest`) and takes no more, so its transmittance becomes zero.
+// Blend a splat of this alpha into a sample: update its transmittance, and `weight` receives the splat's part of the
+// light. A sample whose transmittance would fall below the limit ends. It keeps the rest for the background (`rest`),
+// and its transmittance becomes zero.
 __device__ inline void over(float alpha, float& transmittance, float& rest, float& weight) {
   weight = alpha * transmittance;
   const float after = transmittance - weight;
@@ -61,9 +61,9 @@ __device__ inline float over_again(float& alpha, float& transmittance) {
   return alpha * before;
 }
 
-// dL/dalpha of a splat, see math/over-inl.h: `before` is the transmittance before it, v what a unit of its weight adds
-// to the loss, and `later` what all that is behind it adds. kEstimate: whether an approximate division will do; the
-// lens sensor divides exactly, as on the CPU.
+// dL/dalpha of a splat, see math/over-inl.h. `before`: the transmittance before it; v: the derivative of the loss by
+// its weight; `later`: the part of the loss of everything behind it. kEstimate: whether an approximate division will
+// do; the lens sensor divides exactly, as on the CPU.
 template <bool kEstimate>
 __device__ inline float over_backward(float alpha, float before, float v, float later) {
   return before * v - (kEstimate ? later * fast_reciprocal(1 - alpha) : later / (1 - alpha));
@@ -73,9 +73,9 @@ __device__ inline float over_backward(float alpha, float before, float v, float 
 __device__ inline float remaining(float transmittance, float rest) { return transmittance > 0 ? transmittance : rest; }
 
 // The colour of a sample that ends in time, given the colour and the transmittance it has when it does not. A sample
-// ends before the splat that would leave less than 1e-4 of its light (Kerbl et al.), and the background gets what is
-// left before that splat, usually little more than 1e-4. Fast kernels do not ask at every splat whether the sample
-// ends; this corrects what they draw too much, but for about a tenth of it.
+// ends before the splat that would leave less than 1e-4 of its light (Kerbl et al.). The background gets the light
+// before that splat, usually little more than 1e-4. Fast kernels do not test at every splat whether the sample ends.
+// This corrects the surplus that they draw, up to about a tenth of it.
 __device__ inline float ended(float colour, float transmittance, float background) {
   constexpr float kUsualRest = 1.15f * float(kMinTransmittance);
   const bool full = transmittance > 0 && transmittance < float(kMinTransmittance);

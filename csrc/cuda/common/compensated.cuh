@@ -1,5 +1,5 @@
-// Compensated splats on the device, of anti-aliased scenes and of views with an aperture: their projection, and the
-// compensation that they keep; see math/compensation.h.
+// Compensated splats on the device: their projection and their compensation (math/compensation.h), in anti-aliased
+// scenes and for cameras with an aperture.
 #pragma once
 
 #include "math/projection.h"
@@ -26,7 +26,7 @@ __device__ inline float unfiltered(const Compensation<float>& c, float s) {
   return fmaxf(fmaf(fmaf(s, c.D2, c.D1), s, c.D0), 0.f);
 }
 
-// Log2 of the share that is left of a splat's opacity seen from s; minus infinity for a disc that is seen edge-on.
+// Log2 of a splat's compensation seen from s; minus infinity for a disc that is seen edge-on.
 __device__ inline float log2_compensation(const Compensation<float>& c, float s, float S) {
   return 0.5f * log2f(unfiltered(c, s) / S);
 }

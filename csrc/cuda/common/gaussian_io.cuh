@@ -17,7 +17,7 @@ __device__ inline Shape<float> load_shape(const Gaussians<const float>& g, int64
 }
 
 // Read all harmonics of one Gaussian; those beyond its degree are zero. It reads 16 bytes at a time where they are
-// aligned so: lanes read places far apart, so that each load costs a cache line a lane.
+// aligned. Lanes read places far apart, so each load costs a cache line a lane.
 __device__ inline void read_harmonics(const Gaussians<const float>& g, int64_t i, float (&sh)[3 * kMaxShCount]) {
   const int numbers = 3 * g.sh_count();
   const float* from = g.sh + numbers * i;

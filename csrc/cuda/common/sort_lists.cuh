@@ -1,10 +1,9 @@
 // Sort lists of splats on the device: every list by depth, nearest first, ties by number.
 //
-// A list is spread over buckets of depth, mostly of a splat or two each; within a bucket every splat counts those
-// before it, which gives its place. Where depths crowd, or the list does not fit shared memory, it is sorted by bitonic
-// merging (Batcher 1968, "Sorting networks and their applications"), in the form in which every comparison sorts
-// upwards: items beyond the end then count as the largest, and need no memory. A team sorts a list: a warp for a short
-// one, a block for a long one.
+// A list is spread over buckets of depth, mostly of a splat or two each. Within a bucket every splat counts the splats
+// before it, which gives its place. Where depths crowd, or the list does not fit shared memory, bitonic merging sorts
+// it (Batcher 1968, "Sorting networks and their applications"). Every comparison sorts upwards: items beyond the end
+// count as the largest, and need no memory. A team sorts a list: a warp for a short one, a block for a long one.
 #pragma once
 
 #include <cstdint>
@@ -53,8 +52,8 @@ struct Same {
   __device__ uint64_t operator()(uint64_t key) const { return key; }
 };
 
-// One step of bitonic merging: in every 2 * half items, compares each of the first half with one of the second and puts
-// the smaller first. Its partner is `half` items on, or when mirrored, the one that is as far from the end as it is
+// Do one step of bitonic merging. In every 2 * half items, compare each of the first half with one of the second, and
+// put the smaller first. Its partner is `half` items on, or when mirrored, the one that is as far from the end as it is
 // from the beginning. A thread of the team has every kSize-th comparison.
 template <class Team, class Item, class ToKey = Same>
 __device__ void compare_halves(Item* items, unsigned count, unsigned half, bool mirrored, const ToKey& key = {}) {
@@ -93,9 +92,8 @@ __device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key,
   Team::wait();
 }
 
-// Sort a list that is too long for shared memory, by all threads of a block: pieces that fit are sorted there, and
-// steps that reach further are done in the list itself. A list of n keys takes log2(n / kKept)^2 / 2 rounds through
-// memory.
+// Sort a list that is too long for shared memory, by all threads of a block. Pieces that fit are sorted there; longer
+// steps run in the list itself. A list of n keys takes log2(n / kKept)^2 / 2 rounds through memory.
 __device__ inline void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key, uint64_t* kept) {
   auto in_pieces = [&](auto sort) {
     for (unsigned first = 0; first < count; first += kKept)

@@ -1,9 +1,10 @@
-// Stage composite for the panel on the device, and its backward pass, with gradients. Forward it reads the splats and
-// the sorted intersections and writes the image; the backward pass reads the image and the gradient of it, and writes
+// Stage composite for the panel on the device, and its backward pass, with gradients. The forward pass reads the splats
+// and the sorted intersections, and writes the image. The backward pass reads the image and its gradient, and writes
 // the sums of every intersection and of the background.
 //
 // The list of a tile of pixels has all splats that may touch it, seen from anywhere on the rig. A block draws a tile of
-// 32 x 16 pixels, a warp 16 x 4 of them, a lane two pixels two rows apart: six sub-pixels, each at its own offset.
+// 32 x 16 pixels, and a warp 16 x 4 of them. A lane has two pixels two rows apart: six sub-pixels, each at its own
+// offset.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"
@@ -188,8 +189,8 @@ __global__ void __launch_bounds__(kThreads)
 
 // The backward pass: writes the sums of every intersection of a tile, a block each; see over_backward() for the
 // formula. It goes over the splats front to back, as forward; a sample's `colour` holds the prefix of the formula. The
-// sums over a tile are taken first within each warp, then over the warps, always in the same order, so that the bits
-// are always the same.
+// sums over a tile run first within each warp, then over the warps, always in the same order. So the bits are always
+// the same.
 template <bool kCompensated>
 __global__ void __launch_bounds__(kThreads)
     composite_direct_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges,
@@ -272,7 +273,7 @@ __global__ void __launch_bounds__(kThreads)
           sums[kXDySum] += gx * dy, sums[kXsDySum] += gx * sample.s * dy;
           sums[kSSum] += gS, sums[kSsSum] += gS * sample.s, sums[kSs2Sum] += gS * sample.s * sample.s;
           if constexpr (kCompensated) {
-            // The exponent also has log2 of the share, which is (log2 D - log2 S) / 2
+            // The exponent also has log2 of the compensation, (log2 D - log2 S) / 2
             const float half = gp * float(0.5 / kLn2), gD = half / unfiltered(compensation, sample.s);
             const float of_S = -half * inverse_S;
             sums[kSSum] += of_S, sums[kSsSum] += of_S * sample.s, sums[kSs2Sum] += of_S * sample.s * sample.s;

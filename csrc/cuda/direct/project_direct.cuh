@@ -20,7 +20,7 @@ namespace lfgs::cuda {
 
 // A bound for the error of a colour that is interpolated at the three nodes of order 2, f''' / 24. Cameras on a line
 // see a mean from directions on a great circle. On it, the harmonics above band 0 are a trigonometric polynomial of
-// degree 3, which is at most sqrt(15 / 4 pi) times their norm by the addition theorem; its derivatives are at most 3, 9
+// degree 3. By the addition theorem it is at most sqrt(15 / 4 pi) times their norm. Its derivatives are at most 3, 9
 // and 27 times as much (Bernstein). The angle on the circle is an arctangent of s, whose derivatives are at most slope,
 // 0.65 slope^2 and 2 slope^3.
 __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const glm::vec3& mean,
@@ -34,8 +34,8 @@ __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const
   return reach > 0 ? kBound * slope * slope * slope * sqrtf(square) : 0.f;
 }
 
-// The colour of a Gaussian on its circle, with what that is made of read anew: few Gaussians need it, and the others
-// should not keep registers for it. The circle is found in double, since the mean is near the cameras.
+// The colour of a Gaussian on its circle. It reads its inputs anew: few Gaussians need it, and the others should not
+// keep registers for it. The circle is found in double, since the mean is near the cameras.
 struct CircleOfGaussian {
   ColourCircle<float> circle;
   glm::vec3 terms[kCircleTerms];
@@ -46,8 +46,8 @@ struct CircleOfGaussian {
   }
 };
 
-// Store the colour of one drawn splat on its circle. The fourth number of the first term takes the place of the order:
-// it is larger than any order, so that a kernel that knows only polynomials passes it over.
+// Store the colour of one drawn splat on its circle. The fourth number of the first term stands for the order. It is
+// larger than any order, so kernels that know only polynomials skip it.
 __device__ inline __noinline__ void store_on_circle(const Gaussians<const float> gaussians, const Camera<double>& rig,
                                                     int64_t i, const Splats<float> out) {
   constexpr float kNoOrder = 1000;
@@ -61,17 +61,17 @@ __device__ inline __noinline__ void store_on_circle(const Gaussians<const float>
   out.orders[i] = kCircleOrder;
 }
 
-// How far a colour may be off: what interpolation may err, beyond which the colour is on a circle if there is room for
-// one; and what may be left out then to have fewer powers.
+// Allowed errors of a colour. Beyond the error of interpolation the colour is on a circle, if the array holds one. The
+// other is allowed for dropping powers.
 struct ColourLimits {
   float interpolated, left_out;
 };
 
-// Store the colour polynomial of one drawn splat: from its values at the nodes come Chebyshev coefficients, and from
-// these the powers of s that it needs; powers up to the second are always written, as zeros where it has none. The
-// fourth number of the first power repeats the order, so that a kernel that reads colours does not wait for it. Where
-// that would err too much, the colour is stored on its circle. watch(circle, amplitudes) is told
-// of every colour of an order above 2, since parabolas need no watching.
+// Store the colour polynomial of one drawn splat. Values at the nodes give Chebyshev coefficients, and these the powers
+// of s that it needs. Powers up to the second are always written, as zeros where it has none. The fourth number of the
+// first power repeats the order, so that a kernel that reads colours does not wait for it. Where that would err too
+// much, the colour is stored on its circle. watch(circle, amplitudes) is told of every colour of an order above 2,
+// since parabolas need no watching.
 template <int Order, class Watch>
 __device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean,
                                      const RoundedRig& rigs, const BasisTable& basis, const ColourLimits& limits,
@@ -129,8 +129,8 @@ __device__ inline void store_colour(const Gaussians<const float>& gaussians, int
   reinterpret_cast<float4*>(out.colours)[i] = make_float4(colour.x, colour.y, colour.z, 0);
 }
 
-// Sets where the mean is seen, from arithmetic in double: on a panel of thousands of pixels the last digits of a float
-// show in small splats, by a dB. Return what rounding took from u0 and v0.
+// Set the projected mean from arithmetic in double. On a panel of thousands of pixels the last digits of a float cost
+// small splats a dB. Return what rounding took from u0 and v0.
 __device__ inline float2 place_mean(const Camera<double>& rig, const glm::vec3& mean, Splat<float>& splat) {
   const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
   const double iz = 1 / t.z, u = rig.fx * t.x * iz + rig.cx, v = rig.fy * t.y * iz + rig.cy;
@@ -142,9 +142,9 @@ __device__ inline float2 place_mean(const Camera<double>& rig, const glm::vec3& 
   return make_float2(rest(u, splat.u0), rest(v, splat.v0));
 }
 
-// Project, cull and store splat i, and return it; reach_y < 0 says that it is not drawn. Where `depths` is not
-// null, the depth goes there, and its place in the splat receives what rounding took from u0 and v0, see
-// whole_splat_about(). watch(splat, circle, amplitudes) is told of every colour of an order above 2.
+// Project, cull and store splat i, and return it; reach_y < 0 says that it is not drawn. If `depths` is not null, the
+// depth goes there. Its place in the splat then holds the rounding errors of u0 and v0, see whole_splat_about().
+// watch(splat, circle, amplitudes) is told of every colour of an order above 2.
 template <int Order, bool kCompensated, class Watch>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const RoundedRig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, const ColourLimits& limits, float cut,

@@ -38,7 +38,7 @@ __global__ void __launch_bounds__(kThreads)
     for (int f = 0; f < all_sums; ++f) sum[f] += intersection_gradients[index * all_sums + f];
 
   // The backward pass of the projection. It is in double, since the covariance of a long needle has no digits left in
-  // float; that costs little, for a Gaussian has but one projection
+  // float. That costs little: a Gaussian has only one projection
   const Splat<double> g_splat = direct_gradient(s, sum);
   const Shape<float> shape = load_shape(gaussians, i);
   const Shape<double> exact = widened(shape);

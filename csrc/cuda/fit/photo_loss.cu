@@ -1,12 +1,12 @@
-// The loss of images against photographs, and its gradient, in two kernels. The first
-// blurs the five moments and writes the derivatives of SSIM and the sum of each block, the second blurs the derivatives
-// and writes the gradient; its first block adds up the sums, in a fixed order.
+// The loss of images against photographs, and its gradient, in two kernels. The first blurs the five moments, and
+// writes the derivatives of SSIM and the sum of each block. The second blurs the derivatives and writes the gradient;
+// its first block adds up the sums, in a fixed order.
 //
-// Floors at 1008 x 756 pixels (2.29 million samples) on an H100 (3.35 TB/s, 132 x 128 multiply-adds at 1.7 GHz):
-//   bytes: the first kernel reads 9 MB of image and 2 MB of photo and writes 27 MB, the second reads these and writes
-//     9 MB: 87 MB, 0.026 ms, less what the cache of 50 MB keeps of the derivatives.
-//   arithmetic: 11 x (5 + 5) multiply-adds and about 60 more for each of 42 rows, of which 32 are written, then
-//     11 x (3 + 3) and about 20: 340 instructions a sample, 0.027 ms; beside them 55 x 1.3 reads of shared memory, 32 a
+// Floors at 1008 x 756 pixels (2.29 million samples) on an H100 (3.35 TB/s, 132 x 128 multiply-adds at 1.7 GHz).
+//   bytes: the first kernel reads 9 MB of image and 2 MB of photo, and writes 27 MB. The second reads these and writes
+//     9 MB. That is 87 MB, 0.026 ms, less the derivatives that stay in the cache of 50 MB.
+//   arithmetic: 11 x (5 + 5) multiply-adds and about 60 more for each of 42 rows, of which 32 are written. Then
+//     11 x (3 + 3) and about 20: 340 instructions a sample, 0.027 ms. Also 55 x 1.3 reads of shared memory, 32 a
 //     clock and multiprocessor, 0.023 ms.
 #include <cstdint>
 
@@ -17,11 +17,10 @@
 namespace lfgs::cuda {
 namespace {
 
-// The walk of the kernels over images. A block has a strip of kStripSamples samples (32 pixels with
-// their three colours, side by side as they lie in memory) and kStripRows rows, a thread one sample of each row. Rows
-// come one after the other, with the samples beside the strip in shared memory; a thread blurs along the row, and adds
-// the result to the eleven rows of output that it belongs to, which it keeps in registers. So the blur across rows
-// reads nothing.
+// The walk of the kernels over images. A block has a strip of kStripSamples samples (32 pixels of three colours, side
+// by side) and kStripRows rows. A thread has one sample of each row. Rows come one after the other, with the samples
+// beside the strip in shared memory. A thread blurs along the row, and adds the result to the eleven rows of output
+// that it belongs to. It keeps these in registers. So the blur across rows reads nothing.
 constexpr int kStripSamples = 96, kStripRows = 32;  // a thread per sample
 constexpr int kStripMargin = 3 * kWindowReach;      // samples beside the strip
 constexpr int kStripWidth = kStripSamples + 2 * kStripMargin;

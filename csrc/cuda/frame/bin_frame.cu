@@ -1,7 +1,7 @@
 // Stage bin of a light-field frame: lists, for every tile (and group of lens columns), the splats that may touch it, in
 // no order yet. It reads the projected splats and writes DirectFrame::ranges and ids. There are three steps: count the
-// intersections (tile, splat) of every list, give every list its place, and go through the intersections once more to
-// fill it. Whether the tiles are of pixels or of lenses was decided on the device, by the kernel that the frame chose.
+// intersections (tile, splat) of every list, give every list its place, and visit the intersections again to fill it.
+// Whether the tiles are of pixels or of lenses was decided on the device, by the kernel that the frame chose.
 #include <algorithm>
 
 #include "cuda/common/blend.cuh"
@@ -18,9 +18,9 @@ namespace {
 constexpr int kThreads = 256, kMostLanes = 8;
 constexpr int64_t kCrowd = 1 << 18;  // so many threads fill the device
 
-// How many lanes share a splat. With tiles of lenses there is more to share, since every group of lens columns has a
-// run of tiles of its own; a small splat in tiles of pixels has only one or two runs. Where splats are few, more lanes
-// share each, so that the device is busy.
+// How many lanes share a splat. With tiles of lenses there is more to share: every group of lens columns has its own
+// run of tiles. A small splat in tiles of pixels has only one or two runs. Where splats are few, more lanes share each,
+// so that the device is busy.
 __device__ int lanes_per_splat(const DirectFrame& frame) {
   int lanes = frame.lens_column_chosen() ? 4 : 1;
   while (lanes < kMostLanes && frame.splats.count * lanes < kCrowd) lanes *= 2;
@@ -56,13 +56,12 @@ __device__ void for_each_run(const Splat<float>& s, const DirectFrame& frame, in
   }
 }
 
-// The two times that the intersections are gone through. kCount counts them, in the place of the ends of the lists.
-// kFill fills the lists; if the frame has more intersections than places it fills one list of all splats drawn instead.
+// The two passes over the intersections. kCount counts them, in the place of the ends of the lists. kFill fills the
+// lists; if the frame has more intersections than places it fills one list of all splats drawn instead.
 enum class Pass { kCount, kFill };
 
-// The lanes that are here together for an intersection of the same list. Splats that follow each other often lie side
-// by side, as in the sheet of a photo, and additions to the ends of lists are what bin waits for: so these lanes make
-// one of theirs.
+// The lanes that have an intersection of the same list at the same time. Successive splats often lie side by side, as
+// in the sheet of a photo, and bin waits for additions to the ends of lists. So these lanes combine their additions.
 struct Together {
   unsigned lanes, before;  // a bit each; before: those of smaller number than this one
   int first;
@@ -85,9 +84,8 @@ struct Together {
   }
 };
 
-// Go through the intersections. Some lanes of a warp share a splat, see lanes_per_splat(); a block takes as many
-// splats at a time as it has threads for, until there are no more. One kernel does both passes, so that they find the
-// same tiles to the last bit.
+// Go through the intersections. Some lanes of a warp share a splat, see lanes_per_splat(). A block takes as many splats
+// at a time as it has threads for. One kernel does both passes, so that they find the same tiles to the last bit.
 __global__ void __launch_bounds__(kThreads) intersections_kernel(const __grid_constant__ DirectFrame frame, Pass pass) {
   uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
   const int lanes = lanes_per_splat(frame), lane = int(threadIdx.x) % lanes, groups = frame.tiling().groups;

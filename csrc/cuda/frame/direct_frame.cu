@@ -7,7 +7,6 @@
 
 #include "base/error.h"
 #include "cuda/common/parts.h"
-#include "cuda/frame/lattice.cuh"
 #include "cuda/direct/rounded_rig.cuh"
 #include "cuda/frame/root_series.cuh"
 
@@ -18,8 +17,8 @@ namespace {
 constexpr double kLensColumnColourError = 2e-3;
 constexpr int64_t kMostTiles = int64_t(1) << 31;
 
-// By how many sub-pixels the lenses lean over the height of the panel; and the smallest D - origin on the panel, which
-// is that of its first or of its last row.
+// The lean of the lenses over the height of the panel, in sub-pixels. The smallest D - origin on the panel is in its
+// first or last row.
 double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
 double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
 
@@ -62,8 +61,8 @@ LensColumns make_lens_columns(const Lens& lens) {
 }
 
 // Sets which channel lies at which place, and by how much sub-pixels are off their stripes where they do not stand in
-// stripes. Where the pixels of a panel have their channels in different orders, "places" are channels: the phases of
-// the cells say where each channel really is.
+// stripes. Where the pixels of a panel have their channels in different orders, "places" are channels. The phases of
+// the cells give the position of each channel.
 void set_places(const Lens& lens, LensOptics& out) {
   const bool by_place = !lens.has_cells || lens.has_one_order();
   for (int k = 0; k < 3; ++k) {
@@ -100,8 +99,8 @@ Tiling pixel_tiling(const Lens& lens) {
   return {across, down, 1, kPixelTileHeight, float(kPixelTileWidth), 1, 0.5f, -0.5f, 0};
 }
 
-// Tiles of lenses. Place k of the pixel whose centre is at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin, and
-// lies in lens floor(D / P_e). Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
+// Tiles of lenses. Place k of the pixel with centre x in row i has D = 3 x - 3/2 + k + 3 i tan + origin. It lies in
+// lens floor(D / P_e). Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
 Tiling lens_column_tiling(const Lens& lens, const LensOptics& optics) {
   const double first = optics.lens_columns.first_lens * lens.line_number;
   const double most = 3.0 * double(lens.width_px) + std::fabs(tilt(lens)) + lowest_phase(lens) + lens.line_number;

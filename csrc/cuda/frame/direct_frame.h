@@ -11,6 +11,7 @@
 #include "base/config.h"
 #include "cuda/common/short_list.h"
 #include "cuda/stages/stages.h"
+#include "math/lattice_plan.h"
 
 namespace lfgs::cuda {
 
@@ -26,8 +27,9 @@ constexpr int kMostProbeRows = 256;  // enough for 65,536 rows of pixels, see kP
 
 // The kernel that draws a frame, and how.
 struct KernelChoice {
-  int kernel;                   // FrameKernel
-  float straight, needs_exact;  // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
+  int kernel;  // FrameKernel
+  float straight,
+      needs_exact;  // limits of shape errors, see ShapeLimits; needs_exact < 0: every splat needs the exact formulas
 };
 
 // What one frame found out: written on the device, read by the host when it likes. The first four numbers come from
@@ -60,8 +62,8 @@ constexpr int kMostLensColumns = 32;
 constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
 
 // For every lens column t = 0, 1, ...: the part of the rig that the t-th sub-pixels of all lenses see. With cells, t
-// counts from one sub-pixel before the first stripe of a lens to one behind its last, since those two may belong to
-// this lens or to the one beside it.
+// counts from one sub-pixel before the first stripe of a lens to one behind its last. Those two may belong to this lens
+// or to its neighbour.
 struct LensColumns {
   int count, per_group, groups;
   int first_lens;                                          // left-most lens of the panel
@@ -71,7 +73,7 @@ struct LensColumns {
   float cubic;      // the line `cubic` v is the one nearest to v^3 within a lens column
   float reach;      // largest |v|
   float widest;     // largest half range of offsets
-  float most_bend;  // where no s2 is larger, no splat is careful for its shape; see kLeastBend
+  float most_bend;  // where no s2 is larger, no splat needs the exact formulas for its shape; see kLeastBend
   LFGS_HD int columns() const { return groups * per_group; }  // lens columns, and what fills the last group
 };
 
@@ -92,8 +94,8 @@ struct LensOptics {
 };
 
 // How the panel is divided into tiles. Down, a tile has `height` rows of pixels. Across, tiles are steps of `width`
-// along scale * (x + shear y); `low` is added to that for the left end of what a splat touches, `high` for the right
-// end. Every tile has a list for each of `groups` groups of lens_columns.
+// along scale * (x + shear y). For the left end of a splat's interval add `low`, for the right end `high`. Every tile
+// has a list for each of `groups` groups of lens_columns.
 struct Tiling {
   int across, down, groups, height;
   float width, scale, low, high, shear;
@@ -128,8 +130,8 @@ struct DirectFrame {
   uint32_t* depths = nullptr;      // [N]: bits of the splats' depths
   uint32_t* ids = nullptr;         // [capacity, or N if more]: the splats of all lists, nearest first after order
   uint32_t* long_lists = nullptr;  // [lists]: which of them are long, in any order
-  // With harmonics, the colours of every splat at every lens column, by place: the colour in the middle of the lens
-  // column, and slope and bend in v as halves in one word (for the first place in the fourth number of the colour)
+  // With harmonics, the colours of every splat at every lens column, by place: the colour in its middle, and slope and
+  // bend in v as halves in one word. The word of the first place is the fourth number of the colour.
   float* lens_column_colours = nullptr;    // [N, columns, 4]
   uint32_t* lens_column_slopes = nullptr;  // [N, columns, 2]
   // With compensation: log2 of the compensation there, and its slope and bend in v as halves
@@ -165,9 +167,29 @@ void frame_composite(const DirectFrame& frame, const float* background, float* o
 void composite_lattice(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_pixel(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_lens_column(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
-// A tile of composite_lens_column has so many lenses across and rows down, and so many lens columns are in a group of a
-// list. The function says how it draws a lens on the current device; shared_memory: see DirectFrame.
+// Lenses across and rows down of a tile of composite_lens_column, and lens columns in a group of a list. The function
+// says how it draws a lens on the current device; shared_memory: see DirectFrame.
 constexpr int kTileLenses = 16, kTileRows = 32, kGroupColumns = 6;
 LensColumnLayout lens_column_layout(const Lens& lens, int64_t shared_memory);
+
+constexpr int kMostLatticePlanes = 16;
+constexpr int kMostNodes = 640;  // of a tile: a tenth of its sub-pixels
+
+// A plane of nodes. What is seen at one of its nodes is seen on the next plane `aside` nodes on. `first` is the index
+// of its first node, such that a node and the one `aside` nodes on in the next plane are stride() apart.
+struct LatticePlane {
+  float aside;
+  int first;
+};
+
+struct Lattice : LatticeGrid {
+  LatticePlane plane[kMostLatticePlanes];
+
+  LFGS_HD int stride() const { return per_plane() + margin; }
+  // How many places all nodes take in memory, at most.
+  LFGS_HD int places() const { return nodes() + 2 * margin * (planes - 1); }
+  // How many points are drawn: the nodes, and the middles of the cells in which samples may lie.
+  LFGS_HD int points() const { return nodes() + cells() * (down - 1) * (planes - 1); }
+};
 
 }  // namespace lfgs::cuda

@@ -1,10 +1,10 @@
 // How a frame chooses the kernel that composites it: what each would cost and err, averaged over the splats. project
 // adds up the sums in FrameState, and the last of its blocks reads them and writes the choice there.
 //
-// A kernel evaluates r = S^(-1/2) as a polynomial in s; where r has the relative error e, alpha is wrong by less than
-// 0.74 e. The error is estimated from the p of RootSeries: a straight line through -+ 1/2 leaves at most about
-// 3/4 (p2 + p3), a parabola through 0 and -+ sqrt(1/2) leaves 1/2 (p3 + p4); on average a third of that. Two terms are
-// taken since one alone says little: p2 is zero where s2 = 3/4 s1^2, and p3 where s1 = 0.
+// A kernel evaluates r = S^(-1/2) as a polynomial in s. If r has the relative error e, the error of alpha is below 0.74
+// e. The error is estimated from the p of RootSeries. A straight line through -+ 1/2 leaves at most about 3/4 (p2 +
+// p3). A parabola through 0 and -+ sqrt(1/2) leaves 1/2 (p3 + p4). The average is a third of that. Two terms are taken
+// since one alone says little: p2 is zero where s2 = 3/4 s1^2, and p3 where s1 = 0.
 #pragma once
 
 #include "cuda/common/blend.cuh"
@@ -38,12 +38,13 @@ __device__ inline float most_linear_error(const DirectFrame& frame) {
   if (frame.in_half) return kMostHalfShapeError;
   return frame.splats.orders ? kWithHarmonics : shape_limits(0).needs_exact;
 }
-// log2(0.98): a splat of at least this opacity is careful. No other can end a sample that holds more than 2/255.
+// log2(0.98): a splat of at least this opacity needs the exact formulas. No other can end a sample that holds more than
+// 2/255.
 constexpr float kExactOpacity = -0.0291f;
 constexpr int kSampledSplats = 1 << 14;  // about so many splats are summed, which is enough for averages
 
-// The sums over splats: first those of geometry (area of the footprint, half its width and height, disparity over the
-// rig, and that times the half height), then errors and numbers of splats.
+// The sums over splats. First geometry: area of the footprint, half its width and height, disparity over the rig, and
+// disparity times half height. Then errors and numbers of splats.
 enum FrameSum {
   kArea,
   kHalfWidth,
@@ -51,7 +52,8 @@ enum FrameSum {
   kDisparity,
   kDisparityHeight,
   kLinearError,
-  kLinearExact,  // the linear kernels: error of the splats that are fitted; number of those that are careful
+  kLinearExact,  // the linear kernels: error of the splats that are fitted; number of the others, which need the exact
+                 // formulas
   kMixedError,
   kMixedExact = kMixedError + kLevels,
   kCurved = kMixedExact + kLevels,  // the quadratic kernels, at the limits of each level; kCurved: beyond `straight`
@@ -78,14 +80,14 @@ struct ShapeError {
 };
 
 // The largest mean error with which the lens column kernel may be chosen. Captures of thin discs have up to 1.0e-4 in
-// cones of 53 degrees and 1.5e-4 in cones of 90; in cones of 150 degrees they have 2.1e-4 and more.
+// cones of 53 degrees, and 1.5e-4 in cones of 90. In cones of 150 degrees they have 2.1e-4 and more.
 __device__ inline float most_lens_column_error(const DirectFrame& frame) {
   return frame.in_half ? kMeanHalfShapeError : 1.8e-4f;
 }
 
-// What a splat would be in the lens column kernel, looked at in the middle and at both ends of the rig: adds the mean
-// error where it is not careful, and the share where it is. The error is 1 if half precision has no number for the
-// sweep in standard deviations.
+// The splat in the lens-column kernel, from the middle and both ends of the rig. Add the mean error where it does not
+// need the exact formulas, and the fraction where it does. The error is 1 if half precision has no number for the sweep
+// in standard deviations.
 __device__ inline void lens_column_terms(const LensOptics& lens, const Splat<float>& s, float& error,
                                          float& needs_exact) {
   constexpr float kMostHalf = 3e4f;
@@ -160,16 +162,15 @@ __device__ inline void add_to_sums(const DirectFrame& frame, const Splat<float>&
 }
 
 // How many points a lattice may have in a tile whose splats are this large: drawing so many costs half of what the
-// lattice spares. Every point meets the whole list of the tile, whereas a warp that draws the tile otherwise has a
-// patch of about a quarter of its width and height, and meets only the splats that reach that.
+// lattice spares. Every point meets the whole list of the tile. A warp of the other kernels has a patch of about a
+// quarter of its width and height, and meets only the splats that reach it.
 __device__ inline float points_worth(float width_px, float height_px) {
   const float w = float(kPixelTileWidth), h = float(kPixelTileHeight);
   return 1250 * (w / 4 + width_px) / (w + width_px) * (h / 4 + height_px) / (h + height_px);
 }
 
 // Whether a lattice with a usual number of planes would pay in a tile of usual splats, which have these mean half sizes
-// in pixels. It is asked once for the frame, since to find out in every tile takes a tenth of the time of a frame of
-// small splats.
+// in pixels. It is asked once for the frame: to test every tile takes a tenth of the time of a frame of small splats.
 __device__ inline bool lattices_may_pay(const DirectFrame& frame, float half_width, float half_height) {
   constexpr float kPlanes = 7, kReach = 2.65f;  // how many standard deviations a splat of usual opacity reaches
   constexpr float kCoarser = 7 / 6.f;           // coarser than tried first: frames that only just pay so were no slower
@@ -185,13 +186,13 @@ __device__ inline bool lattices_may_pay(const DirectFrame& frame, float half_wid
 // sums, when all of them are there.
 //
 // Each kernel is given a time in ms on an H200: tasks * (cost of an intersection * intersections + set-up) / rate. The
-// costs are in warp instructions, of which an H200 issues 132 x 4 at 1.98 GHz; they were fitted to the times of frames,
-// within 12 %. The intersections of a patch of w x h pixels that sees the fraction f of the rig are the sum, over the
+// costs are in warp instructions; an H200 issues 132 x 4 at 1.98 GHz. They were fitted to the times of frames, within
+// 12 %. Take a patch of w x h pixels that sees the fraction f of the rig. Its intersections are the sum, over the
 // splats, of
 //   area + (w + f D) 2 b + h 2 a + (w + f D) h
-// divided by the pixels of the panel. a and b are the half width and half height of a splat, D its disparity.
-// A frame of compensated opacities is drawn by lens columns, or by patches of pixels with parabolas, since only these
-// kernels know of compensations.
+// divided by the pixels of the panel. a and b are the half width and half height of a splat, D its disparity. A frame
+// of compensated opacities is drawn by lens columns, or by patches of pixels with parabolas, since only these kernels
+// know the compensation.
 template <bool kCompensated>
 __device__ inline void choose_kernel(const DirectFrame& frame) {
   FrameState& state = *frame.state;
@@ -211,7 +212,7 @@ __device__ inline void choose_kernel(const DirectFrame& frame) {
   };
 
   // Mean errors, and the first level of limits that keeps the mean of the quadratic kernels; if none does, they draw
-  // all splats carefully (`exact`)
+  // all splats by the exact formulas (`exact`)
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
   const bool linear = !kCompensated && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
   int level = 0;

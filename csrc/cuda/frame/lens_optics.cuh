@@ -6,7 +6,7 @@
 namespace lfgs::cuda {
 
 // Functions of the offset are fitted over -1..1 through the zeros of Chebyshev's polynomials of the second kind, which
-// gives the least mean error: a line through -+ kLinePlace, a parabola through 0 and -+ kParabolaPlace.
+// minimizes the mean error. A line goes through -+ kLinePlace, a parabola through 0 and -+ kParabolaPlace.
 constexpr float kLinePlace = 0.5f, kParabolaPlace = 0.70710678f;
 
 // The phase of a stripe.

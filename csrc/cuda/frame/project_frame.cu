@@ -13,8 +13,8 @@ namespace {
 
 constexpr int kThreads = 128;
 
-// How much the colour of a Gaussian errs as a parabola within a lens column, at most: looked at in the middles between
-// the places where it does not err, and at the ends of the lens_column.
+// The largest error of a Gaussian's colour as a parabola within a lens column. It is evaluated at the ends of the lens
+// column, and midway between the points of the fit.
 __device__ __noinline__ float lens_column_colour_error(const DirectFrame& frame, const Gaussians<const float> gaussians,
                                                        const Camera<double>& rig, int64_t i) {
   constexpr float kNodes[] = {-kParabolaPlace, 0, kParabolaPlace}, kBetween[] = {-1, -0.4082483f, 0.4082483f, 1};
@@ -38,9 +38,9 @@ __device__ __noinline__ float lens_column_colour_error(const DirectFrame& frame,
   return worst;
 }
 
-// Count the splats whose colours the lens column kernel would draw too wrong. Within a lens column of half width w,
-// the error is at most w^3 / 12 times the third derivative by s. By the angle, harmonic k has derivatives of at most k,
-// k^2 and k^3 times its amplitude; by s, the angle has 1 / r, 1 / r^2 and 2 / r^3 at a distance r from the cameras.
+// Count the splats whose colours the lens column kernel would draw too wrong. Within a lens column of half width w, the
+// error is at most w^3 / 12 times the third derivative by s. By the angle, harmonic k has derivatives of at most k, k^2
+// and k^3 times its amplitude. By s, the angle has 1 / r, 1 / r^2 and 2 / r^3 at a distance r from the cameras.
 struct LensColumnWatch {
   const DirectFrame& frame;
   const Gaussians<const float>& gaussians;

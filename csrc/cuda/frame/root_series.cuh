@@ -6,12 +6,12 @@
 
 namespace lfgs::cuda {
 
-// The lens column kernel evaluates a splat carefully if its parabola_error() is above kMostParabolaError; otherwise
-// alpha is off by less than 0.42/255. No splat has so large an error where s2 reach^2 is up to kLeastBend: that is
-// where the worst S, which is the square of a line, has it.
+// The lens-column kernel evaluates a splat by the exact formulas if its parabola_error() is above kMostParabolaError.
+// Otherwise alpha is off by less than 0.42/255. No splat with s2 reach^2 up to kLeastBend has so large an error: the
+// worst S, the square of a line, has it there.
 constexpr float kMostParabolaError = 0.002f, kLeastBend = 0.026f;
 
-// The series of r: where S = S0 (1 + s1 v + s2 v^2), r = S0^(-1/2) (1 + p1 v + p2 v^2 + p3 v^3 + p4 v^4 ...).
+// The series of r for S = S0 (1 + s1 v + s2 v^2): r = S0^(-1/2) (1 + p1 v + p2 v^2 + p3 v^3 + p4 v^4 ...).
 struct RootSeries {
   float s1, s2;
 

@@ -1,6 +1,6 @@
-// Stage composite for ordinary images on the device, and its backward pass. Forward it reads the splats and the sorted
-// intersections and writes colour, alpha and depth; the backward pass reads these images and their gradients, and
-// writes the sums of every intersection and of the background.
+// Stage composite for ordinary images on the device, and its backward pass. The forward pass reads the splats and the
+// sorted intersections, and writes colour, alpha and depth. The backward pass reads these images and their gradients,
+// and writes the sums of every intersection and of the background.
 //
 // A block has a tile of 16 x 16 pixels, a warp a patch of 8 x 4 of them, a thread a pixel. Both directions go over the
 // splats nearest first. A warp passes over the splats that cannot touch its patch.
@@ -130,23 +130,23 @@ __global__ void __launch_bounds__(kThreads)
   out.depth[pixel.index] = depth;
 }
 
-// --- The backward pass. A warp goes back and forth between two steps: first every lane finds what its pixel says of
-// kHits splats that may touch the patch (intersections), then the lanes share the sums of that over the pixels. Within
-// either step no lane waits for another.
+// --- The backward pass. A warp alternates between two steps. First every lane evaluates kIntersections splats that may
+// touch the patch at its pixel. Then the lanes share the sums over the pixels. Within either step no lane waits for
+// another.
 
 template <int kSums>
 constexpr int kBatchOf = kSums == kImageSums ? 64 : 60;  // splats staged at a time: 48 KiB hold no more with all sums
 constexpr int kIntersections = 8;                        // with the four rows of a patch, a sum for every lane
 static_assert(kIntersections * kPatchHeight == 32);
 
-// A sample in the backward pass. `behind` is what all that is behind the splat at hand adds to the loss; at the start,
-// which is before the first splat, it follows from the sample's gradients and its image.
+// A sample in the backward pass. `behind` is the part of the loss of everything behind the current splat. Before the
+// first splat it follows from the sample's gradients and its image.
 struct Sample {
   float4 gradient;  // of r, g, b, depth
   float transmittance, behind;
 
-  // Take the sample from before a splat to behind it. Return the gradient of the exponent at this sample, divided by
-  // ln 2 (x), and the weight of the splat there (y); see over_backward() for the formula.
+  // Advance the sample past one splat. Return the gradient of the exponent at this sample, divided by ln 2 (x), and the
+  // weight of the splat (y). See over_backward() for the formula.
   __device__ float2 pass(const Staged& s, float x, float y) {
     const float power = s.power(x, y), before = transmittance;
     float alpha = to_alpha(power);
@@ -236,8 +236,8 @@ __device__ void background_backward(const Pixel& pixel, const Sample& sample, fl
   tile_background[3 * int64_t(blockIdx.x) + threadIdx.x] = sum;
 }
 
-// Write the sums of every intersection of a tile, a block each. They are taken within each warp, then over the warps
-// that the splat touches, always in the same order, so that the bits are always the same.
+// Write the sums of every intersection of a tile, a block each. The sums run within each warp, then over the warps that
+// the splat touches, always in the same order. So the bits are always the same.
 template <int kSums>
 __global__ void __launch_bounds__(kThreads, 4)
     composite_images_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges,

@@ -1,8 +1,8 @@
-// Backward pass of stage project for ordinary images on the device: reads the sums of all splats' intersections, writes
-// the gradients of the Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A
-// thread has a Gaussian of a scene, and goes through the cameras of the scene in order; a block adds up what its
-// Gaussians say of each camera. Splats and colours are computed once more, so that nothing of the forward has to be
-// kept for this.
+// Backward pass of stage project for ordinary images on the device. It reads the sums over all splats' intersections.
+// It writes the gradients of the Gaussians, of the cameras and, on request, of the splats' places on the screen. A
+// thread has a Gaussian of a scene, and visits the cameras of the scene in order. A block sums the gradients of each
+// camera over its Gaussians. Splats and colours are computed once more, so that nothing of the forward has to be kept
+// for this.
 //
 // Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
 // moves those of its 32 Gaussians together, through shared memory.
@@ -82,8 +82,8 @@ struct Gradients {
 
 // `so_far` and the backward pass of the projection of Gaussian `i` of a scene into an image, which is computed in
 // double and then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything
-// once more, and gradients go in and out by value: what is handed over by its address lies in memory for ordinary
-// splats as well.
+// once more, and gradients go in and out by value: passing addresses would force them into memory for ordinary splats
+// too.
 template <bool kCompensated>
 __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const float>& gaussians,
                                                       const Cameras<float>& cameras, const AllSums& sums, int64_t image,
@@ -280,8 +280,8 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
   in_fours ? rows.load(sh, lit) : rows.load_one_by_one(sh, lit);
   if (!kOneCamera) g_rows.clear();
 
-  const int64_t views = kOneCamera ? 1 : cameras.per_scene;
-  for (int64_t v = 0; v < views; ++v) {
+  const int64_t own_cameras = kOneCamera ? 1 : cameras.per_scene;
+  for (int64_t v = 0; v < own_cameras; ++v) {
     const int64_t image = scene * cameras.per_scene + v;
     const Camera<float> camera = cameras.camera<float>(image);
     const int64_t index = image * n + i;

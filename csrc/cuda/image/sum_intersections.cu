@@ -1,10 +1,10 @@
 // Between the backward passes of composite and project for ordinary images on the device: adds up the intersections of
 // each splat. It reads every intersection once, in a fixed order, in double.
 //
-// Most splats have a few intersections, and one that fills the image has thousands. Lanes share the numbers of a
-// intersection, so that they read memory side by side, and a warp sums up as many splats at once as it has lanes for.
-// Splats of many intersections are summed up by a whole block. Neighbours in memory are neighbours in space and of one
-// size: warps take splats from far apart, so that none has all the large ones.
+// Most splats have a few intersections, and one that fills the image has thousands. Lanes share the numbers of an
+// intersection, so that they read memory side by side. A warp sums as many splats at once as it has lanes for. Splats
+// of many intersections are summed up by a whole block. Neighbours in memory are neighbours in space and of one size:
+// warps take splats from far apart, so that none has all the large ones.
 #include "cuda/common/check.h"
 #include "cuda/stages/stages.h"
 
@@ -33,7 +33,7 @@ __device__ double strided_sum(const float* indices, uint32_t begin, uint32_t end
   return sum;
 }
 
-// A thread of the grid brings one splat into its block: the first of a warp is `warp`, and the others follow at the
+// Each thread of the grid brings one splat into its block. The first of a warp is `warp`, and the others follow at the
 // distance of the number of warps.
 template <int kNumbers>
 __global__ void __launch_bounds__(kThreads)

@@ -1,5 +1,5 @@
-// Cropping a photo: a pass over all pixels finds the object, then a thread has a pixel of what is made, resized first
-// along rows and then along columns.
+// Crop a photo. A pass over all pixels finds the object. Then a thread makes a pixel of the result, resized first along
+// rows, then along columns.
 #include "cuda/photo/photo.h"
 
 #include <algorithm>
@@ -12,8 +12,8 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int64_t kMostRows = 65535;  // of a grid
 
-// The box is found by maxima alone, so that zeros are where they begin: how far it is from the bottom to the top edge,
-// where it ends below; the same to the right; and whether a value was out of range.
+// The box is found by maxima alone, which begin at zero. They are the distance of its top edge from the bottom, and its
+// lower end; the same for left and right; and whether a value was out of range.
 enum Found { kFromBottom, kBottom, kFromRight, kRight, kOutside };
 
 // The square round the box, in whole pixels; it may reach beyond the photo.

@@ -1,4 +1,4 @@
-// The stages that lay a photo over what the network predicts, on a CUDA device: the same as the CPU's (stages/photo.h),
+// The stages that lay a photo over the network's prediction, on a CUDA device. They are the stages of stages/photo.h
 // with device pointers and a stream. Nothing allocates or waits: a CUDA graph can hold them.
 #pragma once
 
@@ -20,7 +20,7 @@ struct Photo {
   const uint8_t* bytes = nullptr;  // [height, width, 4] straight RGB and alpha, or
   const float* floats = nullptr;   // the same in 0..1
   float opaque = 0;                // alpha from which on a pixel is of the object, as the photo counts
-  double margin = 0;               // room on each side of the object's box, as a share of its longer side
+  double margin = 0;               // margin on each side of the object's box, relative to its longer side
   unsigned* found = nullptr;       // [kFoundNumbers] the object's box
   float* checks = nullptr;         // [2] whether all values are in 0..1, whether there is an object
 };

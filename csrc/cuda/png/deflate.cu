@@ -1,5 +1,5 @@
-// Deflate an image (png.h): count how often each symbol stands in the stream, make the codes, find where each piece of
-// a row begins, and write. The three passes over the image each filter it anew, which costs less than keeping it.
+// Deflate an image (png.h): count each symbol of the stream, make the codes, find the start of each piece of a row, and
+// write. The three passes over the image each filter it anew, which costs less than keeping it.
 //
 // A block has a piece of a row, and each of its threads a segment of that. Runs end with the segment, so that threads
 // need nothing of each other but how many bits the others write.
@@ -60,8 +60,8 @@ class Segment {
       before = starts_row ? kUp : filtered(first - 1);
   }
 
-  // Call literal(byte) and run(bytes) for what becomes of the segment, in order: the filter where the row begins, and
-  // runs of what stands before them.
+  // Call literal(byte) and run(bytes) for the segment, in order: the filter where the row begins, and repetitions of
+  // the byte before.
   template <class Literal, class Run>
   __device__ void symbols(Literal&& literal, Run&& run) const {
     if (starts_row) literal(kUp);
@@ -90,8 +90,8 @@ __device__ unsigned long long sum_of_warp(unsigned long long value) {
   return value;
 }
 
-// What the count sees of the bytes that a thread brings: their sum, the sum of each times its number, and whether one
-// tells that the image has more than one colour.
+// Facts about the bytes of a thread: their sum, the sum of each times its number, and whether the image has more than
+// one colour.
 struct Seen {
   unsigned sum = 0, numbered = 0;
   bool varied = false;

@@ -15,8 +15,8 @@ struct CodeTable {
   uint32_t counts[kDeflateSymbols];
   int sorted[kDeflateSymbols];  // the symbols that stand there, from the rarest on
   int used;
-  // Nodes of the tree: the leaves in the order of `sorted`, then those that join two others, in the order in which they
-  // are made; their weights ascend too
+  // Nodes of the tree: the leaves in the order of `sorted`, then the joined nodes in the order of their making. The
+  // weights of both ascend
   unsigned long long weights[2 * kDeflateSymbols];
   short parents[2 * kDeflateSymbols], depths[2 * kDeflateSymbols];
   int of_length[kMostCodeBits + 1];  // how many codes have so many bits
@@ -41,8 +41,8 @@ __device__ inline void join_nodes(CodeTable& table) {
   for (int node = nodes - 2; node >= 0; --node) table.depths[node] = table.depths[table.parents[node]] + 1;
 }
 
-// Count the codes of each length, and make those that are too long shorter: each takes the place of half of a code
-// that has fewer bits, which gets a bit more. The sum of 2^-length is 1 before and after.
+// Count the codes of each length, and shorten the codes that are too long. Each takes half of the place of a code with
+// fewer bits, which gets a bit more. The sum of 2^-length is 1 before and after.
 __device__ inline void limit_lengths(CodeTable& table) {
   for (int& count : table.of_length) count = 0;
   int left = -(1 << kMostCodeBits);  // what the sum is above 1, in units of the longest code

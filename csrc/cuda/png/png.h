@@ -1,6 +1,6 @@
-// The compressed part of a PNG file, made on a CUDA device: rows filtered by "Up" and deflated as one block of dynamic
-// Huffman codes, whose only repetitions are runs of one byte. Neighbours in a row of a panel's image are of different
-// views, so that runs are what there is to find (lightfield_gs/io/images.py). Nothing allocates or waits.
+// The compressed part of a PNG file, made on a CUDA device. Rows are filtered by "Up" and deflated as one block of
+// dynamic Huffman codes. Its only repetitions are runs of one byte. Neighbours in a row of a panel's image show
+// different views, so that there are few repetitions but runs (lightfield_gs/io/images.py). Nothing allocates or waits.
 //
 // Sources: Portable Network Graphics (PNG) Specification (Third Edition), W3C, 2025, section 9.2; RFC 1951, section
 // 3.2; RFC 1950, section 9 (Adler-32).
@@ -40,8 +40,7 @@ struct PngImage {
   int64_t pieces() const;
   int64_t work_bytes() const;
   // The most that it can take. A byte takes at most 9 bits where all symbols have codes of one length. The code here is
-  // the best of at most 15 bits but for what keeping to these costs: a bit more for some symbols of a chance below
-  // 2^-12 each.
+  // the best of at most 15 bits, except that some symbols with a probability below 2^-12 take a bit more.
   int64_t stream_bytes() const { return (10 * height * (row_bytes + 1) / 8 + 1024) / 4 * 4; }
   void place(void* work, void* out);
 };

@@ -15,8 +15,8 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kManyRows = 8;  // of tiles: a splat that may touch more is shared by the lanes of a warp
 
-// The two times that the intersections are gone through: kCount counts them, in the place of the ends of the lists, and
-// kFill fills the lists.
+// The two passes over the intersections. kCount counts them, in the place of the ends of the lists, and kFill fills the
+// lists.
 enum class Pass { kCount, kFill };
 
 // Add a splat to one list.
@@ -39,9 +39,9 @@ __device__ void add_together(const SortedChunk& chunk, Pass pass, bool some, uns
   if (some) chunk.ids[place] = id;
 }
 
-// Go through the intersections. A thread has a splat at a time, of whose tiles each lane adds one after the other; a
-// warp shares the work for a large splat, a row of tiles a lane. One kernel does both passes, so that they find the
-// same tiles to the last bit.
+// Go through the intersections. A thread has a splat at a time, and adds its tiles one after the other. A warp shares
+// the work for a large splat, a row of tiles a lane. One kernel does both passes, so that they find the same tiles to
+// the last bit.
 __global__ void __launch_bounds__(kThreads) intersections_kernel(const __grid_constant__ SortedChunk chunk, Pass pass) {
   const int lane = threadIdx.x % 32;
   const int64_t splats = chunk.image.count * chunk.count, step = int64_t(gridDim.x) * kThreads;

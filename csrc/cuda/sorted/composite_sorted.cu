@@ -2,9 +2,9 @@
 // splats, the lists of every (view, tile) and the lists of sub-pixels, and writes those sub-pixels of the image.
 //
 // A block has the sub-pixels of one view in one tile. A group of its lanes has 32 of them, kEach a lane. They lie close
-// together, since the lists run along the columns; so a group first notes which splats may touch the box around its
-// sub-pixels, and then blends only those. Several groups share a warp, each with intersections of its own: a splat that
-// is read serves kEach sub-pixels of a lane, and the box is no larger for it.
+// together, since the lists run along the columns. So a group first lists the splats that may touch the box around its
+// sub-pixels, and then blends only those. Several groups share a warp, each with its own intersections. A splat that is
+// read serves kEach sub-pixels of a lane, and the box is no larger.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/sorted/sorted.h"
@@ -38,8 +38,8 @@ struct Staged {
   }
 };
 
-// What a block keeps of a batch of splats: the splats, with one that touches nothing behind them, in the colours of the
-// background; and for each group the numbers of those that it blends.
+// A batch of splats of a block. Behind the splats is one that touches nothing, in the colours of the background. Each
+// group has the numbers of the splats that it blends.
 struct alignas(16) Batch {
   Staged splats[kStaged + 1];
   ushort4 intersections[kGroups][kStaged / kAtATime];
@@ -111,7 +111,7 @@ __device__ void stage(const SortedChunk& chunk, const uint32_t* ids, int count, 
   }
 }
 
-// Write the numbers of the batch's splats that may touch the group's box, in order, and then that of the splat that
+// Write the numbers of the batch's splats that may touch the group's box, in order. Pad them with the splat that
 // touches nothing, until all groups of the warp have as many. Return how many, a multiple of kAtATime.
 __device__ int list_intersections(const Batch& batch, int count, const Box& box, uint16_t* intersections) {
   const int lane = threadIdx.x % kLanes, first_lane = threadIdx.x % 32 - lane;
@@ -131,9 +131,9 @@ __device__ int list_intersections(const Batch& batch, int count, const Box& box,
   return most;
 }
 
-// The light that a sub-pixel has taken, and where it goes on. It takes splats whose power is not below `least`: from
-// the opacity cut on while it is open, then none, since the next splat would leave less than the limit of
-// transmittance. What is left is for the background.
+// The light that a sub-pixel has taken, and where it goes on. It takes splats whose power is at least `least`. That is
+// the opacity cut while the sample is open. Afterwards it takes none, since the next splat would leave less than the
+// limit of transmittance. What is left is for the background.
 struct Light {
   static constexpr float kClosed = 1e30f;
   float value = 0, transmittance = 1, least = kClosed;
@@ -175,9 +175,9 @@ struct Drawing {
       }
     }
   }
-  // Blend splats as if no sample came to the limit, which saves a third of the steps: transmittances only fall, so
-  // one look behind the last tells whether it was so, and if not, all is done again with care. Return false when no
-  // sample of the warp is open any more.
+  // Blend splats as if no sample came to the limit, which saves a third of the steps. Transmittances only fall, so one
+  // test after the last splat is enough; if it fails, blend all again with the limit. Return false when no sample of
+  // the warp is open any more.
   __device__ bool blend(const Batch& batch, const ushort4& intersections) {
     Drawing before = *this;
     blend(batch, intersections, &Light::take_freely);

@@ -1,9 +1,9 @@
-// The stages of `sorted` on the device: some views of a panel at a time, each an ordinary camera, of which only the
-// view's own sub-pixels are drawn. Gaussians + cameras -> project -> count -> fill -> order -> composite.
+// The stages of `sorted` on the device, for some views of a panel at a time. Each view is an ordinary camera, and only
+// its own sub-pixels are drawn. Gaussians + cameras -> project -> count -> fill -> order -> composite.
 //
-// Lists are made by counting, not by sorting intersections: count finds how long the list of every (view, tile) is,
-// fill writes the splats into it in any order, and order sorts each list by depth. Nothing allocates or waits. Between
-// count and fill the caller reads how many intersections there are, and takes memory for them.
+// Lists are made by counting, not by sorting intersections. count finds the length of the list of every (view, tile),
+// fill writes the splats in any order, and order sorts each list by depth. Nothing allocates or waits. Between count
+// and fill the caller reads how many intersections there are, and takes memory for them.
 #pragma once
 
 #include <cstdint>

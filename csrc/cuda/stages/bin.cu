@@ -21,7 +21,7 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 128;
-constexpr uint32_t kNoTile = ~0u;  // of the room that no intersection took; sorts behind all tiles
+constexpr uint32_t kNoTile = ~0u;  // of unused capacity; sorts behind all tiles
 
 // Count the tiles that each splat touches. A thread has a splat.
 __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts) {
@@ -46,8 +46,8 @@ auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
   return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
 }
 
-// Write intersections of one splat with `count` tiles from `tile` on, to the intersections from `at` on that there is
-// room for.
+// Write the intersections of one splat with `count` tiles from `tile` on, to the indices from `at` on, up to the
+// capacity.
 __device__ void write_intersections(const Intersections& intersections, uint32_t index, uint32_t tile, int count,
                                     uint32_t at) {
   for (int k = 0; k < count && at < intersections.count; ++k, ++at) {
@@ -56,8 +56,7 @@ __device__ void write_intersections(const Intersections& intersections, uint32_t
   }
 }
 
-// Write the intersections of one splat, whose intersections begin at `at`, by all lanes of a warp: a lane has a row of
-// tiles.
+// Write the intersections of one splat from index `at` on, by all lanes of a warp: a lane has a row of tiles.
 __device__ void fill_together(const Splats<float>& splats, const Image& image, const Intersections& intersections,
                               uint32_t index, uint32_t first_tile, uint32_t at) {
   const Splat<float> splat = read_splat(splats.splats + index);

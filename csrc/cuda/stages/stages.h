@@ -29,8 +29,8 @@ struct Image {
   TileSize tile;
 };
 
-// --- project. It also writes the keys for sorting, [I * N]: the number of the image above kDepthBits bits of the
-// depth, which is positive; ~0 where nothing is drawn. (Here and below I images have N Gaussians each.)
+// --- project. It also writes the keys for sorting, [I * N]. A key is the number of the image above kDepthBits bits of
+// the positive depth; ~0 where nothing is drawn. (Here and below I images have N Gaussians each.)
 constexpr int kDepthBits = 31;
 constexpr int64_t kMostImages = 65535;  // CUDA's limit for blocks of a launch along y
 void project_images(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
@@ -50,11 +50,11 @@ void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted
 size_t count_bytes(int64_t items);
 void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts, int64_t* intersections,
                void* temporary, size_t temporary_bytes, Stream stream);
-// Buffers of bin_fill, a number per intersection. An *intersection* is the place of an intersection in splat-major
-// order: those of the i-th sorted splat are [ends[i - 1], ends[i]). After bin_fill only the sorted ones are of use.
+// Buffers of bin_fill, a number per intersection. The index of an intersection is its place in splat-major order: those
+// of the i-th sorted splat are [ends[i - 1], ends[i]). After bin_fill only the sorted ones are of use.
 //
-// Where the host does not wait for the number of intersections, `count` is how many there is room for and `total` where
-// the device has their number. If that is larger, some intersections are missing: whoever reads the images has to look.
+// Where the host does not wait for the number of intersections, `count` is the capacity of the buffers. The device has
+// the number at `total`. If that is larger, some intersections are missing: whoever reads the images has to look.
 struct Intersections {
   int64_t count;
   uint32_t *tiles, *sorted_tiles;      // tile of each intersection; of each sorted intersection
@@ -68,9 +68,10 @@ LFGS_HD uint32_t sorted_splat(const Intersections& intersections, int64_t k) { r
 struct IntersectionRange {
   uint32_t first, last;
 };
-// bin_fill writes the intersections, nearest first within a tile; ends [I * N], the running sum of the counts of the
-// sorted splats; ranges [I * tiles, 2], where each tile's intersections begin and end (zeroed by the caller, for empty
-// tiles are left alone); and intersection_ranges [I * N]. fill_bytes raises when 32 bits do not hold an intersection.
+// bin_fill writes the intersections, nearest first within a tile, and intersection_ranges [I * N]. ends [I * N] is the
+// running sum of the counts of the sorted splats. ranges [I * tiles, 2] receives the first and the end of each tile's
+// intersections. The caller zeroes it, for empty tiles are left alone. fill_bytes raises when 32 bits do not hold an
+// intersection.
 size_t fill_bytes(int64_t items, int64_t intersections);
 void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const uint32_t* counts,
               int64_t* ends, const Intersections& intersections, int64_t* ranges,
@@ -83,14 +84,14 @@ void composite_direct(const Splats<float>& splats, const Image& image, const int
                       const Intersections& intersections, const Lens& lens, const float* background, float* out,
                       Stream stream);
 
-// --- the backward passes. Every intersection is written by one block in a fixed order, and sums run in the order of
-// intersections, so that every run gives the same bits. intersection_gradients is [intersections, numbers of a
+// --- the backward passes. One block writes each intersection in a fixed order, and sums run in the order of
+// intersections. So every run gives the same bits. intersection_gradients is [intersections, numbers of a
 // intersection]; tile_background is [I * tiles, 3].
 //
 // The numbers of an intersection are, for ordinary images, the first kImageFootprintSums of FootprintSum, then the
-// gradients of depth, r, g and b; where absolute gradients are asked for, then the sums of |gradient| of u0 and of v0
-// over the samples (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for
-// each power of s, and with compensation those of D.
+// gradients of depth, r, g and b. With absolute gradients, the sums of |gradient| of u0 and of v0 over the samples
+// follow (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each power
+// of s, and with compensation those of D.
 constexpr int kDepthSum = kImageFootprintSums, kColourSum = kDepthSum + 1, kImageSums = kColourSum + 3;
 constexpr int kAbsoluteSum = kImageSums, kAbsoluteImageSums = kAbsoluteSum + 2;
 constexpr int kDirectSums = kDirectFootprintSums;
@@ -100,14 +101,15 @@ void composite_images_backward(const Splats<float>& splats, const Image& image, 
                                Images<const float> gradients, bool absolute, float* intersection_gradients,
                                float* tile_background, Stream stream);
 // Add up the intersections of each splat: sums [I, N, kSplatSums], the numbers of an intersection, all zero where a
-// splat has none; what is behind them is left alone.
+// splat has none. Numbers behind them are left alone.
 constexpr int kSplatSums = kAbsoluteImageSums;
 static_assert(kSplatSums == kSplatFields);  // for torch the sums are the gradient of the splats, and so of their shape
 void sum_intersections(int64_t splats, const IntersectionRange* intersection_ranges, bool absolute,
                        const float* intersection_gradients, float* sums, Stream stream);
 // From the sums of all splats. All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the
-// splats' places, u0 and v0 in pixels; where `absolute` [I, N, 4], with the absolute ones behind. camera_partials
-// [I, camera_blocks(N), 12], or null, receives those of the rows of [R|t], which the caller sums over the blocks.
+// splats' places, u0 and v0 in pixels. With `absolute` it is [I, N, 4], with the absolute gradients behind.
+// camera_partials [I, camera_blocks(N), 12], or null, receives those of the rows of [R|t], which the caller sums over
+// the blocks.
 int64_t camera_blocks(int64_t gaussians);
 void project_images_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
                              const Gaussians<float>& out, float* screen, bool absolute, float* camera_partials,

@@ -1,5 +1,5 @@
-// A step of Adam for one number (Kingma & Ba, "Adam: a method for stochastic optimization", ICLR 2015, algorithm 1),
-// with its corrections for moments that begin at zero.
+// A step of Adam for one number, with its corrections for moments that begin at zero. See Kingma & Ba, "Adam: a method
+// for stochastic optimization", ICLR 2015, algorithm 1.
 #pragma once
 
 #include <cmath>
@@ -8,7 +8,7 @@
 
 namespace lfgs {
 
-// What the steps of a whole run share.
+// Constants of all steps of a run.
 struct AdamDecay {
   double first = 0.9, second = 0.999;  // beta1, beta2
   double epsilon = 1e-15;              // added to the root of the second moment

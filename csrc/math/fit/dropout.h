@@ -1,5 +1,5 @@
-// Which Gaussians a step leaves out: a random share of them, so that none can count on what hides behind another, and
-// those that stay make up for it (Park et al., "DropGaussian", CVPR 2025).
+// Dropout: a step leaves out a random fraction of the Gaussians, and the others make up for it (Park et al.,
+// "DropGaussian", CVPR 2025). So no Gaussian depends on others that it hides.
 #pragma once
 
 #include <cstdint>

@@ -8,10 +8,10 @@
 
 namespace lfgs {
 
-// V images of H x W pixels, row-major. The loss is summed over the images: with w the weights, x the image, y the photo
-// and x' = w x + (1 - w) y,
+// V images of H x W pixels, row-major. The loss is summed over the images. w are the weights, x is the image, y the
+// photo, and x' = w x + (1 - w) y.
 //   sum over samples of ((1 - ssim_lambda) |x' - y| + ssim_lambda w (1 - SSIM(x', y))) / (3 H W).
-// What has no weight thus looks as in the photo, also to the windows of its neighbours, and adds nothing.
+// Samples without weight thus look as in the photo, also to the windows of their neighbours, and add nothing.
 template <class T>
 struct PhotoLoss {
   int64_t images = 0, height_px = 0, width_px = 0;
@@ -39,13 +39,13 @@ struct PhotoLoss {
   }
 };
 
-// What a sample adds to the loss, but for the share of a sample.
+// The loss of a sample, before sample_weight().
 template <class R>
 LFGS_HD R sample_loss(R x, R y, R w, R ssim, R ssim_lambda) {
   return (1 - ssim_lambda) * std::abs(x - y) + ssim_lambda * w * (1 - ssim);
 }
 
-// d(loss)/d(image) of a sample, but for the share of a sample. ssim_by_x: derivative of the sum of w SSIM by x'. At
+// d(loss)/d(image) of a sample, before sample_weight(). ssim_by_x: derivative of the sum of w SSIM by x'. At
 // x = y the loss of L1 has a corner, where it counts as flat.
 template <class R>
 LFGS_HD R sample_gradient(R x, R y, R w, R ssim_by_x, R ssim_lambda) {

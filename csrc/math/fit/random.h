@@ -1,6 +1,6 @@
-// Random numbers without a state: Philox4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011)
-// turns a counter and a key into four words. A number is a function of what it is for, so that every run, every device
-// and every number of threads draws the same, and a run that goes on from a checkpoint needs no state of a generator.
+// Random numbers without a state. Philox4x32-10 turns a counter and a key into four words (Salmon et al., "Parallel
+// random numbers: as easy as 1, 2, 3", SC 2011). A number is a function of its purpose, step and index. So every run,
+// every device and every number of threads draws the same numbers, and checkpoints store no generator.
 #pragma once
 
 #include <cstdint>
@@ -37,7 +37,7 @@ struct RandomStream {
     return philox4x32({uint32_t(index), uint32_t(index >> 32), step, purpose}, uint32_t(seed), uint32_t(seed >> 32));
   }
 };
-constexpr uint32_t kNoisePurpose = 0;  // of math/fit/noise.h
+constexpr uint32_t kNoisePurpose = 0;  // of position_noise()
 
 // Two words as a number in [0, 1), of 53 bits.
 LFGS_HD double to_uniform(uint32_t high, uint32_t low) { return double((uint64_t(high) << 32 | low) >> 11) * 0x1p-53; }

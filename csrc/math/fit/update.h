@@ -66,9 +66,9 @@ struct StepNumbers {
 };
 constexpr int kStepColumns = sizeof(StepNumbers<float>) / sizeof(float);
 
-// Gradients of what is drawn go through the chain rule of exp and sigmoid, the regularisers are added, Adam moves the
-// parameters, noise moves the means, and what is drawn is written anew. Of Gaussians with a gradient that is_usable()
-// refuses nothing changes, and they are counted. So are all, where `step` is not a row of the table.
+// Gradients go through the chain rule of exp and sigmoid, and the regularisers are added. Adam moves the parameters,
+// noise moves the means, and the activated scales and opacities are written anew. Of Gaussians with a gradient that
+// is_usable() refuses nothing changes, and they are counted. So are all, where `step` is not a row of the table.
 template <class T>
 struct Update {
   Gaussians<const T> gradients;  // of what is drawn; its count and degree are those of all parameters

@@ -1,6 +1,6 @@
 // The sheet of texels over what a photo shows, a texel at a time: along which surface it lies, and what it looks like.
 // lightfield_gs/models/detail.py and upsample.py say why, differentiably. There are two passes over all texels, since
-// each needs what its neighbours have: the first finds the surface and blurs along rows, the second does the rest.
+// each needs its neighbours. The first finds the surface and blurs along rows; the second does the rest.
 #pragma once
 
 #include <cmath>
@@ -53,7 +53,7 @@ struct Mix {
   }
 };
 
-// Along one axis: the pixel that a texel is in, the one towards which it lies, and the share of that.
+// Along one axis: the pixel that a texel is in, the one towards which it lies, and the weight of that pixel.
 struct Between {
   int64_t own, other;
   float part;
@@ -170,8 +170,8 @@ struct TexelGaussian {
   float opacity;
 };
 
-// Turn a texel along the surface, whose slopes across and down are given in footprints of depth a texel: its axes are
-// the direction of descent, the level direction and the normal. Along the first, texels lie farther apart.
+// Turn a texel along the surface. The slopes across and down are in footprints of depth a texel. The axes of the texel
+// are the direction of descent, the level direction and the normal. Along the first, texels lie farther apart.
 LFGS_HD void lay_along(float across, float down, const glm::vec3& ray, TexelGaussian& texel) {
   const glm::vec3 tangent_x = glm::vec3(1, 0, 0) + across * ray, tangent_y = glm::vec3(0, 1, 0) + down * ray;
   const float right = across < 0 ? across - 1e-4f : across + 1e-4f;  // what is level all over descends to the right

@@ -1,6 +1,6 @@
-// Where the sheet over a photo lies on the network's grid: what the photo's camera sees of the cloud on average, and
-// how the cloud fades before it. lightfield_gs/models/detail.py says why, differentiably. Between what is done here for
-// a Gaussian or a pixel, planes are blurred along rows and along columns.
+// Where the sheet over a photo lies on the network's grid: the average depth of the cloud from the photo's camera, and
+// the fading of the cloud before it. lightfield_gs/models/detail.py says why, differentiably. Between what is done here
+// for a Gaussian or a pixel, planes are blurred along rows and along columns.
 #pragma once
 
 #include <cmath>
@@ -82,8 +82,8 @@ LFGS_HD float blurred_at(const float* number, int64_t stride, int64_t at, int64_
   return sum;
 }
 
-// From the blurred fog in set 2 and the sizes in set 0: how much is seen of a pixel's Gaussians, and of what, to set 1.
-// Nearer is of a larger disparity; the fog's density is a normal distribution along the line of sight.
+// Write the visibility of a pixel's Gaussians and their averages to set 1, from the blurred fog in set 2 and the sizes
+// in set 0. Nearer is of a larger disparity; the fog's density is a normal distribution along the line of sight.
 LFGS_HD void look_through(const Surface& job, int64_t pixel) {
   const int rest = job.rest(), last = job.seen_planes() - 1;
   for (int c = 0; c <= last; ++c) job.plane(1, c)[pixel] = 0;

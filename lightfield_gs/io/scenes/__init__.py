@@ -1,1 +1,1 @@
-"""Files of 3D Gaussians, as arrays: one reader a format."""
+"""Files of 3D Gaussians: one module a format, and files.py for all."""

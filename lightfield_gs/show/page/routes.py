@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import itertools
+import json
 import secrets
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,12 +18,14 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QUALITY_NAMES
+from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.io.atomic import scratch_folder
+from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
 from lightfield_gs.panels.simulate import missing_geometry
-from lightfield_gs.show.page.controls import Controls, defaults, number
-from lightfield_gs.show.page.server import Answer, Place, Query, Route, Superseded, as_json, page_file, text
-from lightfield_gs.show.page.stage import Picture, Stage
+from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, Superseded, as_json, page_file, text
+from lightfield_gs.show.page.stage import Controls, Picture, Stage, defaults, number
 
 _JPEG_QUALITY = 85
 _WAIT_S = 10.0  # for another picture of the panel, before the page asks again
@@ -40,12 +44,12 @@ def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path
         "/": page_file("view.html"),
         **{f"/{name}": page_file(name) for name in ("view.css", "view.js", "controls.js", "pictures.js")},
         "/scene.json": Route(lambda query: as_json({**_scene(stage, list(exports)), "token": token})),
-        "/frame": Route(steering.frame, place=lambda query: Place(_is_still(query))),
+        "/frame": Route(steering.frame, place=lambda query: Reservation(_is_still(query))),
         "/rest": Route(steering.rest, token),
         "/focus.json": Route(steering.focus),
         "/depth.json": Route(steering.depth),
         **{
-            f"/export/{name}": Route(partial(steering.export, name), place=lambda query: Place(True))
+            f"/export/{name}": Route(partial(steering.export, name), place=lambda query: Reservation(True))
             for name in exports
         },
         **panel_routes(stage.panel, steering.native, lambda after: stage.wait_for(after, _WAIT_S)),
@@ -112,7 +116,9 @@ def panel_routes(
         "/panel.css": page_file("panel.css"),
         "/panel.js": page_file("panel.js"),
         "/panel.json": Route(state),
-        "/panel.png": Route(lambda query: packed.answer(version(-1)), place=lambda query: Place(True, version(-1))),
+        "/panel.png": Route(
+            lambda query: packed.answer(version(-1)), place=lambda query: Reservation(True, version(-1))
+        ),
         "/favicon.ico": Route(lambda query: text("", 204)),
     }
 
@@ -226,3 +232,52 @@ class _Lines:
     def last(self, work: Callable[[], T]) -> T:
         """Runs work after the pictures at rest that were asked for before."""
         return self._still.submit(work).result()
+
+
+def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
+    """By the name of the file, what writes it to a path."""
+    layout = panel_quilt(stage.panel)
+    return {
+        "native.png": partial(_native, stage),
+        f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
+        "rig.yaml": partial(_rig, stage),
+    }
+
+
+def _native(stage: Stage, controls: Controls, path: Path) -> None:
+    """The native picture, with the panel and the rig in it, as `encode` writes them: `simulate` and `show` read it."""
+    image, _ = stage.native(controls)
+    encoding = {
+        "method": "direct",
+        "views": "integer",
+        "background": list(stage.background),
+        "quality": controls.quality,
+        **({"antialiased": True} if stage.antialiased else {}),
+        **({"view_filter": stage.view_filter} if stage.view_filter else {}),
+    }
+    made_by = {"panel": stage.panel.to_dict(), "rig": stage.rig_of_file(controls).to_dict(), "encoding": encoding}
+    write_image(path, image, {**_origin(stage), **{name: json.dumps(value) for name, value in made_by.items()}})
+
+
+def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:
+    """All views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
+    panel, rig = layout.fitted(stage.panel, controls.rig(stage.base, stage.panel))
+    image = quilt(
+        stage.gaussians,
+        layout,
+        rig,
+        panel,
+        background=stage.background,
+        antialiased=stage.antialiased,
+        view_filter=stage.view_filter,
+    )
+    write_image(path, image.cpu().numpy(), _origin(stage))
+
+
+def _origin(stage: Stage) -> dict[str, str]:
+    return {"software": f"lightfield-gs {version('lightfield-gs')}", "input": stage.name}
+
+
+def _rig(stage: Stage, controls: Controls, path: Path) -> None:
+    """The cameras, for `--rig`, in the axes of the scene's file."""
+    stage.rig_of_file(controls).to_yaml(path)

@@ -72,11 +72,11 @@ class Route:
 
     make: Callable[[Query], Answer]
     token: str | None = None
-    place: Callable[[Query], Place] | None = None
+    place: Callable[[Query], Reservation] | None = None
 
 
 @dataclass(frozen=True)
-class Place:
+class Reservation:
     """is_large: whether the answer is a picture at rest or a file. key: answers with one key are the same bytes, which
     are counted once."""
 
@@ -88,7 +88,7 @@ class Busy(Exception):
     """Too many answers are on their way to take one more into memory."""
 
 
-class Room:
+class PendingAnswers:
     """Answers on their way, from before they are made until they are sent: few, for slow readers hold them in memory.
 
     most: so many of different keys at a time.
@@ -149,7 +149,8 @@ class Server(ThreadingHTTPServer):
 
     def __init__(self, routes: Mapping[str, Route], port: int = 0, host: str = DEFAULT_HOST):
         self.routes = routes
-        self.rooms = {True: Room(_MOST_LARGE), False: Room(_MOST_SMALL)}  # by whether an answer is large
+        # By whether an answer is large
+        self.pending = {True: PendingAnswers(_MOST_LARGE), False: PendingAnswers(_MOST_SMALL)}
         host = host.strip("[]").rstrip(".") or "0.0.0.0"  # a name may end in the dot of the root
         try:
             self.address_family, address = _resolved(host, port)
@@ -317,7 +318,7 @@ class _Handler(BaseHTTPRequestHandler):
             values = dict(parse_qsl(query, max_num_fields=_MOST_VALUES))
             if route.place is not None:
                 place = route.place(values)
-                held.enter_context(self.server.rooms[place.is_large].taken(place.key))
+                held.enter_context(self.server.pending[place.is_large].taken(place.key))
             return route.make(values)
         except Superseded:
             return text("a newer request has taken the place of this one", 409)

@@ -1,5 +1,5 @@
 // Composite of a light-field frame where the light field is smooth: twin of cpu/direct/direct_lattice-inl.h on the
-// device. Read the splats and the sorted lists of the frame; writes the image where a lattice is good enough, and the
+// device. Read the splats and the sorted lists of the frame. Write the image where a lattice is good enough, and the
 // numbers of all other tiles into DirectFrame::refused.
 //
 // The tiles and lists are those of the kernel that the frame chose. First a warp lays a coarse lattice in (x, y, view)
@@ -67,12 +67,12 @@ __device__ void add_staged(const Staged& staged, int first, int end, int half_pl
   }
 }
 
-// Where several threads share a point, 1 << log2_parts of them: which share this thread has, and of which point.
+// Where 1 << log2_parts threads share a point: the part and the point of this thread.
 __device__ int own_part(int log2_parts) { return int(threadIdx.x) * (1 << log2_parts) / kThreads; }
 __device__ int number_abreast(int log2_parts) { return int(threadIdx.x) & ((kThreads >> log2_parts) - 1); }
 
 // The colour, 0..1, of this thread's point. Where there are few points, several threads have the same point: each
-// blends a share of the staged splats, and all of them join the shares. By all threads of the block.
+// blends a part of the staged splats, and all of them join the parts. By all threads of the block.
 __device__ float3 draw(const List& list, const Lattice& lattice, const Point& point, int log2_parts, float stop,
                        float4 background, Memory& memory) {
   const int half_planes = 2 * lattice.planes - 1, batch = min(kBatch, quotient(kShapes, half_planes));
@@ -86,7 +86,7 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
       if (!__all_sync(~0u, seen.w == 0)) add_staged(memory.staged, 0, count, half_planes, point, stop, seen);
       continue;
     }
-    // Blend this thread's share, then join the shares of the point from front to back
+    // Blend this thread's part, then join the parts of the point from front to back
     float4 part = make_float4(0, 0, 0, 1);
     const int each = (count + (1 << log2_parts) - 1) >> log2_parts, from = own_part(log2_parts) * each;
     add_staged(memory.staged, from, min(from + each, count), half_planes, point, stop, part);
@@ -103,8 +103,8 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
 }
 
 // Draw a section's nodes and the middles of its cells, by all threads of the block. Return the error at the middles,
-// as a share of what is allowed. If it is more than that, nodes are moved to lower it, and what counts is the error
-// that is left, or the largest move if that is more.
+// relative to the allowed one. If it is above 1, nodes are moved to lower it. Then the error that is left counts, or
+// the largest move if that is more.
 __device__ float draw_lattice(const DirectFrame& frame, const List& list, int section, float4 background,
                               Memory& memory) {
   const Lattice& lattice = memory.lattices[section];
@@ -165,8 +165,8 @@ __device__ int row_of(int i, int probes) {
   return i < probes ? i * kProbeRows : between / (kProbeRows - 1) * kProbeRows + between % (kProbeRows - 1) + 1;
 }
 
-// What is known of a probed row: how many of its tiles are done, how many of them tried a lattice, and how many have
-// one that fits. The three counts are in one word, so that a reader gets all of them from the same moment.
+// The state of a probed row: the number of tiles that are done, that tried a lattice, and that have one that fits. The
+// three counts are in one word, so that a reader gets all of them from the same moment.
 class ProbedRow {
  public:
   __device__ explicit ProbedRow(const unsigned long long& counts)
@@ -184,8 +184,8 @@ class ProbedRow {
   __device__ unsigned count(int which) const { return unsigned(counts_ >> which * kBits) & ((1u << kBits) - 1); }
 };
 
-// What the probed rows above and below say of a row between them: lattices are worth trying if enough tiles of one of
-// these have a lattice that fits, and not if both are done and neither has.
+// The verdict of the probed rows above and below on a row between them. Lattices are worth trying if one of these rows
+// has enough tiles with a fitting lattice. They are not if both rows are done and neither has.
 enum Verdict : int { kUnknown, kWorth, kNotWorth };
 
 __device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int row) {
@@ -207,9 +207,9 @@ __device__ List make_list(const DirectFrame& frame, const Lists& lists, const Ti
   return {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin()};
 }
 
-// Why a tile has no lattices; stands in the place of the number of planes of its first lattice. Nothing of the tile is
-// on the panel; no splat is in it, so that it is filled with the background; no lattice was tried, for its splats are
-// few or not listed by tile; or a lattice would not pay there. The latter two are left to the kernel chosen.
+// Why a tile has no lattices; stands in the place of the number of planes of its first lattice. Outcomes without a
+// lattice: the tile is off the panel; it has no splat, and is background; its splats are few or unlisted; or a lattice
+// would not pay. The latter two are left to the kernel chosen.
 enum Unlaid : int { kUnseen = -3, kEmpty = -2, kUntried = -1, kPaysNot = 0 };
 
 // Lay lattices through the sections of all tiles, and write them into DirectFrame::lattices. A warp has one tile.
@@ -261,9 +261,9 @@ __device__ bool draw_tile(const DirectFrame& frame, const Lists& lists, const Ti
 }
 
 // Draw the tiles whose lattices fit. A block has a tile; its threads have points of the lattice, and then sub-pixels.
-// The first blocks have the probed rows. Most blocks of the rows between find out at their start whether lattices are
-// worth it; one that cannot know yet tries its own, and then waits until the probed rows are done. That ends: blocks
-// are started in turn, so all blocks of a lower number are running, and none waits for a block of a higher number.
+// The first blocks have the probed rows. Most blocks of the rows between know at their start whether lattices are worth
+// it. A block that cannot know yet tries its own, then waits for the probed rows. The wait ends: blocks start in turn,
+// so all blocks of a lower number run. No block waits for one of a higher number.
 template <class Out>
 __global__ void __launch_bounds__(kThreads, kBlocks)
     composite_lattice_kernel(const __grid_constant__ DirectFrame frame, const float* background, Out* out) {

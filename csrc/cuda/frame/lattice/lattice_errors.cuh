@@ -1,5 +1,6 @@
-// How a block of composite_lattice.cu checks a lattice: the errors of interpolation at the middles of its cells, and
-// nodes moved to lower them. Twin of LatticeErrors on the CPU. It reads and changes the nodes in shared memory.
+// How a block of composite_lattice.cu checks a lattice. It finds the errors of interpolation at the middles of its
+// cells, and moves nodes to lower them. Twin of LatticeErrors on the CPU. It reads and changes the nodes in shared
+// memory.
 #pragma once
 
 #include "cuda/frame/lattice/lattice_tile.cuh"
@@ -66,8 +67,8 @@ struct ErrorSums {
     largest = fmaxf(largest, fmaxf(fabsf(e.x), fmaxf(fabsf(e.y), fabsf(e.z))));
     squares += e.x * e.x + e.y * e.y + e.z * e.z;
   }
-  // Put together the `count` errors of all threads of the block, which call this together: returns the largest, or
-  // `share` times the root mean square if that is more.
+  // Combine the `count` errors of all threads of the block, which call this together. Return the largest, or `factor`
+  // times the root mean square if that is more.
   __device__ float of_block(Memory& memory, int count, float factor) const {
     const float most = warp_max(largest), sum = warp_sum(squares);
     if (threadIdx.x % 32 == 0) memory.largest[threadIdx.x / 32] = most, memory.squares[threadIdx.x / 32] = sum;
@@ -124,9 +125,9 @@ __device__ void for_each_error(const Lattice& lattice, int section, const Memory
     visit(n - first, difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
 }
 
-// Move every node by a share of the errors at the middles round it, see kNodeFactor, and return the largest move of
-// this thread's nodes. Nodes round which there are errors of both signs, as at an edge, stay where they are. By all
-// threads of the block.
+// Move every node by kNodeFactor times the mean error at the middles round it. Return the largest move of this thread's
+// nodes. Nodes round which there are errors of both signs, as at an edge, stay where they are. By all threads of the
+// block.
 __device__ float move_nodes(const Lattice& lattice, int section, Memory& memory) {
   for_each_error(lattice, section, memory, [&](int number, float3 e) { memory.errors[number] = Triple(e); });
   __syncthreads();

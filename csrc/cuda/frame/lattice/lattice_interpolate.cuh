@@ -1,6 +1,6 @@
 // How a block of composite_lattice.cu interpolates a tile of lenses, or fills a tile with the background. It reads the
-// nodes in shared memory and writes the image: a thread interpolates the run of sub-pixels that one lens has in a row,
-// bytes are collected in shared memory, and then whole rows are stored at once.
+// nodes in shared memory and writes the image. A thread interpolates the run of sub-pixels of one lens in a row. Bytes
+// are collected in shared memory, then whole rows are stored at once.
 #pragma once
 
 #include "cuda/frame/lattice/lattice_tile.cuh"
@@ -11,8 +11,8 @@ namespace {
 // A colour in 0..1 as stored() makes it. Instead of a conversion a number is added that leaves the byte in the bits.
 __device__ inline uint8_t to_byte(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, NodePosition::kMagic))); }
 
-// Interpolate a run of sub-pixels, ends.x to before ends.y, in row r of a tile of lenses, and call put(m, colour) for
-// each. `phase` is that of the first.
+// Interpolate the sub-pixels [ends.x, ends.y) in row r of a tile of lenses, and call put(m, colour) for each. `phase`
+// is that of the first.
 template <bool Table, class Put>
 __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views<Seen>& views, unsigned phase, int r,
                                 int2 ends, const Put& put) {
@@ -47,8 +47,8 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const View
   }
 }
 
-// Interpolate what a section has in the rows from `top` to before `end`, and call put(r, at, colour) with the place
-// of each sub-pixel in its row. By all threads of the block: a thread has the runs of one lens, in some of the rows.
+// Interpolate the sub-pixels of a section in the rows [top, end), and call put(r, at, colour) with the place of each in
+// its row. By all threads of the block: a thread has the runs of one lens, in some of the rows.
 template <bool Table, class Put>
 __device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views<Seen>& views, int section,
                                     int top, int end, const Put& put) {
@@ -82,9 +82,9 @@ __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int 
     store_row(tile.lens, tile.top + r, memory.rows[r], memory.interpolated.bytes + (r - top) * row_bytes, out);
 }
 
-// Draw a tile, as many rows at a time as fit the memory: calls draw(top, end, put) for the rows from `top` to before
-// `end`, which in turn calls put(row, place in it, colour) for every sub-pixel. By all threads of the block, which wait
-// for each other before and after `draw`.
+// Draw a tile, as many rows at a time as fit the memory. Call draw(top, end, put) for the rows [top, end), which calls
+// put(row, place in it, colour) for every sub-pixel. By all threads of the block, which wait for each other before and
+// after `draw`.
 template <class Out, class Draw>
 __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw& draw) {
   const int row_bytes = tile.row_bytes();

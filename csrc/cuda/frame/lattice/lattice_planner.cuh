@@ -5,7 +5,7 @@
 #include <new>
 
 #include "cuda/frame/composite_frame.cuh"
-#include "cuda/frame/lattice.cuh"
+#include "cuda/frame/direct_frame.h"
 #include "cuda/frame/kernel_cost.cuh"
 #include "math/colour_circle.h"
 
@@ -43,8 +43,8 @@ struct List {
 // lanes of a warp call its functions together.
 class LatticePlanner {
  public:
-  // Measure a part of the panel by some splats of its list. A lane works out the terms of one splat; then two lanes
-  // add up what belongs to one bin, each the terms of every other splat.
+  // Measure a part of the panel by some splats of its list. A lane computes the terms of one splat. Then two lanes sum
+  // the terms of one bin, each over every other splat.
   __device__ void measure(const List& list, const LatticePart& part) {
     constexpr int kMeasured = 256;  // about; enough for averages
     constexpr int kLanesPerBin = 32 / LatticeCurvature::kBins;

@@ -17,8 +17,8 @@ constexpr int kWords = 3 * kPixelTileWidth / 4;  // words of four sub-pixels in 
 constexpr int kColumns = 3, kRowsOn = kColumns * kThreads / kWords;
 static_assert(kRowsOn * kWords == kColumns * kThreads);
 
-// The nodes brought to the rows of pixels of a tile, from `top` on: for each channel and each plane but the last, what
-// is between one node and the next.
+// The nodes interpolated to the rows of pixels of a tile, from `top` on. There is an interval between neighbouring
+// nodes for each channel and each plane but the last.
 struct NodeRows {
   const Nodes& nodes;
   const Lattice& lattice;

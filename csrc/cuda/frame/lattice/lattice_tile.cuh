@@ -1,5 +1,5 @@
-// A tile of composite_lattice.cu: which sub-pixels are its own, the nodes from which they are interpolated, and what a
-// block has of both in shared memory.
+// A tile of composite_lattice.cu: its sub-pixels, the nodes from which they are interpolated, and a block's shared
+// memory for both.
 //
 // A tile is made of sections, and each section has a list of splats and a lattice of its own. A tile of pixels is one
 // section, which sees the whole rig; a tile of lenses has a section for each group of lens_columns.
@@ -9,7 +9,7 @@
 
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/frame/lattice.cuh"
+#include "cuda/frame/direct_frame.h"
 #include "cuda/frame/lattice/lattice_planner.cuh"
 #include "cuda/frame/lens_optics.cuh"
 
@@ -33,9 +33,9 @@ struct Staged {
   float4 shapes[kShapes];  // a splat's colour and 1 / S on the planes and half-way between: [splats, 2 planes - 1]
 };
 
-// What a sub-pixel sees: an offset between two planes of a lattice. `aside` says how many nodes aside it lies on the
-// first of the two; the word below has where that plane is stored (16 bits) and the part of the way to the next plane
-// (a half, above).
+// What a sub-pixel sees: an offset between two planes of a lattice. `aside`: how many nodes aside it lies on the first
+// plane. The word below holds the storage index of that plane (16 bits) and the part of the way to the next plane (a
+// half, above).
 struct alignas(8) Seen {
   float aside;
   unsigned first_and_part;
@@ -51,8 +51,8 @@ struct alignas(8) Seen {
 // A number of nodes in 65536ths. Half a 1024th is added, since only 1024ths are used later: so they are rounded.
 __device__ inline unsigned fixed(float nodes) { return unsigned(int(fmaf(nodes, 65536.f, 32.f))); }
 
-// The same for rows of pixels, see lattice_rows.cuh: how far on in a row that is stored which is seen, in 65536ths of a
-// node, and the part of the way to the next plane.
+// The same for rows of pixels, see lattice_rows.cuh. It has the shift within a stored row, in 65536ths of a node, and
+// the part of the way to the next plane.
 struct alignas(8) RowSeen {
   unsigned on;
   __half2 part;
@@ -63,8 +63,8 @@ struct alignas(8) RowSeen {
         part(__float2half2_rn(part_)) {}
 };
 
-// Colours from a node to the next along x, in a row of pixels: first + t step, where t goes from 1 at the one node to 2
-// at the other; and how `first` and `step` change to the next plane.
+// Colours from a node to the next along x, in a row of pixels: first + t step. t is 1 at the one node and 2 at the
+// other. Also the changes of `first` and `step` to the next plane.
 struct alignas(8) Between {
   __half2 first_and_step, change;
 
@@ -79,7 +79,7 @@ struct alignas(8) Between {
   }
 };
 
-// Colours, 0..1, at the corners of a cell: of a node and the next along x, in its row (low) and in the next (high). A
+// Colours, 0..1, at the corners of a cell: a node and the next along x, in its row (low) and in the next (high). A
 // place in the cell needs all four, and reads them at once; so every colour is stored up to four times.
 struct alignas(8) Corners {
   __half2 low, high;
@@ -98,8 +98,8 @@ struct alignas(8) Triple {
 
 constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of another channel is in another bank
 
-// Memory for interpolation: what every view sees of the section at hand, then either the colours of as many rows as
-// fit (bytes), or the nodes of as many rows of pixels as fit (between).
+// Memory for interpolation. First the position of every view in the section, then the colours (bytes) or the nodes
+// (between) of as many rows as fit.
 struct Interpolated {
   static constexpr int kRowBytes = sizeof(Staged) - kMostTableViews * sizeof(Seen);
   union {
@@ -217,8 +217,8 @@ struct Tile {
   }
 };
 
-// x >= 0 as n + part, with n whole and part between -1e-4 and 1: an x that is a little less than whole counts as whole.
-// Conversions to integers are slow, so there is none: after 2^23 + 2^22 is added, the last bits of the float are n.
+// x >= 0 as n + part, with n whole and part in [-1e-4, 1): an x just below a whole number counts as whole. Conversions
+// to integers are slow, so there is none: after 2^23 + 2^22 is added, the last bits of the float are n.
 struct NodePosition {
   static constexpr float kMagic = 12582912.f;
   static constexpr unsigned kMagicBits = 0x4b400000u;

@@ -1,21 +1,21 @@
 // Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80). Read
 // the frame's splats and sorted lists, write the image.
 //
-// The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: an *lens column* t covers 1 / P_e of
+// The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: a *lens column* t covers 1 / P_e of
 // it. A warp task is 4 lenses x 16 rows at one lens column, 64 samples. x, y and v (the view, scaled) count from the
-// centre of the task. The exponent of a splat at a sample is
+// centre of the task. The exponent of a splat at a sample is as follows.
 //   A(y) - d(x, y, v)^2,   A = log2 o - tau (y - v0)^2,   d = S^(-1/2) (x - m(y, s)) to second order in v.
-// Both A and d are inner products of *features* of the sample (1, x, y, v, x v ...) with *coefficients* of the splat:
-// d has 16 of them and A has 8. They are in half precision, large coefficients as the sum of two halves; the tensor
+// Both A and d are inner products of *features* of the sample (1, x, y, v, x v ...) with *coefficients* of the splat. d
+// has 16 of them, and A has 8. They are in half precision, large coefficients as the sum of two halves; the tensor
 // cores multiply them and add in float. Colours are inner products, too: each sample has features that are not zero
-// only for its own channel. A splat's colour enters as the difference to that of the splat before.
-// Where S varies too much within the lens column for the polynomial, S^(-1/2) is evaluated sample by sample: such
-// intersections (an intersection is a splat that may touch the task's samples) are *careful*.
+// only for its own channel. A splat's colour enters as the difference to that of the splat before. An intersection is a
+// splat that may touch the task's samples. It is *exact* where S varies too much within the lens column for the
+// polynomial. Then S^(-1/2) is evaluated sample by sample.
 //
 // A block draws a tile of 16 lenses x 32 rows with 8 warps. The lens columns of a tile come in groups, each with a list
-// of splats, and are drawn in passes of a whole group or of half of one, as there is shared memory, see BlockLayout. Of
-// each quad of lanes every lane takes one contiguous quarter of a task's intersections; since over is associative, the
-// quarters are joined once at the end.
+// of splats. A pass draws a whole group or half of one, by the size of shared memory, see BlockLayout. Every lane of a
+// quad takes one contiguous quarter of a task's intersections. Over is associative, so the quarters are joined once at
+// the end.
 #include <cuda_fp16.h>
 
 #include "cuda/frame/lens_column/lens_column_colours.cuh"
@@ -25,8 +25,8 @@ namespace lfgs::cuda {
 namespace {
 
 #if __CUDA_ARCH__ >= 800
-// Bring `count` splats of a list into the block's shared memory, as Memory says, and find which patches of the tile
-// they may touch at the lens columns first .. last of a group. Two threads have a splat, one for each row of patches.
+// Bring `count` splats of a list into the block's shared memory, see Memory. Find the patches of the tile that they may
+// touch at the lens columns first .. last of a group. Two threads have a splat, one for each row of patches.
 template <class Layout>
 __device__ void stage(const DirectFrame& frame, const uint32_t* ids, int count, int first_lens, int row0, int first,
                       int last, Memory<Layout>& memory) {
@@ -133,8 +133,8 @@ __device__ void draw_tile(const DirectFrame& frame, const Lists& lists, unsigned
 }
 #endif
 
-// Draw the frame, if it has chosen this kernel. There are as many blocks as the device holds at a time; each draws one
-// tile after another until none is left, and a thread has the parts described at Task.
+// Draw the frame, if it has chosen this kernel. There are as many blocks as the device holds at a time. Each draws one
+// tile after another until none is left. Task describes the part of a thread.
 template <class Layout, bool Compensated, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
     composite_lens_column_kernel(const __grid_constant__ DirectFrame frame, int row_bytes, const float* background,
@@ -165,8 +165,8 @@ size_t block_bytes(float line_number) {
   return sizeof(Memory<Layout>) + (Layout::kCompact ? 0 : kTileRows * lens_row_bytes(line_number));
 }
 
-// Let blocks of a kernel take so much shared memory, and ask that two of them stand on a multiprocessor: what is not
-// shared memory there is cache.
+// Let blocks of a kernel take so much shared memory, and ask for two of them on a multiprocessor. The rest of its
+// memory there is cache.
 template <class Kernel>
 void allow_shared_memory(Kernel kernel, size_t bytes) {
   int device = 0, all = 0;
@@ -180,7 +180,8 @@ void allow_shared_memory(Kernel kernel, size_t bytes) {
         "composite_lens_column: cache");
 }
 
-// Launch the kernels that make colours and shares by lens column, where the scene needs them, and the one that draws.
+// Launch the kernel that draws, after those that make colours and compensations by lens column where the scene needs
+// them.
 template <class Layout, bool Compensated, class Out>
 void launch(const DirectFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (Layout::kHarmonics && frame.splats.count) {

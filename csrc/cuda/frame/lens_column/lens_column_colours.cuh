@@ -1,5 +1,5 @@
-// Kernels of composite_lens_column.cu that write what splats have at every lens column, once for the whole frame, since
-// several lists have the same splat: with harmonics their colours, with compensation their compensations.
+// Kernels of composite_lens_column.cu that write the colours (with harmonics) and the compensations of splats at every
+// lens column. They run once for the whole frame, since several lists have the same splat.
 #pragma once
 
 #include "cuda/frame/lens_column/lens_column_operands.cuh"
@@ -10,9 +10,9 @@
 namespace lfgs::cuda {
 namespace {
 
-// Write the colours of every splat at every lens column into DirectFrame::lens_column_colours and lens_column_slopes:
-// parabolas through three places of what the lens column sees, with nothing below zero there. They are made once for
-// the whole frame, since several lists have the same splat. A thread makes kPerThread lens columns of one splat.
+// Write the colours of every splat at every lens column into DirectFrame::lens_column_colours and lens_column_slopes.
+// They are parabolas through three offsets of the lens column, not below zero there. They are made once for the whole
+// frame. A thread makes kPerThread lens columns of one splat.
 constexpr int kPerThread = 3, kColourThreads = 128;
 __global__ void __launch_bounds__(kColourThreads)
     lens_column_colours_kernel(const __grid_constant__ DirectFrame frame) {

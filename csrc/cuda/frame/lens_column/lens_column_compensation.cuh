@@ -1,5 +1,5 @@
-// The share of its opacity that a compensated splat keeps within a lens column, sqrt(D(s) / S(s)) in
-// math/compensation.h: as it is for exact intersections, and as a parabola for all others.
+// The compensation of a splat within a lens column, sqrt(D(s) / S(s)) in math/compensation.h. Exact intersections
+// evaluate it by the formula, all others as a parabola.
 #pragma once
 
 #include "cuda/common/halves.cuh"
@@ -7,10 +7,10 @@
 
 namespace lfgs::cuda {
 
-// The largest error of log2 of the share for which a parabola is good enough: alpha is off by less than 0.1/255.
+// The largest error of log2 of the compensation for which a parabola is good enough: alpha is off by less than 0.1/255.
 constexpr float kMostCompensationError = 5e-4f;
 
-// The share as a function of v: share^2 = (e0 + e1 v + e2 v^2) / (1 + s1 v + s2 v^2), where s1 and s2 are those of an
+// The compensation c as a function of v: c^2 = (e0 + e1 v + e2 v^2) / (1 + s1 v + s2 v^2), with s1 and s2 of
 // LensColumnShape.
 struct LensColumnCompensation {
   float e0 = 1, e1 = 0, e2 = 0;
@@ -35,7 +35,8 @@ struct LensColumnCompensation {
   }
 };
 
-// Log2 of the share as level + slope v + bend v^2; level is NaN where that is too rough. The coefficients come from
+// Log2 of the compensation as level + slope v + bend v^2; level is NaN where that is too coarse. The coefficients come
+// from
 //   log(1 + a v + b v^2) = a v + (b - a^2 / 2) v^2 + (a^3 / 3 - a b) v^3 - (a^4 / 4 - a^2 b + b^2 / 2) v^4 ...
 // for the numerator less the same for the denominator. The next two terms tell the error.
 struct CompensationFit {
@@ -51,7 +52,7 @@ struct CompensationFit {
     auto fourth = [](float p, float q) { return p * p * (q - 0.25f * p * p) - 0.5f * q * q; };
     const float third = kUnit * (cube(a, b) - cube(s, t)), last = kUnit * (fourth(a, b) - fourth(s, t));
     const float error = reach * reach * reach * (0.4f * fabsf(third) + 0.5f * reach * fabsf(last));
-    // The series says little of what varies much, so such splats are too rough whatever the error
+    // The series is wrong where S varies much, so such splats are too coarse whatever the error
     const float most = reach * fmaxf(fabsf(a) + reach * fabsf(b), fabsf(s) + reach * fabsf(t));
     level = error <= kMostCompensationError && most <= 0.5f ? 0.5f * log2f(compensation.e0) : NAN;
     slope = fmaf(lens_columns.cubic, third, kUnit * (a - s)), bend = kUnit * (square(a, b) - square(s, t));

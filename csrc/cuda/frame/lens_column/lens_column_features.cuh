@@ -10,18 +10,18 @@ namespace lfgs::cuda {
 
 #if __CUDA_ARCH__ >= 800
 
-// A patch at one lens_column. All 32 lanes of a warp call the functions below together. Before the products a lane
-// stands for one intersection (its coefficients) or for two samples, one of each half of the patch (their features);
-// after them it has, as the tensor cores lay out a product, eight samples at two intersections.
+// A patch at one lens_column. All 32 lanes of a warp call the functions below together. Before the products a lane has
+// one intersection (its coefficients) or two samples, one of each half of the patch (their features). After them it has
+// eight samples at two intersections, as the tensor cores lay out a product.
 template <class Layout, bool Compensated>
 struct Features : Patch<Layout> {
   static constexpr bool Harmonics = Layout::kHarmonics;
   using Base = Patch<Layout>;
   using Base::Base, Base::frame, Base::own, Base::lane, Base::middle_y, Base::places, Base::row0;
 
-  // The features of all samples at a lens column, as operands of the tensor cores: those that d is made of, and those
-  // of the exponent's part A. A lane computes the features of two samples, one in each half of the patch; then the warp
-  // exchanges them through its memory.
+  // The features of all samples at a lens column, as operands of the tensor cores: for d, and for the exponent's part
+  // A. A lane computes the features of two samples, one in each half of the patch; then the warp exchanges them through
+  // its memory.
   __device__ void features(int lens_column, float x_centre, unsigned (&d)[kFragments][4],
                            unsigned (&A)[kFragments][2]) {
     const LensOptics& lens = frame.optics;
@@ -34,8 +34,8 @@ struct Features : Patch<Layout> {
       const int m = own.start[h][lane] + lens_column, row = row0 + lane / kWarpLenses + 8 * h;
       const int pixel = int(floorf((m + 0.5f) * (1.f / 3)));
       const float x = pixel + 0.5f - x_centre, y = lane / kWarpLenses + 8 * h + 0.5f - 0.5f * kWarpRows;
-      // With cells a lens column may also lie before the start of the lens or behind its end; there v could be too
-      // large for a half, which the clamp below prevents
+      // With cells a lens column may also lie before the start of the lens or behind its end. The clamp below keeps v
+      // there within a half
       uint64_t phase = phase_at(lens, row, m);
       if (lens.has_cells) phase += cell_phase(lens, row, m);
       float v = (camera_offset(lens, phase) - lens.lens_columns.view[lens_column]) * lens.lens_columns.view_unit;
@@ -43,8 +43,8 @@ struct Features : Patch<Layout> {
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
-      // A has coefficients for v and v^2 only with compensation, where they make the compensation; otherwise
-      // these two stand here for the colours, see view_bits()
+      // Only with compensation A has coefficients for v and v^2. Otherwise these two hold the values for the colours,
+      // see view_bits()
       rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics || Compensated ? halves(v, vv) : 0);
     }
 
@@ -65,8 +65,7 @@ struct Features : Patch<Layout> {
   }
 
   // The coefficients of d and of A for one intersection. They belong to x and y from (x_centre, middle_y) and to the
-  // offset centre + unit v. The d of an exact intersection lacks the factor that depends on v, which complete()
-  // multiplies in.
+  // offset centre + unit v. complete() multiplies the d of an exact intersection by the factor that depends on v.
   template <bool NeedsExact>
   __device__ Operands coefficients(const Splat<float>& s, const LensColumnShape& shape, float centre, float unit,
                                    float x_centre) const {
@@ -80,8 +79,8 @@ struct Features : Patch<Layout> {
     const float v = fmaf(p1, E, -sweep) * r, yv = fmaf(-p1, tilt, -turn) * r, vv = fmaf(p2, E, -p1 * sweep) * r;
     const float yvv = fmaf(-p2, tilt, -p1 * turn) * r, vvv = -p2 * sweep * r;
 
-    // Large coefficients are the sum of two halves. One place is used in two ways: where every v is exact as a half, it
-    // has the second half of the coefficient vv; for continuous views, what rounding left of v has its coefficient here
+    // Large coefficients are the sum of two halves. One entry has two uses. Where every v is exact as a half, it holds
+    // the second half of the coefficient vv. For continuous views it holds the coefficient of v's rounding error
     const unsigned v_ = split(v), vv_ = split(vv), yv_ = split(yv);
     const unsigned rest = frame.optics.continuous ? v_ << 16 : vv_;
     return {make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv)),
@@ -119,9 +118,9 @@ struct Features : Patch<Layout> {
     return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
   }
 
-  // Complete exact intersections, sample by sample: d, of two intersections at two samples of a fragment, is
-  // multiplied by (1 + s1 v + s2 v^2)^(-1/2), and A receives the compensation. s has s1 and s2 of the intersections;
-  // for an intersection whose d is complete they are zero, and its share is 1, so that nothing changes.
+  // Complete exact intersections, sample by sample, for two intersections at two samples of a fragment. Multiply d by
+  // (1 + s1 v + s2 v^2)^(-1/2), and add the compensation to A. s has s1 and s2 of the intersections. For an
+  // intersection whose d is complete they are zero and its compensation is 1, so that nothing changes.
   __device__ void complete(float (&d)[4], [[maybe_unused]] float (&A)[4], const unsigned (&features)[kFragments][4],
                            int fragment, const float2 (&s)[2],
                            [[maybe_unused]] const LensColumnCompensation (&compensations)[2]) const {
@@ -138,8 +137,8 @@ struct Features : Patch<Layout> {
   }
 
   // What the colours of intersections are multiplied by. Each sample takes the colour of one place of its pixel, so all
-  // other features are zero. Of each quad, lane 0, 1 or 2 has the features for value, slope and bend at that place,
-  // lane 3 those for the fine steps of all three slopes, see slope_and_bend().
+  // other features are zero. In each quad, lanes 0 to 2 have the features for value, slope and bend at that place. Lane
+  // 3 has those for the fine steps of all three slopes, see slope_and_bend().
   __device__ void colour_features_at(int lens_column, const unsigned (&A)[kFragments][2],
                                      unsigned (&out)[kFragments][4]) const {
     const int quad = lane % 4;

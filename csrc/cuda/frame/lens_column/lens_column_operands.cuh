@@ -1,5 +1,5 @@
-// What the kernel of composite_lens_column.cu multiplies: the layout of a block's shared memory, numbers written as
-// halves, and the instructions of the tensor cores.
+// The operands of composite_lens_column.cu: the layout of a block's shared memory, numbers as halves, and the
+// instructions of the tensor cores.
 #pragma once
 
 #include <type_traits>
@@ -13,26 +13,26 @@ namespace lfgs::cuda {
 
 constexpr int kWarpLenses = 4, kWarpRows = 16, kWarpsAcross = kTileLenses / kWarpLenses;
 constexpr int kWarpsDown = kTileRows / kWarpRows, kWarps = kWarpsAcross * kWarpsDown, kThreads = 32 * kWarps;
-// The 64 samples of a patch: four fragments of 16, as a product of the tensor cores takes them; two halves of 32, which
-// are 8 rows each and one sample a lane.
+// The 64 samples of a patch are four fragments of 16 for the tensor cores, or two halves of 32. A half has 8 rows, and
+// one sample a lane.
 constexpr int kFragments = 4, kHalves = 2;
 constexpr float kMaxLineNumber = kMostLensColumns - 1, kMinLineNumber = 4, kMostViewsEach = 16;
 constexpr float kMinCellLineNumber = 6;  // then half a lens is wider than a sub-pixel can stand aside of its stripe
 constexpr unsigned kOnes = 0x3c003c00u;  // 1 and 1, as halves
 constexpr unsigned kNothing = 0xe3d0;    // -1000 and 0, as halves: an exponent that draws nothing
-// Bytes of a sample's features; where the second part of d's coefficients begins, and those of A.
+// Bytes of a sample's features, and offsets of the second part of d's coefficients and of A's coefficients.
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 
 // How a block uses shared memory. Two blocks should stand on a multiprocessor: with one, 8 warps are too few to cover
-// each other's waits. The full layout does so where it has 228 KB (sm_90), the compact one where it has 100 KB (sm_86,
-// sm_89, sm_120). KB of a block with harmonics, full and compact:
+// each other's waits. The full layout does so with 228 KB (sm_90), the compact one with 100 KB (sm_86, sm_89, sm_120).
+// KB of a block with harmonics, full and compact:
 //   samples 24, 12    queues 9, 6    operands 12.5    colours 9.5    lenses 3
 //   staged splats and their patches 31.5, 5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
-// What a task takes was counted, in warp instructions, where its list is a batch (sheet:512 at 40 degrees): 1460 for 52
-// intersections, of them 380 to set it up and to join what it has drawn, 170 for each 32 operands, 104 for each batch
-// of products. So a list that is cut in two costs a third more, and the batch is what must not be small. The compact
-// layout holds no splats, only their numbers, and every task reads its intersections from the cache. It draws half a
-// group of lens columns at a time, a *pass*. Where a list is one batch, it is staged once for both passes.
+// A task with a list of one batch was counted in warp instructions (sheet:512 at 40 degrees). It takes 1460 for 52
+// intersections: 380 to set up and join, 170 for each 32 operands, and 104 for each batch of products. So a list that
+// is cut in two costs a third more, and the batch is what must not be small. The compact layout holds no splats, only
+// their numbers, and every task reads its intersections from the cache. It draws half a group of lens columns at a
+// time, a *pass*. Where a list is one batch, it is staged once for both passes.
 template <bool Harmonics_, bool Compact_>
 struct BlockLayout {
   static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
@@ -52,8 +52,8 @@ constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedB
 template <class Layout>
 struct WarpMemory {
   static constexpr bool kHarmonics = Layout::kHarmonics;
-  // Used in turn for features, 32 samples x 48 bytes; and for the coefficients of 32 intersections: those of d in two
-  // parts, then those of A, 16 bytes each.
+  // Holds in turn the features of 32 samples, 48 bytes each, and the coefficients of 32 intersections. These are d in
+  // two parts, then A, 16 bytes each.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[kHarmonics ? 32 : 1];
   // The colours of the last intersection of every quarter in this round and in the one before, which change places
@@ -62,9 +62,9 @@ struct WarpMemory {
   uint16_t
       queue[Layout::kBatch];  // the intersections of the lens column that is drawn: which of the staged splats they are
   float2 state[Layout::kLensColumns * kHalves][32];  // colour and transmittance of each sample
-  // For the lens of each sample, in the sample's row: the sub-pixel at lens column 0; the first lens column that is the
-  // lens's own, and the first that is no more. They are in memory since the compiler would rather compute them again
-  // for every lens column than keep so many registers.
+  // For the lens of each sample, in the sample's row: the sub-pixel at lens column 0, and the first and past-the-last
+  // lens column of the lens itself. They are in memory since the compiler would rather compute them again for every
+  // lens column than keep so many registers.
   int start[kHalves][32];
   uchar2 lens_columns[kHalves][32];
   float x_first;  // x of lens column -1/2, the left edge of the first, in the middle row
@@ -101,7 +101,7 @@ __device__ inline unsigned split(float a) {
 // The slope and the bend of a colour in a word. The tensor cores multiply differences between the slopes of successive
 // splats with the transmittance before each. Errors from rounding these differences would add up over the splats,
 // whereas an error in a slope itself counts only with that splat's weight. So slopes are rounded such that their
-// differences are exact: a slope is a multiple of kCoarseStep (as a half; differences below 1/4 are exact) plus -8 to 7
+// differences are exact. A slope is a multiple of kCoarseStep (as a half; differences below 1/4 are exact) plus -8 to 7
 // times kFineStep. That number of fine steps stands in the last four bits of the bend, a half that can spare them.
 constexpr float kCoarseStep = 1.f / (1 << 13), kFineStep = kCoarseStep / 16;
 __device__ inline unsigned slope_and_bend(float slope, float bend) {
@@ -156,9 +156,9 @@ __device__ inline void load_matrix(unsigned (&r)[2], unsigned address) {
                : "memory");
 }
 
-// Blend one intersection into one sample. `change` is the step from the colour of the intersection before: it is added
-// with all the light that has come so far, also where this intersection draws nothing, for the intersections behind
-// build on it. Limit: whether alpha may be above its most.
+// Blend one intersection into one sample. `change` is the step from the colour of the intersection before. It is added
+// with all the light so far, also where this intersection draws nothing: the intersections behind build on it. Limit:
+// whether alpha may be above its most.
 template <bool Limit>
 __device__ inline void blend(float d, float A, float change, float cut, float& colour, float& transmittance) {
   const float power = fmaf(-d, d, A);
@@ -169,7 +169,7 @@ __device__ inline void blend(float d, float A, float change, float cut, float& c
 }
 
 // An intersection's coefficients as halves: those of d in two parts, and those of A. Each lane of a quad reads two
-// words next to each other, so the four words of `low` are for the first two lanes and those of `high` for the others.
+// adjacent words: the first two lanes the four words of `low`, the others those of `high`.
 struct Operands {
   uint4 low, high, exponent;
 };

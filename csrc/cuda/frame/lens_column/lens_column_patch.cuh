@@ -1,6 +1,7 @@
-// A warp's patch in composite_lens_column.cu, 4 lenses x 16 rows: where its samples are, which splats touch it, and
-// what its samples hold. It reads the frame and the staged splats, and writes the warp's part of shared memory: cull()
-// the queues of intersections, clear() the state of the samples, which finish() hands out as colours.
+// A warp's patch in composite_lens_column.cu, 4 lenses x 16 rows. It has the positions of its samples, the splats that
+// touch it, and the state of its samples. It reads the frame and the staged splats, and writes the warp's part of
+// shared memory. cull() writes the queues of intersections, clear() the state of the samples, and finish() hands it out
+// as colours.
 //
 // All 32 lanes of a warp call these functions together.
 #pragma once
@@ -26,8 +27,8 @@ __device__ inline float sheared_x(const LensOptics& lens, int first_lens) {
   return (phase - float(lens.lead)) / 3 + 0.5f * lens.slant_tan + 1.f / 6;
 }
 
-// The patches that a splat may touch, as bits: bit kWarpsAcross t + a stands for patch a of a tile from the left, in
-// the upper or lower row of patches that begins in row `row0`, at lens column t of those from first to last.
+// The patches that a splat may touch, as bits. Bit kWarpsAcross t + a is patch a of a tile from the left, at lens
+// column t of [first, last]. The row of patches, upper or lower, begins in row `row0`.
 __device__ inline unsigned patches_touched(const LensOptics& lens, const Splat<float>& s, int first_lens, int row0,
                                            int first, int last) {
   const LensColumns& lens_columns = lens.lens_columns;

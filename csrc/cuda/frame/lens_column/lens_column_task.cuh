@@ -1,8 +1,8 @@
 // A warp's task in composite_lens_column.cu: its patch at one lens column, from the intersections to the samples.
 //
-// It reads the staged splats and the queue of intersections that Patch::cull() wrote, has the tensor cores multiply the
-// features of the samples with the coefficients of the intersections, and adds what comes out to the colours and
-// transmittances in WarpMemory::state. composite_lens_column.cu has the formulas.
+// It reads the staged splats and the queue of intersections that Patch::cull() wrote. The tensor cores multiply the
+// features of the samples with the coefficients of the intersections. The result goes to the colours and transmittances
+// in WarpMemory::state. composite_lens_column.cu has the formulas.
 #pragma once
 
 #include "cuda/frame/lens_column/lens_column_features.cuh"
@@ -35,8 +35,8 @@ struct Task : Features<Layout, Compensated> {
     out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
     return out;
   }
-  // Keep such a colour in the warp's memory, as the last of a quarter in a round, and read it again, for the
-  // intersection that follows takes the difference to it. Odd rounds have places of their own (turn 1).
+  // Keep such a colour in the warp's memory, as the last of a quarter in a round. Read it again: the next intersection
+  // takes the difference to it. Odd rounds have places of their own (turn 1).
   __device__ void keep(int turn, int quarter, const float4& c, const uint2& slopes) {
     own.last_colour[turn][Layout::kHoldsColours ? 0 : quarter] = c;
     if (Harmonics) own.last_slope[turn][Harmonics ? quarter : 0] = slopes;
@@ -57,9 +57,9 @@ struct Task : Features<Layout, Compensated> {
   }
 
   // Add the n intersections of the queue, those of lens column t of the pass, to the state of the samples. The
-  // intersections are taken in four quarters at once, and of each quad a lane blends one quarter: over is associative,
-  // and join() puts the quarters together. In each round 8 intersections of every quarter become operands, one a lane;
-  // then come up to four batches of products, each of 8 intersections (two of every quarter) and all 64 samples.
+  // intersections are taken in four quarters at once, and a lane of each quad blends one quarter. Over is associative,
+  // and join() puts the quarters together. In each round 8 intersections of every quarter become operands, one a lane.
+  // Then come up to four batches of products, each of 8 intersections (two of every quarter) and all 64 samples.
   __device__ void draw(int t, int n, int lens_column) {
     const int quad = lane % 4, row = lane / 4;
 
@@ -101,7 +101,7 @@ struct Task : Features<Layout, Compensated> {
             frame.lens_column_compensations)[__float_as_uint(splat.depth) + lens_column];
       __syncwarp();
 
-      // Make its operands, and see whether any of the 32 is opaque or may be careful
+      // Make its operands, and test whether any of the 32 is opaque or may need the exact formulas
       const LensColumnShape shape(splat, centre, unit);
       Operands operands = Base::template coefficients<false>(splat, shape, centre, unit, x_centre);
       if constexpr (Compensated) take_compensation(operands, splat, compensation);
@@ -141,7 +141,7 @@ struct Task : Features<Layout, Compensated> {
       }
       __syncwarp();
 
-      // One batch: multiply, complete what is careful, and blend two intersections at two samples of each fragment, the
+      // One batch: multiply, complete the exact ones, and blend two intersections at two samples of each fragment, the
       // nearer intersection first
       const int batches = min(4, (quarter - begin + 1) / 2);
       auto batch = [&](int b, auto limited, const auto&... completed) {
@@ -171,7 +171,7 @@ struct Task : Features<Layout, Compensated> {
         }
       };
 
-      // The batches of this round. Usually alpha needs no limit and nothing is careful, and the loop is unrolled
+      // The batches of this round. Usually alpha needs no limit and no intersection is exact, and the loop is unrolled
       if (!special) {
         batch(0, std::false_type{});
         if (batches > 1) {
@@ -223,9 +223,9 @@ struct Task : Features<Layout, Compensated> {
     return __shfl_sync(~0u, last ? kept : intersection, lane_before());
   }
 
-  // Whether a parabola is too rough for an intersection's compensation, which CompensationFit says with a NaN.
+  // Whether a parabola is too coarse for an intersection's compensation: CompensationFit marks it by a NaN.
   __device__ static bool not_fitted(float2 compensation) { return !(compensation.x == compensation.x); }
-  // The share of staged splat i as a function of v, without that approximation.
+  // Return the compensation of staged splat i as a function of v, without that approximation.
   __device__ LensColumnCompensation exact_compensation(int i, const LensColumnShape& shape, float centre,
                                                        float unit) const {
     if constexpr (!Compensated) return {};
@@ -238,7 +238,8 @@ struct Task : Features<Layout, Compensated> {
     reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
   }
-  // Overwrite the coefficients of an exact intersection; with compensation also those of A, which then lack the share.
+  // Overwrite the coefficients of an exact intersection; with compensation also those of A, then without the
+  // compensation.
   __device__ void store_exactly(const Operands& operands) {
     store_shape(operands);
     if constexpr (Compensated) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
@@ -282,7 +283,7 @@ struct Task : Features<Layout, Compensated> {
   }
 
   // Join the four quarters, nearest first, and put them behind what the samples hold. The lanes of a quad exchange
-  // what they have in two steps, pairs of quarters and then the two halves, and each ends with two of the 8 samples.
+  // their sums in two steps, first pairs of quarters, then the two halves. Each ends with two of the 8 samples.
   __device__ void join(int t, const float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const bool odd = lane & 1, upper = lane & 2;
     float colour[kFragments], transmittance[kFragments];

@@ -2,16 +2,15 @@
 // lists, write the image.
 //
 // A warp draws a patch of 16 x 8 pixels, in which a lane has two neighbours in each of two rows: 12 sub-pixels. For
-// small Gaussians a patch has 16 x 4 pixels and a lane one row, since many of them would touch only a part of a larger
-// patch. Warps do not wait for each other.
-// A warp culls the list of its tile, 32 splats at a time, against its own pixels. Of every 32 intersections (splats
-// that may touch the patch) each lane turns one into a polynomial about the patch's centre,
-//   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
-// which all lanes then evaluate, with no division and one exp2 a sample. In a frame that needs the quadratic r, splats
-// for which the linear one will do still have that. Colours enter as differences, C += T (c_i - c_(i-1)), which saves
-// an instruction. Splats for which all this is too rough (nearly opaque, or of a shape or colour that varies much over
-// the rig) are *careful*: they are evaluated as the formulas are written. Where half precision will do, samples are
-// pairs of halves.
+// small Gaussians a patch has 16 x 4 pixels and a lane one row, since many touch only a part of a larger patch. Warps
+// do not wait for each other. A warp culls the list of its tile, 32 splats at a time, against its own pixels. An
+// intersection is a splat that may touch the patch. Of every 32 intersections each lane turns one into a polynomial
+// about the patch's centre. r is about linear or quadratic in s.
+//   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2).
+// All lanes then evaluate it, with no division and one exp2 a sample. In a frame that needs the quadratic r, splats for
+// which the linear r is enough still have that. Colours enter as differences, C += T (c_i - c_(i-1)), which saves an
+// instruction. Some splats need the exact formulas: they are nearly opaque, or their shape or colour varies much over
+// the rig. Where half precision will do, samples are pairs of halves.
 #include <type_traits>
 
 #include "cuda/common/check.h"
@@ -34,8 +33,8 @@ constexpr int blocks_per_multiprocessor(int lane_rows, bool harmonics) {
   return lane_rows == 1 ? 7 : harmonics ? 4 : 5;
 }
 
-// Add the intersections [h, end), of which none is careful, run by run of intersections that are all special or all
-// not: to choose at every intersection would move registers.
+// Add the intersections [h, end), of which none is exact, in runs that are all special or all not. A choice at every
+// intersection would move registers.
 template <class C>
 __device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut, Samples<C>& samples) {
   constexpr bool kSpecial = C::Quadratic || C::Half;

@@ -20,20 +20,20 @@ constexpr float kMostHalfColour = 2;  // sums of brighter colours have too few d
 constexpr float kStraightColour = 2.5e-4f;  // coefficient of s^2 that is left out; on average a quarter is the error
 constexpr float kSmallEdge = 3e-3f;         // slope with which a colour may reach zero: it errs by at most a quarter
 
-// How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for those splats for which a line
-// is too rough; with a straight line and in half precision.
+// How samples are evaluated: with a straight line for r = S^(-1/2), with a parabola where a line is too coarse, or in
+// half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-// What a kernel is compiled for. Compensated: splats have compensations. Cells: the panel may have cells, which
-// take registers that other panels do not have to spare.
+// What a kernel is compiled for. Compensated: splats have compensations. Cells: the panel may have cells, which take
+// registers that other panels do not have to spare.
 template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Compensated_ = false>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
   static constexpr bool Compensated = Compensated_, Cells = Cells_;
   static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
-  // Whether slopes of colours are kept with the rest of an intersection's fit and read together with it: that is
-  // quicker in small patches and slower in large ones.
+  // Whether slopes of colours are stored and read with the rest of an intersection's fit. That is quicker in small
+  // patches and slower in large ones.
   static constexpr bool SlopesInFit = Harmonics && !Quadratic && lane_rows == 1;
   static constexpr FrameKernel kernel = lane_rows == 1
                                             ? (Quadratic ? FrameKernel::kPixelQuadraticSmall : FrameKernel::kPixelSmall)
@@ -50,11 +50,11 @@ template <bool Harmonics>
 struct Staged {
   float4 fit[4][32];  // of 32 intersections, see shape_polynomial() and put_halves()
   float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // steps of the colours in s and s^2; see SlopesInFit
-  ColourFit colour;  // of the last intersection so far; zero if that was careful
+  ColourFit colour;  // of the last intersection so far; zero if that was exact
   uint32_t ids[64];  // the intersections that wait: fewer than 32, plus those of one cull
 };
 
-// With compensation also the slope and bend of the compensation, see compensation_fit(); its value is in the fit.
+// With compensation also its slope and bend, see compensation_fit(); its value is in the fit.
 template <bool Harmonics>
 struct CompensatedStaged : Staged<Harmonics> {
   float2 compensation[32];
@@ -62,8 +62,8 @@ struct CompensatedStaged : Staged<Harmonics> {
 template <class C>
 using StagedOf = std::conditional_t<C::Compensated, CompensatedStaged<C::Harmonics>, Staged<C::Harmonics>>;
 
-// Which of up to 32 intersections, a bit each, need the exact formula; and which of the others are special, for they
-// have a parabola for r or for the step of the colour, or in half precision since they are cut.
+// Bits of up to 32 intersections: those that need the exact formulas; and those of the others that are special. A
+// special one has a parabola for r or for the step of the colour, or is cut in half precision.
 struct Marks {
   unsigned needs_exact, special;
 };
@@ -76,8 +76,8 @@ __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
   return make_float3(middle, (right - left) * (curved ? kParabolaPlace : 1.f), right + left - 2 * middle);
 }
 
-// Log2 of the share of its opacity that a compensated splat keeps, as x + y s + z s^2, by interpolation: see
-// kLinePlace. x is NaN where that is too rough at the ends of the rig, where it errs most.
+// Log2 of the compensation of a splat, as x + y s + z s^2, by interpolation: see kLinePlace. x is NaN where that is too
+// coarse at the ends of the rig, where it errs most.
 __device__ inline float3 compensation_fit(const Compensation<float>& c, const Splat<float>& s) {
   constexpr float kMostError = 2e-4f;  // alpha is off by less than 0.04/255, on average by a tenth of that
   auto log2_at = [&](float v) { return log2_compensation(c, v, fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
@@ -87,11 +87,11 @@ __device__ inline float3 compensation_fit(const Compensation<float>& c, const Sp
   return make_float3(error(-1.f) <= kMostError && error(1.f) <= kMostError ? middle : NAN, slope, bend);
 }
 
-// Write the polynomial of d and the rest of what a sample needs into the vectors f0 to f3 of a fit:
+// Write the polynomial of d and the other terms of a sample into the vectors f0 to f3 of a fit.
 //   d = (f0.x + f1.y x + f0.y y) + s (f0.z + f1.z x + f0.w y) + s^2 (f1.x + [f3.y x + f3.z y]) + [s^3 f3.w],
 //   exponent = f1.w - (f2.x + f2.y y)^2 - d^2.
-// The terms in [] are there only when r is curved. The step of the colour will be in (f2.z, f2.w, f3.x); kernels
-// without curved r may have the step of the colour's slope in (f3.y, f3.z, f3.w).
+// The terms in [] are there only when r is curved. The step of the colour is in (f2.z, f2.w, f3.x). Kernels without
+// curved r may have the step of the colour's slope in (f3.y, f3.z, f3.w).
 __device__ inline void shape_polynomial(const Splat<float>& s, float3 r, float4 fit[4]) {
   const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du);
   const float t = s.tau * fast_rsqrt(fmaxf(s.tau, 1e-37f));
@@ -107,10 +107,10 @@ __device__ inline float half_unit(const LensOptics& lens) {
   return lens.s_step != 0 ? lens.s_step * exp2f(ceilf(log2f(0.5f * float(lens.views)))) : 1.f;
 }
 
-// Turn a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With
-// v = s / unit,
+// Turn a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With v = s
+// / unit,
 //   d = (f0.x + f0.y x + f0.z y) + v (h0 + h1 x + h2 y) + v^2 h3,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2.
-// f1.z holds h0 and h1, f1.w holds h2 and h3, and f2 the three steps of the colour and of its slope, as halves.
+// f1.z holds h0 and h1, f1.w holds h2 and h3. f2 holds the three steps of the colour and of its slope, as halves.
 __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
   const float4 f0 = fit[0], f1 = fit[1];
   fit[0] = make_float4(f0.x, f1.y, f0.y, fminf(f1.w, float(kLog2MaxAlpha)));
@@ -122,7 +122,7 @@ __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
 __device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))); }
 
 // Fits the colour polynomial of a splat by a line over s, or by a parabola where the kernel can and must; see
-// kLinePlace. Return false where that is too rough.
+// kLinePlace. Return false where that is too coarse.
 template <bool Bends>
 __device__ bool fit_colour(const DirectFrame& frame, uint32_t id, ColourFit& fit) {
   constexpr float kMostOrder = 4;
@@ -174,8 +174,8 @@ __device__ inline float4 steps(float4 colour, int count, float4& last) {
   return step;
 }
 
-// Whether half precision is too rough for a splat: somewhere in the patch d changes more over the rig than its digits
-// allow, or its colour is too bright or not a number.
+// Whether half precision is too coarse for a splat: d changes more over the rig than its digits allow, or its colour is
+// too large or NaN.
 template <class C>
 __device__ bool too_coarse_in_half(const float4 fit[2], const ColourFit& colour) {
   const float sweep = fabsf(fit[0].z) + 0.5f * kPatchWidth * fabsf(fit[1].z) + 0.5f * C::patch_height * fabsf(fit[0].w);

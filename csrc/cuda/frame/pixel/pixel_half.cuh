@@ -8,8 +8,8 @@
 // - With a raised cut, alphas below 1/255 count, too, in the patches that a Gaussian reaches, unless it is faint.
 // - An opaque Gaussian does not end a sample: what shows through 0.99 of it is less than 0.01.
 //
-// A GPU finds 2^x of halves one by one, at an eighth of the rate of other instructions; so of three sub-pixels one uses
-// a polynomial instead.
+// A GPU computes 2^x of halves one by one, at an eighth of the rate of other instructions. So one of three sub-pixels
+// uses a polynomial instead.
 #pragma once
 
 #include "cuda/common/halves.cuh"
