@@ -39,7 +39,7 @@ _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-de
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command and returns the exit code: the command's, or 2 after a one-line complaint about the input."""
+    """Run one command and return its exit code, or 2 after one line on what is wrong with the input."""
     signal.signal(signal.SIGTERM, _terminate)
     # As a program, what was imported before this line (torch, a second) is part of the wait.
     if argv is not None:
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str], began: float) -> int:
-    """Runs one command and returns the exit code."""
+    """Run one command and return the exit code."""
     try:
         if arguments[:1] and arguments[0] in COMMANDS and not has_working_folder():
             raise InputError(FOLDER_GONE)
@@ -75,7 +75,7 @@ def _run(arguments: list[str], began: float) -> int:
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """The parser, with the arguments of one command: those of others are not read, and `bench` would import torch."""
+    """Return the parser with the arguments of one command; to read those of `bench` would import torch."""
     parser = Parser(
         "lightfield-gs",
         description="One photo, or a scene of 3D Gaussians, to the image that a slanted-lenticular 3D panel shows.",

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add_camera(add: Callable[..., argparse.Action]) -> None:
-    """The cameras of the views, of a scene that has a file; without any, framed automatically."""
+    """Add the options of the cameras of the views."""
     add(
         "--rig",
         type=Path,
@@ -46,7 +46,7 @@ def add_up(add: Callable[..., argparse.Action]) -> None:
 
 
 def add_look(add: Callable[..., argparse.Action]) -> None:
-    """Focus, amount of depth, cone, zoom and pan. Each is None where it was not given."""
+    """Add the options of focus, amount of depth, cone, zoom and pan."""
     add(
         "--focus",
         type=_focus,
@@ -86,7 +86,7 @@ def add_depth_report(add: Callable[..., argparse.Action]) -> None:
 
 
 def _focus(text: str) -> float | tuple[float, ...]:
-    """ "2.5" -> 2.5, a depth; "0.5,0.4" -> (0.5, 0.4), a point of the picture."""
+    """Parse "2.5" to 2.5, a depth; "0.5,0.4" to (0.5, 0.4), a point of the picture."""
     if "," not in text:
         depth = numbers(1)(text)[0]
         if not 1e-6 <= depth <= 1e12:
@@ -99,7 +99,7 @@ def _focus(text: str) -> float | tuple[float, ...]:
 
 
 def _pan(text: str) -> tuple[float, ...]:
-    """ "-0.1,0.2" -> (-0.1, 0.2)."""
+    """Parse "-0.1,0.2" to (-0.1, 0.2)."""
     pan = numbers(2)(text)
     if not all(math.fabs(part) <= 10 for part in pan):
         raise argparse.ArgumentTypeError(f"expected shares of the panel's width and height, -10..10, got '{text}'")

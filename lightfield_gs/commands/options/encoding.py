@@ -16,7 +16,7 @@ Add = Callable[..., argparse.Action]
 
 
 def add_encoding(add: Add) -> None:
-    """All that says how one input becomes an image, whether it is alone or one of many."""
+    """Add the options of how one input becomes an image, alone or in a batch."""
     add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
     add_camera(add)
     add_look(add)
@@ -33,6 +33,7 @@ def add_encoding(add: Add) -> None:
 
 
 def add_device(add: Add) -> None:
+    """Add the option of the device."""
     add(
         "--device",
         choices=DEVICES,
@@ -42,7 +43,7 @@ def add_device(add: Add) -> None:
 
 
 def add_views(add: Add) -> None:
-    """Cameras and a view map in place of a rig and a lens."""
+    """Add the options of cameras and a view map, in place of a rig and a lens."""
     add(
         "--cameras",
         type=Path,
@@ -61,7 +62,7 @@ def add_views(add: Add) -> None:
 
 
 def add_method(add: Add) -> None:
-    """How the image is computed."""
+    """Add the options of how the image is computed."""
     add(
         "--method",
         choices=METHODS,
@@ -91,7 +92,7 @@ def add_method(add: Add) -> None:
 
 
 def add_file(add: Add) -> None:
-    """How the image is stored."""
+    """Add the options of how the image is stored."""
     add(
         "--bit-depth",
         type=int,

@@ -10,7 +10,7 @@ from lightfield_gs.panels.panel import DEFAULT_PANEL
 
 
 def add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
-    """The panel that is drawn for, and what it is seen from."""
+    """Add the options of the panel, and of the distance it is seen from. purpose: what that distance is for."""
     add(
         "--panel",
         default=DEFAULT_PANEL,

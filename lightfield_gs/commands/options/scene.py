@@ -28,8 +28,14 @@ def add_scene(
     mask: str = "cut-out of a photo, of its size: bright or opaque on the object",
     of_mask: str = "IMAGE",
 ) -> None:
-    """What is made of a photo, and what is left out of a file. cutting: help on --remove-background; mask, of_mask:
-    help and placeholder of --mask."""
+    """Add the options of a scene.
+
+    Args:
+        add: adds an option.
+        cutting: help of --remove-background.
+        mask: help of --mask.
+        of_mask: placeholder of --mask.
+    """
     add("--mask", type=Path, metavar=of_mask, help=mask)
     add("--remove-background", action="store_true", help=cutting)
     add_depth(add)
@@ -39,7 +45,7 @@ def add_scene(
 
 
 def add_reading(add: Callable[..., argparse.Action]) -> None:
-    """How a file of Gaussians is read."""
+    """Add the options of how a file of Gaussians is read."""
     add(
         "--skip-invalid",
         action="store_true",
@@ -55,7 +61,7 @@ def add_reading(add: Callable[..., argparse.Action]) -> None:
 
 
 def add_depth(add: Callable[..., argparse.Action]) -> None:
-    """The depth map of a photo, and what its numbers mean."""
+    """Add the options of a photo's depth map, and of the meaning of its numbers."""
     add(
         "--depth",
         type=Path,
@@ -150,7 +156,7 @@ def add_fit(add: Callable[..., argparse.Action]) -> None:
 
 
 def add_detail(add: Callable[..., argparse.Action]) -> None:
-    """How finely the photo of an object is laid over what the network makes of it."""
+    """Add the options of how finely a photo is laid over the network's Gaussians."""
     add(
         "--detail",
         type=lambda text: int(text) if text.isdecimal() else text,

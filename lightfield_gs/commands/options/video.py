@@ -19,7 +19,7 @@ _MOST_SECONDS = 1e5
 
 
 def add_motion(add: Callable[..., argparse.Action]) -> None:
-    """How the cameras move, and how many frames there are."""
+    """Add the options of how the cameras move, and of the number of frames."""
     add(
         "--turntable",
         type=within(1e-3, _MOST_SECONDS, "seconds"),
@@ -56,7 +56,7 @@ def add_motion(add: Callable[..., argparse.Action]) -> None:
 
 
 def add_result(add: Callable[..., argparse.Action]) -> None:
-    """What is drawn, and how it is stored."""
+    """Add the options of what a frame shows, and of how it is stored."""
     add(
         "--kind",
         choices=KINDS,
@@ -115,12 +115,12 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
 
 
 def _quilt(text: str) -> QuiltLayout | tuple[int, ...]:
-    """ "portrait" -> its layout; "8x6" -> (8, 6)."""
+    """Parse "portrait" to its layout, "8x6" to (8, 6)."""
     return QUILT_PRESETS[text] if text in QUILT_PRESETS else whole_numbers(1, 1000, "x", 2)(text)
 
 
 def _rate(text: str) -> Fraction:
-    """ "30", "29.97" or "30000/1001" -> frames a second."""
+    """Parse "30", "29.97" or "30000/1001" to frames a second."""
     try:
         rate = Fraction(text).limit_denominator(1001)
     except (ValueError, ZeroDivisionError):
