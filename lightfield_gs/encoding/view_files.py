@@ -30,7 +30,7 @@ def read_cameras(path: str | Path, panel: Panel) -> Cameras:
     if is_camera_file(data):
         raise InputError(
             f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for "
-            "each view of the panel; give it as --camera FILE[:INDEX] for the centre camera"
+            "each view of the panel; give it as camera=FILE[:INDEX] for the centre camera"
         )
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object with {', '.join(_FIELDS)}, got {type(data).__name__}")
