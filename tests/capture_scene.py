@@ -1,5 +1,7 @@
-"""Captures on disk: models in COLMAP's formats, written out here from its documentation, and photographs of dots whose
-places in the scene are known, seen by the formula of each camera model, in Python's own numbers."""
+"""Captures on disk: models in COLMAP's formats, written from its documentation, and photographs of dots.
+
+The positions of the dots in the scene are known, and the lens of each camera model shows them by its formula.
+"""
 
 from __future__ import annotations
 

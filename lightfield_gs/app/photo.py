@@ -22,7 +22,7 @@ from lightfield_gs.app.photo_depth import (
     has_depth,
     is_depth_inside,
 )
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import FITS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
@@ -341,7 +341,7 @@ def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
     for words in source.photo.notes + notes:
         note(words)
     height, width = source.photo.pixels.shape[:2]
-    print(f"{source.path}: {width} x {height}, {', '.join([*source.photo.messages, *more])}")
+    say(f"{source.path}: {width} x {height}, {', '.join([*source.photo.messages, *more])}")
 
 
 def _load_network(checkpoint: Path | None, device: str) -> ReplayedNet:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.provenance import package_versions, software
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import note, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression, Device, Views
@@ -123,7 +123,7 @@ def interpolation_words(options: WeaveOptions, views: Any, panel: Panel) -> str:
 def say_colours(colours: ViewColours) -> None:
     """Print how the colours of the views were converted, and note what may be wrong with them."""
     if colours.messages:
-        print(f"colours: {'; '.join(colours.messages)}")
+        say(f"colours: {'; '.join(colours.messages)}")
     for words in colours.notes:
         note(words)
 
@@ -177,7 +177,7 @@ def weave_movie(options: WeaveOptions, panel: Panel, movie: QuiltMovie, watch: S
     size = f"{panel.width_px} x {panel.height_px}"
     print(f"{options.output}: {made} frames of {size}{kept}, {float(_fps(movie)):g} a second")
     print(watch.line())
-    print(f"{options.input}: {movie.description}, {words}")
+    say(f"{options.input}: {movie.description}, {words}")
     say_colours(movie.colours)
 
 

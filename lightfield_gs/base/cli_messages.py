@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -18,6 +19,34 @@ from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's messages for the host and for a device
 _captured: ContextVar[list[str] | None] = ContextVar("captured", default=None)
+
+
+# An argument in a message of the library, `name=` or `name=value`; names of files may look so too, but have a suffix
+_ARGUMENT = re.compile(r"""(?<![\w/.'"=-])([a-z][a-z0-9_]*)=(?!\S*(?:/|\.[A-Za-z]))((?:[^\s;()]*[^\s;(),.:])?)""")
+# Arguments whose option has another name
+_OPTIONS = {
+    "batch_size": "views_per_step",
+    "cap_max": "gaussians",
+    "cone_deg": "cone",
+    "folder": "run",
+    "one_viewpoint": "one_place",
+    "serial": "device_serial",
+    "span": "frames",
+    "test_names": "test_list",
+    "viewing_distance_mm": "viewing_distance",
+}
+
+
+def as_options(message: str) -> str:
+    """Return a message with the library's arguments as options: `depth_amount=0.5` becomes `--depth-amount 0.5`."""
+    return _ARGUMENT.sub(_as_option, message)
+
+
+def _as_option(match: re.Match[str]) -> str:
+    name, value = _OPTIONS.get(match[1], match[1]).replace("_", "-"), match[2].strip("'\"")
+    if value in ("True", ""):
+        return f"--{name}"
+    return f"--no-{name}" if value == "False" else f"--{name} {value}"
 
 
 def is_out_of_memory(error: BaseException) -> bool:
@@ -41,7 +70,7 @@ def report_error(program: str, error: BaseException, remedy: str) -> int:
     if isinstance(error, KeyboardInterrupt):
         message, code = "interrupted", EXIT_INTERRUPTED
     elif isinstance(error, (InputError, OSError)):
-        message = str(error)
+        message = as_options(str(error)) if isinstance(error, InputError) else str(error)
         if FOLDER_GONE not in message and not has_working_folder():
             message += f"; {FOLDER_GONE}"
     elif is_out_of_memory(error):
@@ -54,7 +83,13 @@ def report_error(program: str, error: BaseException, remedy: str) -> int:
 
 def note(message: str) -> None:
     """Print one line on stderr about a result that may disappoint."""
-    print(f"note: {message}", file=sys.stderr)
+    print(f"note: {as_options(message)}", file=sys.stderr)
+
+
+def say(*messages: str) -> None:
+    """Print lines on stdout."""
+    for message in messages:
+        print(as_options(message))
 
 
 @contextmanager
@@ -73,8 +108,7 @@ def print_assumptions() -> Iterator[None]:
         warnings.simplefilter("always", Assumption)
         warnings.showwarning = show
         yield
-    for line in lines:
-        print(line)
+    say(*lines)
 
 
 class _CapturableStream:
@@ -119,7 +153,8 @@ def capture(messages: list[str]) -> Iterator[None]:
             yield
     finally:
         _captured.reset(token)
-        messages += [line for line in "".join(parts).splitlines() if line.strip()] + assumptions
+        messages += [line for line in "".join(parts).splitlines() if line.strip()]
+        messages += map(as_options, assumptions)
 
 
 def open_closed_streams() -> None:

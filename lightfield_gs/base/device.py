@@ -15,7 +15,7 @@ def choose_device(name: Device) -> Literal["cpu", "cuda"]:
         return "cpu"
     missing = _missing_for_cuda()
     if name == "cuda" and missing is not None:
-        raise InputError(f"--device cuda: {missing}, or use --device cpu")
+        raise InputError(f"device='cuda': {missing}, or use device='cpu'")
     return "cpu" if missing else "cuda"
 
 

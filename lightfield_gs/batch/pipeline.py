@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from threading import Semaphore
 from typing import Any, Protocol
 
-from lightfield_gs.base.cli_messages import capture, is_out_of_memory
+from lightfield_gs.base.cli_messages import as_options, capture, is_out_of_memory
 from lightfield_gs.base.errors import InputError
 
 PARTS = ("read", "draw", "write")
@@ -148,7 +148,7 @@ def _reason(error: BaseException) -> str:
     """Return the reason of a failure in one line."""
     words = " ".join(str(error).split())[:1000]
     if isinstance(error, InputError):
-        return words
+        return as_options(words)
     if is_out_of_memory(error):
         return f"out of memory; use a smaller scene or panel, or fewer processes ({words})"
     return f"{type(error).__name__}: {words}"

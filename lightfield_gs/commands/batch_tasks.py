@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import AUTO, EncodeOptions
+from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.base.cuda import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.items import Item
@@ -101,7 +102,7 @@ class EncodeTask:
     def record(self) -> Record:
         """Return status, inputs and outputs, as far as they are known."""
         said = getattr(getattr(self, "encoding", None), "messages", [])
-        return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": list(said)}
+        return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": [*map(as_options, said)]}
 
     def files(self) -> list[Path | str | None]:
         """Return the files and folders that the item reads, its input first."""

@@ -11,6 +11,7 @@ from lightfield_gs.app.look import apply_look
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, read_noted, say_origin, settle_render
+from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
@@ -124,4 +125,4 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
     print(watch.line())
     if output.suffix.lower() == ".ply":
         messages.append(f"{output}: in the axes of {source}, with the framing it was pruned for: encode takes it")
-    print("\n".join(messages))
+    say(*messages)

@@ -14,6 +14,7 @@ from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.provenance import package_versions, scene_facts, software
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
+from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
@@ -181,7 +182,7 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
     width, height = layout.tile_px()
     print(f"{output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
     print(watch.line())
-    print("".join(f"{line}\n" for line in framed.messages), end="")
+    say(*framed.messages)
 
 
 def quilt_layout(options: QuiltOptions, panel: Panel | None) -> QuiltLayout:

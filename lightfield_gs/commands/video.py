@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.video import VideoOptions, frame_drawer, frame_sink, video_target
+from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
@@ -98,7 +99,7 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     print(f"{target.path}: {shots.count} frames of {width} x {height}, {target.words()}{kept}, {rate}")
     print(made.words())
     print(watch.line())
-    print("".join(f"{line}\n" for line in shots.messages), end="")
+    say(*shots.messages)
     if options.bridge is not None and target.layout is not None:
         layout = target.layout
         cast(target.path, layout.columns, layout.rows, layout.aspect, url=options.bridge)

@@ -10,6 +10,7 @@ from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import check_scene_options, load_framed
+from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, Device
 from lightfield_gs.base.stopwatch import Stopwatch
@@ -75,5 +76,5 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     drawn_as = render.background, render.antialiased, path.name, render.view_filter
     stage = Stage(scene.gaussians, panel, framed.rig, *drawn_as)
     print(f"{path}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
-    print("\n".join([watch.line(), *framed.messages]))
+    say(watch.line(), *framed.messages)
     serve(options.serving, steering_routes(stage, exports(stage)), "/")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.app.panel import load_panel
+from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
@@ -191,7 +192,7 @@ def _weave(options: WeaveOptions, watch: Stopwatch) -> None:
     print(f"{output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
     size = f"{views.width_px} x {views.height_px} pixels each"
-    print(f"{source}: {found.description}, {size}; {interpolation_words(options, views, panel)}")
+    say(f"{source}: {found.description}, {size}; {interpolation_words(options, views, panel)}")
     say_colours(found.colours)
 
 

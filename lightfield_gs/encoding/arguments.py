@@ -1,4 +1,4 @@
-"""What `encode` and an Encoder can be asked for, checked."""
+"""Checks of the arguments of `encode` and of an Encoder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_
 
 
 def check_options(method: str, views: str, output: str) -> None:
-    """Raises InputError for a method, views or output that `encode` does not know."""
+    """Raise InputError for a method, views or output that `encode` does not know."""
     for name, value in (("method", method), ("views", views), ("output", output)):
         expect(name, value, str)
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
@@ -36,7 +36,7 @@ def check_options(method: str, views: str, output: str) -> None:
 
 
 def wants_gradients(gaussians: Gaussians, background: Any, output: Output, cameras: Cameras | None = None) -> bool:
-    """Whether the image is to carry a graph: an argument asks for a gradient, and the output is no bytes.
+    """Return whether the image carries a graph: an argument asks for a gradient, and the output is not bytes.
 
     Raises InputError where one is a dual number of forward mode, whose tangent would be lost.
     """
@@ -49,13 +49,13 @@ def wants_gradients(gaussians: Gaussians, background: Any, output: Output, camer
 
 
 def refuse_with_gradients(**given: bool) -> None:
-    """Raises InputError for the first of these arguments that was given although gradients are wanted."""
+    """Raise InputError for the first of these arguments that was given although gradients are wanted."""
     for name in (name for name, is_given in given.items() if is_given):
         raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
 
 
 def refuse_gradients(what: str) -> None:
-    """Raises InputError for `what`, whose images carry no graph, where gradients are wanted."""
+    """Raise InputError for `what`, whose images carry no graph, where gradients are wanted."""
     raise InputError(
         f"{what} has no gradients, and an argument requires one: use encode(method='direct') or 'classic', or "
         "torch.no_grad()"
@@ -65,7 +65,7 @@ def refuse_gradients(what: str) -> None:
 def check_types(
     gaussians: Gaussians, panel: Panel, rig: Rig | None, cameras: Cameras | None, stats: Any, antialiased: bool
 ) -> None:
-    """Raises InputError for arguments of types that `encode` does not take, and for Gaussians that cannot be drawn."""
+    """Raise InputError for arguments of types that `encode` does not take, and for Gaussians that cannot be drawn."""
     for name, value, kinds in (
         ("gaussians", gaussians, (Gaussians,)),
         ("panel", panel, (Panel,)),
@@ -92,9 +92,9 @@ def check_together(
     memory_budget: int | None,
     **given: Any,
 ) -> tuple[int | None, int | None]:
-    """threads and memory_budget as whole numbers. Raises InputError for those out of their ranges, and where arguments
-    of one method meet another.
+    """Return threads and memory_budget as whole numbers.
 
+    Raises InputError where they are out of their ranges, and where arguments of one method meet another.
     given: the other arguments that one method alone takes (base/options.py).
     """
     if threads is not None:
@@ -119,7 +119,7 @@ def check_together(
 
 
 def check_view_filter(view_filter: Any, cameras: Cameras | None = None) -> float:
-    """encode's view_filter as a float. Raises InputError where it is out of range, or cameras= take the rig's place."""
+    """Return encode's view_filter as a float. Raises InputError out of its range, or where cameras= replace the rig."""
     view_filter = real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS)
     if view_filter > 0 and cameras is not None:
         raise InputError("view_filter= is for the views of a rig, and cameras= take its place: leave out one of them")
@@ -127,7 +127,7 @@ def check_view_filter(view_filter: Any, cameras: Cameras | None = None) -> float
 
 
 def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:
-    """Raises InputError where `out` is no tensor that an image of the panel can be drawn into."""
+    """Raise InputError where `out` is no tensor that an image of the panel can be drawn into."""
     expect("out", out, Tensor)
     expected = (panel.height_px, panel.width_px, 3), DTYPES[output], device
     if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:

@@ -1,4 +1,13 @@
-"""Light-field images frame after frame, on the CPU and on CUDA."""
+"""Light-field images frame after frame, on the CPU and on CUDA: work that the frame before did is not repeated.
+
+On the CPU the input of a frame is copied, and the next frame's compared with the copy bit by bit. That takes a few
+per cent of a frame, and misses no change. Project, order and bin take 0.2 % of a frame at 8K, the composite the rest.
+So only two cases count: nothing has changed, or only the background has.
+
+On CUDA a frame is a graph, and stages are spared where torch can tell that their input is unchanged. Order and bin take
+half the time of a frame of a million Gaussians (6 of 11 ms on an H100 at 8K; 0.3 of 2.4 ms for 65,536 Gaussians). A
+change of colours alone does without them.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +33,10 @@ _BITS = {torch.float32: torch.int32, torch.float64: torch.int64}
 
 @dataclass
 class _Drawn:
-    """What a frame leaves to the next: copies of its input, what the composite reads and, from the second of frames
-    that are the same, a copy of the image."""
+    """What a frame leaves to the next: copies of its input, and what the composite reads.
+
+    image: a copy of the image, from the second of frames that are the same.
+    """
 
     inputs: dict[str, Tensor]
     view: LenticularCamera
@@ -34,15 +45,17 @@ class _Drawn:
 
 
 class CpuFrameCache:
-    """Frames of one lens and quality. precision: of the arithmetic; as_bytes: images are uint8; antialiased: see
-    encode."""
+    """Frames of one lens and quality on the CPU.
+
+    precision: of the arithmetic. as_bytes: images are uint8. antialiased: see encode.
+    """
 
     def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool):
         self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
         self.last: _Drawn | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
-        """The image, which belongs to the caller, and the stages that were not repeated. Raises InputError."""
+        """Return the image, which belongs to the caller, and the stages that were not repeated. Raises InputError."""
         background = background_tensor(background, torch.empty(0, dtype=self.precision)).reshape(-1)
         last, inputs = self.last, {**gaussians.fields(), "background": background}
         before = last.inputs if last else {}
@@ -65,7 +78,7 @@ class CpuFrameCache:
 
 
 def _same(a: Tensor, b: Tensor) -> bool:
-    """Whether two tensors are equal bit by bit, NaN included."""
+    """Return whether two tensors are equal bit by bit, NaN included."""
     return (
         a.shape == b.shape
         and a.dtype == b.dtype
@@ -77,7 +90,7 @@ _SH, _BACKGROUND = 4, 5  # where they are among the tensors of an _Input
 
 
 class _Input:
-    """What a frame is drawn from: tensors (the five fields, the background), by their versions, and a view."""
+    """The input of a frame: tensors (the five fields, the background) with their versions, and a camera."""
 
     def __init__(self, tensors: list[Tensor], view: LenticularCamera):
         self.tensors, self.view = tensors, view
@@ -86,12 +99,14 @@ class _Input:
         self.stream = torch.cuda.current_stream(tensors[0].device).cuda_stream
 
     def reads(self, other: _Input) -> bool:
-        """Whether the tensors are the same memory."""
+        """Return whether the tensors are the same memory."""
         return self.places == other.places
 
     def changed_since(self, before: _Input | None) -> set[int]:
-        """The numbers of the tensors whose values may have changed; all of them on another stream, where this frame's
-        work does not follow that of the last."""
+        """Return the indices of the tensors whose values may have changed.
+
+        On another stream all of them: there this frame's work does not follow that of the last.
+        """
         if before is None or before.stream != self.stream:
             return set(range(len(self.tensors)))
         pairs = zip(self.tensors, before.tensors, self.versions, before.versions)
@@ -99,12 +114,12 @@ class _Input:
 
 
 def _version(tensor: Tensor) -> int | None:
-    """How often torch has written into it; None where torch does not count."""
+    """Return how often torch has written into a tensor; None where torch does not count."""
     return None if tensor.is_inference() else tensor._version
 
 
 class CudaFrameCache:
-    """Frames of one lens and quality. as_bytes: images are uint8; versioned, antialiased: see Encoder."""
+    """Frames of one lens and quality on CUDA. as_bytes: images are uint8; versioned, antialiased: see Encoder."""
 
     def __init__(self, as_bytes: bool, quality: Quality, versioned: bool, antialiased: bool):
         self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
@@ -117,14 +132,14 @@ class CudaFrameCache:
         self.last_view: LenticularCamera | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
-        """The image, drawn over by the next call, and the stages that were not repeated.
+        """Return the image, which the next call overwrites, and the stages that were not repeated.
 
         gaussians: float32, contiguous. Raises InputError.
         """
         given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], view)
         shown, self.shown, image = self.shown, None, self.image
         moved, self.last_view = self.last_view not in (None, view), view
-        outgrown = self.frames is not None and self.frames.adapt()  # the last frame lacked room or order
+        outgrown = self.frames is not None and self.frames.adapt()  # the last frame lacked capacity or order
         if outgrown or self.captured is not None and self.captured.is_outgrown():
             self.captured = None
         elif shown and image is not None and self._still_shows(given, *shown, _version(image)):
@@ -137,8 +152,10 @@ class CudaFrameCache:
         return self.image, kept
 
     def _on_device(self, background: Colour, like: Tensor) -> Tensor:
-        """A background [3] on the device: the user's own, or one that the encoder keeps and writes over, so that the
-        graphs that read it stay good."""
+        """Return a background [3] on the device: the user's own, or one that is kept.
+
+        The kept one is overwritten, so that the graphs that read it stay valid.
+        """
         if isinstance(background, Tensor) and background.is_cuda:
             return background_tensor(background, like).reshape(-1)
         colour = background_tensor(background, torch.empty(0, dtype=like.dtype)).reshape(-1)
@@ -150,12 +167,12 @@ class CudaFrameCache:
         return self.background[1]
 
     def _still_shows(self, given: _Input, before: _Input, image_version: int | None, now: int | None) -> bool:
-        """Whether the image shows what is given: nothing has changed since, and nobody has written into the image."""
+        """Return whether the image shows the input: neither the input nor the image has changed since."""
         untouched = image_version is not None and image_version == now
         return self.versioned and untouched and given.view == before.view and not given.changed_since(before)
 
     def _draw(self, given: _Input, moved: bool) -> tuple[Tensor, set[str]]:
-        """The image and the stages that were not repeated; moved: whether the view is another than the last one."""
+        """Return the image and the stages that were not repeated. moved: the camera is another than the last."""
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
             job = DirectRender(fields, background, given.view, self.antialiased)
@@ -163,8 +180,7 @@ class CudaFrameCache:
                 if self.image is None or self.image.device != background.device:
                     self.image = job.new_image(self.as_bytes)
                 if moved:
-                    # The view is among the arguments of the kernels, and a graph of this one might be of no more use:
-                    # they are launched one by one.
+                    # The camera is among the arguments of the kernels, and a graph of this one may serve only once
                     if self.moving is None or not self.moving.takes(job):
                         self.moving = DirectFrames(job, self.quality)
                     self.frames = self.moving
@@ -175,7 +191,7 @@ class CudaFrameCache:
 
 
 class _Capture:
-    """A frame as CUDA graphs: as a whole and, when first wanted, without order and bin."""
+    """A frame as CUDA graphs: whole and, when first wanted, without order and bin."""
 
     def __init__(self, given: _Input, job: DirectRender, image: Tensor, quality: Quality):
         self.given, self.job, self.image = given, job, image
@@ -186,15 +202,15 @@ class _Capture:
         self.recolour: torch.cuda.CUDAGraph | None = None
 
     def draws(self, given: _Input) -> bool:
-        """Whether a replay draws what is given: the same tensors, of whatever values, by the same view."""
+        """Return whether a replay draws the input: the same tensors, of any values, by the same camera."""
         return self.given.reads(given) and self.given.view == given.view
 
     def is_outgrown(self) -> bool:
-        """Whether frames of its kind, which others draw as well, have needed more since."""
+        """Return whether frames of this kind, which others draw as well, have needed more since."""
         return (self.frame.capacity, self.frame.colour_order) != (self.frames.capacity, self.frames.colour_order)
 
     def replay(self, given: _Input, versioned: bool) -> set[str]:
-        """Draws; returns the stages that were not repeated."""
+        """Draw; return the stages that were not repeated."""
         kept = versioned and given.changed_since(self.drawn) <= {_SH, _BACKGROUND}
         with self.job.scene.guard:
             graph = self.graph

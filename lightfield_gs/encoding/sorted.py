@@ -1,4 +1,8 @@
-"""The method `sorted`."""
+"""The method `sorted`: a light-field image from any cameras and any view map (Shi et al. 2025, sections 3.1 and 3.3).
+
+Views go in chunks whose buffers are used again, as large as a memory budget allows. Each view is projected, ordered and
+binned like an ordinary image, and only its own sub-pixels are drawn, straight into the panel's image.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ _STATE = struct.Struct("<Q4xI")  # SortedState: pairs, the long lists, and splat
 
 
 class CudaStages:
-    """What the stages of a chunk take, in bytes, and the stages themselves. See _CpuStages in sorted.py."""
+    """The stages of a chunk on CUDA (csrc/cuda/sorted), and the bytes that they take; like _CpuStages."""
 
     default_work = 1 << 30
     reserve = 256  # 1 / reserve of the budget is left, for torch rounds every buffer up
@@ -63,8 +67,10 @@ class CudaStages:
 
 
 class SortedWorkspace:
-    """A chunk in the making, with the stages of workspace.Workspace that it takes. Its memory is one buffer, and one
-    more for the lists once the host knows how many pairs there are, for which it waits."""
+    """The stages of workspace.Workspace for one chunk.
+
+    Its memory is one buffer, and one more for the lists once the host, which waits, knows the number of intersections.
+    """
 
     def __init__(self, scene: SceneTensors, plan: SortedPlan, views: int, stats: Stats):
         self.scene, self.views, self.stats, self.intersection_count = scene, views, stats, 0
@@ -79,11 +85,11 @@ class SortedWorkspace:
         _core.cuda.project_sorted(self.native, self.scene.native(), cameras, self.stream)
 
     def order_and_bin(self, admit: Callable[[], bool]) -> bool:
-        """admit: see workspace.Workspace."""
+        """List the intersections and order them; see workspace.Workspace."""
         cuda, stats = _core.cuda, self.stats
         with stats.stage("bin"):
             cuda.count_sorted(self.native, self.stream)
-            # The state lies first in the work memory: the number of pairs, and that of splats drawn
+            # The state lies first in the work memory: the numbers of intersections and of splats drawn
             state = self.work[: cuda.SORTED_STATE_BYTES].to("cpu", non_blocking=True)
             counted = torch.cuda.Event()
             counted.record()
@@ -103,10 +109,10 @@ class SortedWorkspace:
 
 
 _MOST_PAIRS = (1 << 31) - 1
-_PROBE = 65536  # Gaussians whose pairs are counted at a time, where even one view does not fit the budget
+_PROBE = 65536  # Gaussians whose intersections are counted at a time, where even one view does not fit the budget
 _PAIRS_GUESSED = 4  # of a Gaussian in a view, until the first chunk is counted
 
-Counts = tuple[int, int]  # pairs of a chunk, most of them in one band of one view
+Counts = tuple[int, int]  # intersections of a chunk, and the most in one band of one view
 
 
 def cameras_and_plan(
@@ -117,7 +123,7 @@ def cameras_and_plan(
     continuous: bool,
     device: torch.device,
 ) -> tuple[Cameras, SortedPlan]:
-    """What encode_sorted takes, from the arguments of lightfield_gs.encode; see there. Raises InputError."""
+    """Return the cameras and the plan of encode_sorted from the arguments of `encode`. Raises InputError."""
     if rig is None and cameras is None:
         raise InputError("method sorted takes a rig, or cameras= with one for each view; got neither")
     if continuous:
@@ -160,7 +166,7 @@ def cameras_and_plan(
 
 
 class _CpuStages:
-    """What the stages of a chunk take on the CPU, in bytes, and the stages themselves."""
+    """The stages of a chunk on the CPU, and the bytes that they take."""
 
     default_work = 1 << 28  # bytes beside the plan where no budget is given; with more, views take no less time
     reserve = 16  # 1 / reserve of the budget is left for pages used in part and for what the C library needs itself
@@ -172,11 +178,11 @@ class _CpuStages:
         self.bands = _core.band_count(plan.height_px)
 
     def geometry_bytes(self, views: int) -> int:
-        """Splats and colours."""
+        """Return the bytes of splats and colours."""
         return views * self.scene.count * (self.number * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4)
 
     def binning_bytes(self, views: int, counts: Counts) -> int:
-        """Order and lists of bands, and the largest of what each stage takes for itself while it runs."""
+        """Return the bytes of order and lists of bands, and of the stage that takes most while it runs."""
         (pairs, most), n, tiles = counts, self.scene.count, -(-self.plan.width_px // self.plan.tile.width_px)
         lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * pairs
         order = min(self.threads, views) * n * 4 * self.number
@@ -227,13 +233,25 @@ def encode_sorted(
     antialiased: bool = False,
     aperture: Aperture = PINHOLE,
 ) -> Tensor:
-    """The image [H, W, 3] of N Gaussians (five fields, float32 or float64), view n of the plan seen by camera n.
+    """Draw the image [H, W, 3], view n of the plan as camera n sees it, without gradients.
 
-    budget: bytes that the work memory beside image, Gaussians and view map may take, on their device; None: the plan
-    and default_work, or what one view takes where that is more. stats receives, beside the counters, memory_bytes
-    {geometry, image, binning} of the largest chunk and memory_bytes_unchunked, what all views at once would take:
-    the states of Table 3 of the paper, image being the sorted sub-pixels. Raises InputError when not even one
-    view fits the budget. aperture: of all cameras.
+    Args:
+        gaussians: one scene, float32 or float64.
+        cameras: one for each view of the plan.
+        plan: of the panel's sub-pixels.
+        budget: bytes of work memory on the device, beside image, Gaussians and view map. None: the plan and
+            default_work, or the memory of one view if that is more.
+        background: [3].
+        as_bytes: whether the image is uint8.
+        threads: of the CPU; None: torch's.
+        stats: filled with counts; memory_bytes {geometry, image, binning} of the largest chunk, and
+            memory_bytes_unchunked of all views at once: the states of Table 3 of the paper. image: the sorted
+            sub-pixels.
+        antialiased: see encode.
+        aperture: of all cameras.
+
+    Raises:
+        InputError: if not even one view fits the budget.
     """
     scene = SceneTensors(*(field.unsqueeze(0) for field in gaussians.fields().values()))
     device = scene.device
@@ -253,8 +271,10 @@ def encode_sorted(
 
 
 def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: SceneTensors) -> list[Tensor]:
-    """Poses, intrinsics and limits of the cameras of all views shown, as the core takes them. They go to the device at
-    once, for a copy from the host waits until the device has nothing else to do; and in one copy."""
+    """Return poses, intrinsics and limits of the cameras of all views shown, as the core takes them.
+
+    They go to the device at once and in one copy: a copy from the host waits until the device has nothing else to do.
+    """
     if scene.dtype == torch.float64:
         cameras = cameras.to(scene.dtype)  # before the default limits are computed
     tensors = [cameras.world_to_camera, cameras.intrinsics(), cameras.limits()]
@@ -265,7 +285,7 @@ def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: SceneTensors) -> 
 
 
 class _Encoding:
-    """One image: the chunks of views, and the memory that they take."""
+    """One image: its chunks of views, and their memory."""
 
     def __init__(
         self,
@@ -292,8 +312,11 @@ class _Encoding:
         self.total: Counts = (0, 0)
 
     def run(self, out: Tensor) -> None:
-        """Draws all views into `out`. A chunk that does not fit is made smaller, down to one view; if that does not fit
-        either, the plan is no longer kept as a whole, and at last the budget is refused."""
+        """Draw all views into `out`.
+
+        A chunk that does not fit is made smaller, down to one view. If one view does not fit, the plan is no longer
+        kept whole; at last the budget is refused.
+        """
         first, plan = 0, self.plan
         while first < plan.count:
             views = self._most_views(first)
@@ -310,7 +333,7 @@ class _Encoding:
         self.stats.memory_bytes = self.stats.memory_bytes or dict.fromkeys(everything, 0)
 
     def _memory(self, first: int, views: int, counts: Counts, resident: bool | None = None) -> dict[str, int]:
-        """Bytes by stage of a chunk of views."""
+        """Return the bytes of a chunk of views by stage."""
         plan, resident = self.plan, self.resident if resident is None else resident
         lists = plan.bytes() if resident else plan.bytes(first, first + views)
         return {
@@ -320,7 +343,7 @@ class _Encoding:
         }
 
     def _most_views(self, first: int) -> int:
-        """How many views from `first` are expected to fit; at least one."""
+        """Return how many views from `first` are expected to fit; at least one."""
         pairs, most = self.expected
         left = min(self.plan.count - first, self.stages.most_views)
 
@@ -330,7 +353,7 @@ class _Encoding:
         return left if memory(left) <= self.usable else max(1, bisect_right(range(1, left), self.usable, key=memory))
 
     def _draw(self, first: int, views: int, out: Tensor) -> bool:
-        """Draws shown views first .. first + views - 1 if they fit, and notes what they took."""
+        """Draw shown views first .. first + views - 1 if they fit, and note their memory; return whether they fit."""
         plan, stats = self.plan, Stats(device=self.stats.device)
         fits = self.budget is None and views == 1  # without a budget one view may take what it takes
         if not fits and self._exceeds(self._memory(first, views, (0, 0))):
@@ -355,10 +378,10 @@ class _Encoding:
         return True
 
     def _admit(self, work: Any, first: int, views: int) -> bool:
-        """Whether the pairs of a chunk fit, now that they are counted."""
+        """Return whether the intersections of a chunk fit, now that they are counted."""
         counts = self.stages.counts(work)
         per_view = -(-counts[0] // views)
-        # Later views may have a few more pairs: a sixteenth is added for them
+        # A sixteenth is added for later views, which may have a few more
         self.expected = (per_view + per_view // 16, counts[1] + counts[1] // 16)
         return counts[0] <= _MOST_PAIRS and not self._exceeds(self._memory(first, views, counts))
 
@@ -370,7 +393,7 @@ class _Encoding:
         self.resident = False
 
     def _native_cameras(self, first: int, views: int) -> _core.float32.Cameras:
-        """The core's view of a chunk's cameras, which holds as long as self.cameras does."""
+        """Return the core's view of a chunk's cameras, which is valid as long as self.cameras."""
         poses, optics, edges = (t[first:].data_ptr() for t in self.cameras)
         return self.scene.core.Cameras(
             1, views, self.plan.width_px, self.plan.height_px, poses, optics, edges, self.antialiased, *self.aperture
@@ -379,16 +402,16 @@ class _Encoding:
     # The least budget
 
     def _refuse(self) -> None:
-        """Raises InputError that names the least budget that would do."""
-        least = max(sum(self._memory(place, 1, self._counts_of(place)).values()) for place in range(self.plan.count))
+        """Raise InputError that names the least budget."""
+        least = max(sum(self._memory(place, 1, self._count_view(place)).values()) for place in range(self.plan.count))
         least += least // (self.stages.reserve - 1) + 1
         raise InputError(
             f"a memory budget of {self.budget} bytes is too small even for one view at a time; this scene "
             f"and panel need {least} bytes or more beside the image"
         )
 
-    def _counts_of(self, place: int) -> Counts:
-        """Pairs of one view and a bound on those of a band, counted in little memory: some Gaussians at a time."""
+    def _count_view(self, place: int) -> Counts:
+        """Count the intersections of one view, and bound those of a band, some Gaussians at a time to save memory."""
         cameras = self._native_cameras(place, 1)
         pairs = most = 0
         for first in range(0, self.scene.count, _PROBE):

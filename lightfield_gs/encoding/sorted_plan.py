@@ -23,13 +23,14 @@ _MOST_DISTINCT_VIEWS = 65536
 
 
 class SortedPlan:
-    """Which sub-pixels each view has, made once per panel and used for any number of images.
+    """The sub-pixels of each view, made once per panel and used for any number of images.
 
-    Sub-pixels are coded (view, tile, column, row, channel) and sorted; the list of a (view, tile) holds 16 bits for
-    each of its sub-pixels and is filled up to a multiple of BLOCK (the paper's (-1, -1)). A view has a share of 1/N of
-    the sub-pixels, so tiles grow with N: they are as high as a square that holds one block of a view's sub-pixels (a
-    power of two; on the CPU always the 16 rows of a band), and as wide as it takes to hold 224 of them, seven of the
-    eight blocks that are drawn at a time; but no larger than 2^14 pixels.
+    Sub-pixels are coded (view, tile, column, row, channel) and sorted. The list of a (view, tile) holds 16 bits for
+    each of its sub-pixels, and is filled up to a multiple of BLOCK (the paper's (-1, -1)).
+
+    A view has 1/N of the sub-pixels, so tiles grow with N. They are as high as a square that holds one block of a
+    view's sub-pixels: a power of two, on the CPU always the 16 rows of a band. They are as wide as it takes to hold 224
+    of them, seven of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
 
     shown: numbers of the views that some sub-pixel shows, int64 [V], ascending.
     hidden: whether some sub-pixel shows no view (-1 in the map).
@@ -42,8 +43,18 @@ class SortedPlan:
         views: int | None = None,
         device: torch.device | str = "cpu",
     ):
-        """Of the panel's lens, or of an int32 view_map [H, W, 3] by image channel, values 0 .. views - 1, or -1 where a
-        sub-pixel shows nothing. views: the panel's unless given. device: where it will be used. Raises InputError."""
+        """Sort the sub-pixels.
+
+        Args:
+            panel: whose lens says which view each sub-pixel shows.
+            view_map: in place of the lens: int32 [H, W, 3] by image channel, 0 .. views - 1, or -1 where a sub-pixel
+                shows nothing.
+            views: how many there are; None: the panel's.
+            device: where the plan will be used.
+
+        Raises:
+            InputError: for arguments of other types, shapes or values.
+        """
         expect("panel", panel, Panel)
         self.width_px, self.height_px = panel.width_px, panel.height_px
         self.views = panel.views if views is None else whole_number("views", views, 1, MAX_VIEWS)
@@ -61,7 +72,7 @@ class SortedPlan:
         self._count()
 
     def _count(self) -> None:
-        """Counts the sub-pixels of every view and tile, which decides where each list starts among the codes."""
+        """Count the sub-pixels of every view and tile, and find where each list starts among the codes."""
         every = torch.arange(self.views, dtype=torch.int32)
         counts = torch.empty(self.views, self.tiles, dtype=torch.int32)
         _core.plan_sorted_count(
@@ -82,18 +93,18 @@ class SortedPlan:
         return len(self.shown)
 
     def bytes(self, first: int = 0, last: int | None = None) -> int:
-        """Size of the starts and codes of the lists of shown views first .. last - 1."""
+        """Return the bytes of the starts and codes of the lists of shown views first .. last - 1."""
         last = self.count if last is None else last
         starts = self.starts.numpy()  # of which single numbers are read faster than of a tensor
         codes = int(starts[last * self.tiles] - starts[first * self.tiles])
         return 8 * ((last - first) * self.tiles + 1) + 2 * codes
 
     def table_bytes(self) -> int:
-        """Size of the plan without any codes."""
+        """Return the bytes of the plan without codes."""
         return 8 * self.starts.numel() + 4 * self.views
 
     def lists(self, first: int, last: int, device: torch.device, keep: bool, threads: int) -> tuple[Tensor, Tensor]:
-        """starts and codes of shown views first .. last - 1 on the device; keep: held there for the next time."""
+        """Return starts and codes of shown views first .. last - 1 on the device. keep: hold them there."""
         begin, end = first * self.tiles, last * self.tiles
         if device.type == "cpu" and not keep:
             starts = self.starts[begin : end + 1] - self.starts[begin]
@@ -110,13 +121,13 @@ class SortedPlan:
         return (self.starts[begin : end + 1] - self.starts[begin]).to(device), codes.to(device)
 
     def release(self) -> None:
-        """Gives back what `lists` kept on the device of the images."""
+        """Free what `lists` holds on the device of the images."""
         self._resident = None
         if self.device_type == "cpu":
             self._codes = None
 
     def _fill(self, first: int, last: int, starts: Tensor, threads: int) -> Tensor:
-        """The codes of the lists of shown views first .. last - 1, int16, on the host."""
+        """Return the codes of the lists of shown views first .. last - 1, int16, on the host."""
         places = torch.full((self.views,), -1, dtype=torch.int32)
         places[self.shown[first:last]] = torch.arange(last - first, dtype=torch.int32)
         codes = torch.empty(int(starts[-1]), dtype=torch.int16)
@@ -128,12 +139,12 @@ class SortedPlan:
 
 @lru_cache(maxsize=1)
 def panel_plan(panel: Panel, device_type: str) -> SortedPlan:
-    """The plan of a panel's own lens; the last one is kept."""
+    """Return the plan of a panel's own lens; the last one is cached."""
     return SortedPlan(panel, device=device_type)
 
 
 def checked_view_map(view_map: np.ndarray | Tensor, panel: Panel, views: int) -> np.ndarray:
-    """The map as a C-contiguous array, after checking its shape, type and values. Raises InputError."""
+    """Return the map as a C-contiguous array, after checking its shape, type and values. Raises InputError."""
     isarray = isinstance(view_map, np.ndarray)  # which may be a file, mapped and read-only
     table = view_map if isarray else to_tensor("view_map", view_map).detach().cpu().numpy()
     shape = (panel.height_px, panel.width_px, 3)
@@ -153,14 +164,14 @@ def _device_type(device: torch.device | str) -> str:
 
 
 def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]:
-    """For every sub-pixel (flat) its place in x; x: the distinct camera coordinates that the panel shows."""
+    """Return for every sub-pixel (flat) its index in x, and x: the distinct camera coordinates that the panel shows."""
     view_map = panel.view_map(continuous).reshape(-1)
     if not continuous:
         used = np.bincount(view_map, minlength=panel.views) > 0
         places = view_map if used.all() else (np.cumsum(used) - 1).astype(np.int32)[view_map]
         return places, np.flatnonzero(used) + 0.5
-    # Places that differ only by the rounding of the fixed-point phase are one; a few rows already tell a panel that
-    # has too many
+    # Coordinates that differ only by the rounding of the fixed-point phase are one; a few rows already tell a panel
+    # that has too many
     view_map = np.round(view_map, 9)
     if len(np.unique(view_map[: 2**21])) <= _MOST_DISTINCT_VIEWS:
         x, places = np.unique(view_map, return_inverse=True)
@@ -177,7 +188,7 @@ def _core_map(panel: Panel) -> _core.ViewMap:
 
 
 def _tile(views: int, width_px: int, device_type: str) -> _core.SubpixelTile:
-    """The size of a plan's tiles, by the rule in the docstring of SortedPlan."""
+    """Return the size of a plan's tiles, by the rule in the docstring of SortedPlan."""
     rows = math.sqrt(BLOCK * views / 3)
     bits = int(math.log2(_core.BAND_ROWS)) if device_type == "cpu" else min(max(round(math.log2(rows)), 2), 7)
     width = round(_SUBPIXELS_PER_TILE * views / 3 / (1 << bits))

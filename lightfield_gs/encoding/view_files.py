@@ -21,13 +21,16 @@ _FIELDS = {"world_to_camera": (4, 4), "focal_px": (2,), "principal_point_px": (2
 
 
 def read_cameras(path: str | Path, panel: Panel) -> Cameras:
-    """One camera for each view, float64: world_to_camera [N,4,4] (OpenCV axes), focal_px [N,2] and principal_point_px
-    [N,2] at the panel's resolution. Raises InputError that names the file and the field."""
+    """Read one camera for each view, float64. Raises InputError that names the file and the field.
+
+    The file has world_to_camera [N, 4, 4] (OpenCV axes), and focal_px [N, 2] and principal_point_px [N, 2] at the
+    panel's resolution.
+    """
     data = read_json(path, _LIMIT_BYTES)
     if is_camera_file(data):
         raise InputError(
             f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for "
-            "each view of the panel; give it as --camera FILE[:INDEX] for the centre camera"
+            "each view of the panel; give it as camera=FILE[:INDEX] for the centre camera"
         )
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object with {', '.join(_FIELDS)}, got {type(data).__name__}")
@@ -46,7 +49,7 @@ def read_cameras(path: str | Path, panel: Panel) -> Cameras:
 
 
 def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
-    """Which of `views` views each sub-pixel shows, int32 [H,W,3] by image channel, -1 for none; a NumPy .npy file.
+    """Read which of `views` views each sub-pixel shows, int32 [H,W,3] by image channel, -1 for none; a NumPy .npy file.
 
     Raises InputError that names the file.
     """
@@ -56,7 +59,7 @@ def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
 
 
 def _numbers(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """`value` as float64 [N, *shape]; raises InputError."""
+    """Return `value` as float64 [N, *shape]. Raises InputError."""
     expected = f"expected numbers [N, {', '.join(map(str, shape))}]"
     try:
         array = np.array(value)
@@ -72,7 +75,7 @@ def _numbers(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _check_poses(what: str, poses: np.ndarray) -> None:
-    """Raises InputError at the first matrix that is not a rotation and a translation over 0 0 0 1."""
+    """Raise InputError for the first matrix that is not a rotation and a translation over 0 0 0 1."""
     rotations = poses[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max((1, 2))

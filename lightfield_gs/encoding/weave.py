@@ -1,9 +1,8 @@
-"""The views of a quilt, of a folder or of a light field to the image of a panel: interlacing views of any size and
-number.
+"""Interlacing views of any size and number: of a quilt, of a folder or of a light field, to the image of a panel.
 
-View q of M, counted from the left-most camera, stands at the place (q + 1/2) / M of the fan; a sub-pixel that shows
-the panel's x of N views stands at 1 - x / N (with invert_views x / N). So integer views of a panel fall exactly on
-those of a set of as many.
+View q of M, counted from the left-most camera, stands at the place (q + 1/2) / M of the fan. A sub-pixel that shows
+the panel's x of N views stands at 1 - x / N (with invert_views x / N). So integer views of a panel fall exactly on the
+views of a set of as many.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
 from lightfield_gs.encoding.sorted_plan import checked_view_map
-from lightfield_gs.encoding.weave_geometry import Fan, Fit, Window, window_of
+from lightfield_gs.encoding.weave_geometry import Fan, Fit, Window, find_window
 from lightfield_gs.encoding.weave_sampling import Held, NativePasses, TorchPasses, full_scale, reduced_picture, stored
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
@@ -31,7 +30,7 @@ _TYPES = (torch.uint8, torch.uint16, torch.float32)
 
 
 class ViewSource(Protocol):
-    """Views that are read when they are wanted, the left-most camera's first, all of one size and type."""
+    """Views that are read one by one, the left-most camera's first, all of one size and type."""
 
     count: int
     height_px: int
@@ -43,7 +42,7 @@ class ViewSource(Protocol):
 
 
 class _Stack:
-    """Views that are all there, [M, H, W, 3]."""
+    """Views in memory, [M, H, W, 3]."""
 
     def __init__(self, views: np.ndarray | Tensor):
         self.views = to_tensor("views", views)
@@ -110,7 +109,7 @@ def weave(
     _check(panel, interpolation, place, background, device)
     width = real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS)
     seen_aspect = source.width_px / source.height_px if aspect is None else real_number("aspect", aspect, 0.01, 100)
-    window = window_of(panel, (source.width_px, source.height_px), seen_aspect, fit, crop, shift)
+    window = find_window(panel, (source.width_px, source.height_px), seen_aspect, fit, crop, shift)
     table = None if view_map is None else checked_view_map(view_map, panel, source.count)
     fan = Fan(panel, source.count, place == "continuous", table, _box(panel, source.count, table, interpolation, width))
     first = _picture(source, 0, window, device)
@@ -124,14 +123,16 @@ def weave(
 
 
 def _box(panel: Panel, count: int, table: np.ndarray | None, interpolation: str, width: float) -> float:
-    """How many of the views wide each sub-pixel averages, see Fan, by `weave`'s interpolation and view_filter."""
+    """Return the width of the box that each sub-pixel averages, see Fan, for `weave`'s options."""
     wide = width if table is not None else width * count / panel.views
     return min(float(count), max(wide, 1.0 if interpolation == "linear" else 0.0))
 
 
 def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most_mixed: int) -> Iterator[Held]:
-    """Views in groups that fit into memory. Each group but the first begins with the last views of the one before: as
-    many as a sub-pixel mixes, less one."""
+    """Yield views in groups that fit into memory.
+
+    Each group but the first begins with the last views of the one before: as many as a sub-pixel mixes, less one.
+    """
     if isinstance(source, _Stack) and source.views.device == first.device and source.views.shape[1:] == first.shape:
         yield Held(source.views.contiguous(), 0, source.count)  # they are all held anyway
         return
@@ -157,7 +158,7 @@ def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most
 
 
 def _picture(source: ViewSource, number: int, window: Window, device: str) -> Tensor:
-    """A view at the resolution that it is sampled at. Raises InputError."""
+    """Return a view at the resolution that it is sampled at. Raises InputError."""
     picture = to_tensor("views", source.view(number)).to(device)
     if picture.dtype not in _TYPES:
         raise InputError(f"views: expected uint8, uint16 or float32, got {picture.dtype}")

@@ -20,12 +20,14 @@ _ROWS = 16  # of the panel at a time
 
 @dataclass(frozen=True)
 class Fan:
-    """M views, 0 the left-most camera's, and what of them the sub-pixels of a panel show.
+    """M views, 0 the left-most camera's, and their weights in the sub-pixels of a panel.
 
-    count: M. continuous: places by the lens's exact x, not by the panel's integer view. table: int32 [H, W, 3] in
-    place of the lens, see `weave`. box: how many of the M views wide each sub-pixel averages: each view stands for the
-    places that are nearer to it than to another, the outermost for all beyond, and its share is how much of the box is
-    its. A box of 1 is linear interpolation, one of 0 the nearest view.
+    count: M.
+    continuous: places by the lens's exact x, not by the panel's integer view.
+    table: int32 [H, W, 3] in place of the lens, see `weave`.
+    box: width, in views of the M, of the box that each sub-pixel averages. Each view stands for the places that are
+        nearer to it than to another, the outermost for all beyond. Its weight is its part of the box. A box of 1 is
+        linear interpolation, one of 0 the nearest view.
     """
 
     panel: Panel
@@ -36,12 +38,14 @@ class Fan:
 
     @property
     def most_mixed(self) -> int:
-        """How many views a sub-pixel mixes at most."""
+        """The most views that a sub-pixel mixes."""
         return min(self.count, math.ceil(self.box) + 1)
 
     def places(self) -> np.ndarray:
-        """Where each view of the panel, or of the table, stands among the M, float64: 0 .. M - 1. At either end of the
-        fan the outermost view goes on."""
+        """Return the place of each view of the panel, or of the table, among the M views, float64: 0 .. M - 1.
+
+        At either end of the fan the outermost view goes on.
+        """
         if self.table is not None:
             return np.arange(self.count - 1, -1, -1.0)
         n = np.arange(self.panel.views, dtype=np.float64)
@@ -49,7 +53,7 @@ class Fan:
         return self._among((n if self.panel.invert_views else self.panel.views - 1 - n) + 0.5)
 
     def rows(self) -> Iterator[tuple[slice, np.ndarray]]:
-        """Chunks of rows and the places of their sub-pixels, float64 [R, W, 3]; -1 where nothing is shown."""
+        """Yield chunks of rows and the places of their sub-pixels, float64 [R, W, 3]; -1 where nothing is shown."""
         panel, places = self.panel, self.places()
         for rows, phase in panel.phase_rows(_ROWS):
             if self.table is not None:
@@ -62,7 +66,7 @@ class Fan:
                 yield rows, places[panel.view_index(phase)]
 
     def native(self, places: np.ndarray) -> _core.WeaveFan:
-        """For the native code; `places`, what places() returned, must live as long."""
+        """Return the fan for the native code; `places`, of places(), must live as long."""
         panel, table = self.panel, self.table
         view_map = (
             _core.ViewMap(panel_lens(panel).native())
@@ -73,7 +77,7 @@ class Fan:
         return _core.WeaveFan(view_map, places.ctypes.data, by_lens, panel.invert_views, self.count, self.box)
 
     def _among(self, at: np.ndarray) -> np.ndarray:
-        """Places among the panel's views, whose edges are 0 and N, as places among the M."""
+        """Convert places among the panel's views, whose edges are 0 and N, to places among the M."""
         views = self.panel.views
         return np.clip((at * self.count - 0.5 * views) / views, 0.0, self.count - 1.0)
 
@@ -85,7 +89,7 @@ _SAME_ASPECT = 0.01  # aspects that differ by less are one: names round them, 1.
 
 @dataclass(frozen=True)
 class Window:
-    """What of every view the panel shows, in shares of the view, which may reach beyond 0..1.
+    """The part of every view that the panel shows, in fractions of the view, which may reach beyond 0..1.
 
     left, top, width, height: of the whole panel. low_x, low_y, high_x, high_y: what is left of the view by the crop.
     shift: see `weave`. panel_px, view_px: width and height, of the view as it is sampled.
@@ -104,7 +108,7 @@ class Window:
     view_px: tuple[int, int]
 
 
-def window_of(
+def find_window(
     panel: Panel,
     view_px: tuple[int, int],
     aspect: float,
@@ -112,8 +116,16 @@ def window_of(
     crop: tuple[float, float, float, float],
     shift: float,
 ) -> Window:
-    """What the panel shows of views of this size and aspect. Views that are larger than they will be seen are to be
-    reduced to view_px of the window first. Raises InputError."""
+    """Return the part of each view that the panel shows. Raises InputError.
+
+    Views that are larger than they will be seen are to be reduced to view_px of the window first.
+
+    Args:
+        panel: of the image.
+        view_px: width and height of a view.
+        aspect: width by height of a view as it is seen.
+        fit: see `weave`, and so are crop and shift.
+    """
     if fit not in FITS:
         raise InputError(f"fit must be {', '.join(FITS)}, got {shown(fit)}")
     shift = real_number("shift", shift, -1, 1)
@@ -151,9 +163,9 @@ def window_of(
 
 
 def _sampled_at(window: Window) -> Window:
-    """The window of views that are not larger than they will be seen."""
+    """Return the window of views that are not larger than they will be seen."""
     sizes = [
-        max(1, round(view * min(1.0, panel / (view * share))))
-        for view, panel, share in zip(window.view_px, window.panel_px, (window.width, window.height))
+        max(1, round(view * min(1.0, panel / (view * fraction))))
+        for view, panel, fraction in zip(window.view_px, window.panel_px, (window.width, window.height))
     ]
     return Window(**{**vars(window), "view_px": (sizes[0], sizes[1])})

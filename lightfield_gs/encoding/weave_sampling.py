@@ -12,12 +12,12 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.encoding.weave_geometry import Fan, Window
 
-# Places are rounded to so many parts of a pixel, so that where sizes agree they fall on pixels, whatever the rounding
+# Places are rounded to this fraction of a pixel, so that where sizes agree they fall on pixels
 _PARTS = 65536.0
 
 
 def reduced_picture(picture: Tensor, window: Window) -> Tensor:
-    """A view [h, w, 3] at the window's view_px, averaged where that is smaller; the same type."""
+    """Return a view [h, w, 3] at the window's view_px, averaged where that is smaller; of the same type."""
     width, height = window.view_px
     if tuple(picture.shape[:2]) == (height, width):
         return picture
@@ -31,7 +31,7 @@ def reduced_picture(picture: Tensor, window: Window) -> Tensor:
 
 @dataclass(frozen=True)
 class Taps:
-    """The two pixels beside each place along one side of a picture, which are mixed.
+    """The two pixels that are mixed for each place along one side of a picture.
 
     first, second: int64 [V, S], offsets in the samples of a picture; weight: of the second, float32 [V, S]; inside:
     whether the view reaches there, bool [V, S]. V: the views, or 1 where all are alike; S: the panel's columns or rows.
@@ -46,7 +46,7 @@ class Taps:
 
 
 def taps_across(window: Window, count: int, device: str) -> Taps:
-    """Of the panel's columns, in each of `count` views, which a shift moves; else in all of them alike."""
+    """Return the taps of the panel's columns: of each of `count` views if a shift moves them, else of all alike."""
     places = _places(window.left, window.width, window.panel_px[0], device)[None]
     if window.shift:
         views = (torch.arange(count, dtype=torch.float64, device=device) + 0.5) / count - 0.5
@@ -55,13 +55,13 @@ def taps_across(window: Window, count: int, device: str) -> Taps:
 
 
 def taps_down(window: Window, device: str) -> Taps:
-    """Of the panel's rows."""
+    """Return the taps of the panel's rows."""
     places = _places(window.top, window.height, window.panel_px[1], device)[None]
     return _taps(places, window.view_px[1], 3 * window.view_px[0], window.low_y, window.high_y)
 
 
 def _places(start: float, length: float, size: int, device: str) -> Tensor:
-    """Centres of the panel's pixels in shares of a view, float64 [size]."""
+    """Return the centres of the panel's pixels in fractions of a view, float64 [size]."""
     return start + (torch.arange(size, dtype=torch.float64, device=device) + 0.5) * (length / size)
 
 
@@ -76,10 +76,18 @@ def _taps(places: Tensor, size: int, stride: int, least: float, most: float) -> 
 
 
 def sampled(stack: Tensor, slot: Tensor, view: Tensor, rows: slice, across: Taps, down: Taps) -> tuple[Tensor, Tensor]:
-    """Colours float32 [R, W, 3] at some rows of the panel, in the scale of the stack, and whether the view reaches
-    there, bool, which broadcasts to that.
+    """Return colours float32 [R, W, 3] at rows of the panel, in the scale of the stack, and whether the view reaches.
 
-    stack: [G, h, w, 3]; slot: int64 [R, W, 3], which of it each sub-pixel takes; view: its number among all views.
+    Args:
+        stack: [G, h, w, 3].
+        slot: int64 [R, W, 3], which picture of the stack each sub-pixel takes.
+        view: int64 [R, W, 3], its number among all views.
+        rows: of the panel.
+        across: taps of the columns.
+        down: taps of the rows.
+
+    Returns:
+        The colours; and bool, which broadcasts to them.
     """
     flat = stack.view(-1)
     pixels = stack[0].numel()
@@ -102,12 +110,12 @@ def sampled(stack: Tensor, slot: Tensor, view: Tensor, rows: slice, across: Taps
 
 
 def _along(table: Tensor, columns: Tensor | None) -> Tensor:
-    """A table of taps [V, W] for sub-pixels [R, W, 3]; columns: where each is in it, None where all views are alike."""
+    """Return taps [V, W] for sub-pixels [R, W, 3]. columns: index of each; None: all views are alike."""
     return table[0][:, None] if columns is None else table.view(-1)[columns]
 
 
 def _taken(flat: Tensor, index: Tensor) -> Tensor:
-    """flat[index] as float32; torch takes no uint16 at an index."""
+    """Return flat[index] as float32; torch takes no uint16 at an index."""
     if flat.dtype == torch.uint16:
         return (flat.view(torch.int16)[index].to(torch.int32) & 0xFFFF).float()
     return flat[index].float()
@@ -117,8 +125,10 @@ _NATIVE = {torch.uint8: _core.weave_uint8, torch.uint16: _core.weave_uint16, tor
 
 
 class Held(NamedTuple):
-    """Views that are held: pictures [G, h, w, 3] from number `first` on. The sub-pixels whose first view is one of the
-    first `own` of them are drawn in this pass."""
+    """Views in memory: pictures [G, h, w, 3] from number `first` on.
+
+    own: the sub-pixels whose first view is one of the first `own` of them are drawn in this pass.
+    """
 
     pictures: Tensor
     first: int
@@ -126,7 +136,7 @@ class Held(NamedTuple):
 
 
 class NativePasses:
-    """On the CPU."""
+    """Passes over the panel in native code, on the CPU."""
 
     def __init__(self, fan: Fan, window: Window):
         self._places = np.ascontiguousarray(fan.places())  # which the native fan points into
@@ -145,7 +155,7 @@ class NativePasses:
         )
 
     def draw(self, out: Tensor, held: Held) -> None:
-        """Draws into the panel's image [H, W, 3] what the views reach."""
+        """Draw the views in memory into the panel's image [H, W, 3]."""
         count, height, width, _ = held.pictures.shape
         _NATIVE[out.dtype](
             held.pictures.data_ptr(),
@@ -162,14 +172,14 @@ class NativePasses:
 
 
 class TorchPasses:
-    """The same in torch, for CUDA: chunks of rows, each sub-pixel gathered from its views."""
+    """Passes over the panel in torch, for CUDA: chunks of rows, each sub-pixel gathered from its views."""
 
     def __init__(self, fan: Fan, window: Window, device: str):
         self._fan, self._device = fan, device
         self._taps = taps_across(window, fan.count, device), taps_down(window, device)
 
     def draw(self, out: Tensor, held: Held) -> None:
-        """Draws into the panel's image [H, W, 3] what the views reach."""
+        """Draw the views in memory into the panel's image [H, W, 3]."""
         bits = torch.int16 if out.dtype == torch.uint16 else out.dtype  # torch selects no uint16
         for rows, places in self._fan.rows():
             at = torch.from_numpy(places).to(self._device)
@@ -183,12 +193,12 @@ class TorchPasses:
 def _mixed(
     held: Held, at: Tensor, first: Tensor, rows: slice, fan: Fan, taps: tuple[Taps, Taps]
 ) -> tuple[Tensor, Tensor]:
-    """The means float32 [R, W, 3] of the views that reach some rows, and whether any does."""
+    """Return the means float32 [R, W, 3] of the views that reach some rows, and whether any does."""
     value = torch.zeros_like(at, dtype=torch.float32)
     total = torch.zeros_like(value)
     for k in range(fan.most_mixed):
         view = (first + k).clamp_max(fan.count - 1)
-        weight = _share(fan, at, view) * (first + k < fan.count)
+        weight = _weight(fan, at, view) * (first + k < fan.count)
         slot = (view - held.first).clamp(0, len(held.pictures) - 1)
         colour, inside = sampled(held.pictures, slot, view, rows, *taps)
         weight = weight * inside
@@ -198,8 +208,8 @@ def _mixed(
     return value, total > 0
 
 
-def _share(fan: Fan, at: Tensor, view: Tensor) -> Tensor:
-    """How much of the box around each place is a view's, float32."""
+def _weight(fan: Fan, at: Tensor, view: Tensor) -> Tensor:
+    """Return the weight of a view, its part of the box around each place, float32."""
     if fan.box == 0:
         return torch.ones_like(at, dtype=torch.float32)
     low, high = at - fan.box / 2, at + fan.box / 2
@@ -209,12 +219,12 @@ def _share(fan: Fan, at: Tensor, view: Tensor) -> Tensor:
 
 
 def stored(values: Tensor, dtype: torch.dtype) -> Tensor:
-    """Colours as they are stored, in the scale of the type; integers are rounded, ties to even."""
+    """Convert colours, in the scale of the type, to the type; integers are rounded, ties to even."""
     if dtype == torch.float32:
         return values.to(dtype)
     return values.round().clamp(0, full_scale(dtype)).to(torch.int32).to(dtype)
 
 
 def full_scale(dtype: torch.dtype) -> float:
-    """The number that stands for 1."""
+    """Return the number that stands for 1."""
     return {torch.uint8: 255.0, torch.uint16: 65535.0}.get(dtype, 1.0)

@@ -31,7 +31,7 @@ from lightfield_gs.io.text_files import parse_json
 FILE = "checkpoint.safetensors"
 _KEY, _VERSION = "lightfield-gs fit", 1
 _FORMER_MOST, _FORMER_FEW, _FORMER_MANY = 0.2, 12, 48  # a former default of dropout, see _former_dropout
-_WAY_OUT = "give the same again, another --run folder, or --fresh to start over"
+_WAY_OUT = "give the same again, another folder=, or fresh=True to start over"
 
 
 @dataclass(frozen=True)

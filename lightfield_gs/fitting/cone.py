@@ -74,7 +74,7 @@ class Cone:
         if (inside := int(self.inside[list(indices)].sum())) < _FEWEST:
             assume(
                 f"cone: {inside} of {len(indices)} held-out photographs are inside, whose mean says little; hold out "
-                "more of them (--test-every 3, or --test-list)"
+                "more of them (test_every=3, or test_names=)"
             )
         return ConeAngles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
 
@@ -195,7 +195,7 @@ def _zero_depth(capture: Capture, index: int, near: np.ndarray, middle: np.ndarr
         return depth, "where the axes of the capture meet"
     raise InputError(
         f"cone: {capture.names[index]} looks away from what the other photographs show, and there are no points in its "
-        "middle, so that nothing says at which depth the panel's plane is; give another --centre"
+        "middle, so that nothing says at which depth the panel's plane is; give another centre="
     )
 
 
@@ -313,7 +313,7 @@ def read_cone(cone: Panel | str | Path | float) -> tuple[Panel, str]:
         cone = float(cone)
     if not isinstance(cone, (Panel, str, Path)):
         panel = replace(Panel.load(DEFAULT_PANEL), cone_deg=real_number("cone", cone, 1.0, 179.0))
-        words = f"cone: the panel is {_describe(panel)}, the default, but for its cone; another: --cone PANEL.yaml"
+        words = f"cone: the panel is {_describe(panel)}, the default, but for its cone; another: give it as the cone"
         return panel, words
     panel = cone if isinstance(cone, Panel) else Panel.load(cone)
     return panel, f"cone: the panel is {_describe(panel)}"

@@ -280,12 +280,12 @@ def _drop_masked_out(
 def _describe_dropout(settings: FitSettings, photographs: int) -> str | None:
     """Return a line about dropout for a fit to so many photographs, if there is something to say."""
     if settings.dropout > 0:
-        return f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (--dropout)"
+        return f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"
     if photographs > _FEW_PHOTOGRAPHS:
         return None
     return (
-        f"steps leave out no Gaussians: with {photographs} photographs --dropout 0.2 gains up to 1 dB or loses up to "
-        "1.5, by the scene; compare the PSNR of photographs held out"
+        f"steps leave out no Gaussians: with {photographs} photographs a dropout of 0.2 gains up to 1 dB or loses up "
+        "to 1.5, by the scene; compare the PSNR of photographs held out"
     )
 
 

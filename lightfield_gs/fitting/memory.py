@@ -23,7 +23,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.fitting.settings import FitSettings
 
-REMEDIES = "use fewer --gaussians, a smaller --scale or a lower --sh-degree"
+REMEDIES = "use a smaller cap_max=, a smaller scale= or a lower sh_degree="
 _NUMBER_BYTES, _SHAPE_NUMBERS, _COPIES = 4, 11, 6  # of means, scales, quaternions and opacity; see above
 _WORK_PER_GAUSSIAN, _WORK_PER_PIXEL = 450, 90
 _MOST_PHOTOGRAPHS = 0.5  # of the free memory of a GPU

@@ -100,6 +100,6 @@ def _summary_writer() -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         raise InputError(
-            "--tensorboard needs tensorboard, which is not installed: pip install 'lightfield-gs[fit]'"
+            "tensorboard=True needs tensorboard, which is not installed: pip install 'lightfield-gs[fit]'"
         ) from None
     return SummaryWriter

@@ -151,7 +151,7 @@ def _check_viewpoints(viewpoints: Sequence[Viewpoint], start: Panel, one_viewpoi
         raise InputError(
             f"the photographs are from {where}, which cannot tell another lens from shifts in another order or a "
             f"mirrored photograph: add some from {_CONSTANTS.least_apart * abs(zone):.0f} mm aside at least, or "
-            "say that one place will do (--one-place)"
+            "say that one place will do (one_place=True)"
         )
 
 

@@ -104,7 +104,7 @@ class DepthReport:
         if self.comfortable is False:
             way = "" if self.amount is None else f", {_round_down(self.amount)} of what it is at the most"
             out.append(
-                f"the depth strains the eyes: {self._angles()}; give a smaller --depth-amount{way}, or another --focus"
+                f"the depth strains the eyes: {self._angles()}; give a smaller depth_amount={way}, or another focus="
             )
         if (words := background_warning(max(self.unseen))) is not None:
             out.append(words)
@@ -112,7 +112,7 @@ class DepthReport:
 
     def _comfort(self) -> str:
         if self.comfortable is None:
-            return "not known: the panel lacks viewing_distance_mm or pixel_pitch_mm (--viewing-distance MM)"
+            return "not known: the panel lacks viewing_distance_mm or pixel_pitch_mm (viewing_distance_mm=MM)"
         return f"{'yes' if self.comfortable else 'no'}, {self._angles()}"
 
     def _angles(self) -> str:

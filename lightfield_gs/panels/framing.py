@@ -326,7 +326,7 @@ def _field_of_view_rad(panel: Panel) -> float:
 _KEY = "lightfield-gs rig:"
 _PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and their numbers of values
 
-_WAY_OUT = "give --up, --camera or --rig, which go before it"
+_WAY_OUT = "give up=, camera= or rig=, which go before it"
 
 
 def framing_comment(rig: Rig, panel: Panel) -> str:

@@ -113,8 +113,7 @@ def _choose(found: list[_Calibration], where: str, serial: str | None) -> _Calib
     if serial is None:
         if len(found) > 1:
             raise InputError(
-                f"{where} has calibrations of {len(found)} displays: {names}; say which with "
-                "--device-serial SERIAL (serial= in Python)"
+                f"{where} has calibrations of {len(found)} displays: {names}; say which with serial=SERIAL"
             )
         return found[0]
     expect("serial", serial, str)

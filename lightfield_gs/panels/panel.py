@@ -166,7 +166,7 @@ class Panel:
             return Panel.from_looking_glass(source, serial=serial)
         if serial is not None:
             raise InputError(
-                f"--device-serial (serial= in Python) chooses among Looking Glass calibrations in a .json "
+                f"serial= chooses among Looking Glass calibrations in a .json "
                 f"file, and {shown(str(source))} is none; leave it out"
             )
         return Panel.from_yaml(source)

@@ -166,7 +166,7 @@ def panel_quilt(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayo
         assume(
             f"a quilt of {found.columns} x {found.rows} = {views} views for the {panel.views} of panel {panel.name}, "
             f"of which {best.columns} x {best.rows} would leave tiles of {best.tile_px()[0]} x {best.tile_px()[1]} "
-            f"pixels (to have those: --tiles {best.columns}x{best.rows})"
+            f"pixels (to have those: tiles={best.columns}x{best.rows})"
         )
     return found
 

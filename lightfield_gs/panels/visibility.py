@@ -285,7 +285,7 @@ def background_warning(fraction: float) -> str | None:
         return None
     return (
         f"the outermost views look past what the scene knows: {fraction:.1%} of the scene's place is background there; "
-        "give a smaller --cone or --depth-amount, or a larger --zoom"
+        "give a smaller cone_deg= or depth_amount=, or a larger zoom="
     )
 
 

@@ -23,8 +23,8 @@ def detail_level(
     """Choose the level of detail of a photo.
 
     Args:
-        detail: 1, 2 or 4 texels per side of a pixel; "auto", the fewest that resolve all that a view of the panel and
-            the photo do, within the budget; or None, the network's own Gaussians.
+        detail: 1, 2 or 4 texels per side of a pixel. "auto": the fewest that resolve all that a view of the panel and
+            the photo do, within the budget. None: the network's own Gaussians.
         config: of the network.
         photo_px: longer side of the photo.
         panel: the panel that shows it; None: texels are displayed a pixel wide.

@@ -143,7 +143,7 @@ def _decode_base64(path: Path, xmp: str, values: dict[str, str]) -> bytes:
     try:
         return base64.b64decode(re.sub(r"&#\w+;|\s+", "", values.get("Data", "")))
     except (binascii.Error, ValueError):
-        raise InputError(f"{path}: the depth map in its XMP is damaged; give another with --depth FILE") from None
+        raise InputError(f"{path}: the depth map in its XMP is damaged; give another with depth=FILE") from None
 
 
 def _read_container_item(path: Path, xmp: str, values: dict[str, str]) -> bytes:
@@ -181,7 +181,7 @@ def _describe_unused_depth(path: Path) -> str:
     """Return a line on a depth map in the file that is not read, with the remedy; "" without one."""
     if (embedded := find_embedded_depth(path)) is not None:
         return f"a depth map is in it ({embedded.name}) and is not used, as options ask for another way"
-    way = "and is not read; save it as a picture of its own, for --depth FILE"
+    way = "and is not read; save it as a picture of its own, for depth=FILE"
     if is_heif(path):
         return f"a depth map is in it (an auxiliary picture), {way}" if _contains(path, _HEIF_DEPTH) else ""
     if _is_exr(path):
@@ -190,7 +190,7 @@ def _describe_unused_depth(path: Path) -> str:
     if jpeg_xmp(path):
         for namespace, name in ((_GDEPTH, "GDepth"), (_DYNAMIC, "Dynamic Depth")):
             if f'"{namespace}"' in jpeg_xmp(path):
-                return f"a depth map should be in it ({name}), and is not found; give one with --depth FILE"
+                return f"a depth map should be in it ({name}), and is not found; give one with depth=FILE"
     with open(path, "rb") as file:
         if file.read(2) != b"\xff\xd8":
             return ""

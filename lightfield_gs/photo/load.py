@@ -83,7 +83,7 @@ def turn_with_photo(
     if choice is None and fits_stored and fits_upright:
         raise InputError(
             f"{name}: the photo is turned by its Exif orientation {orientation}, and the map may be of "
-            "either; say which with --map-orientation: stored (as the photo's file has its pixels) or "
+            "either; say which with map_orientation=: stored (as the photo's file has its pixels) or "
             "upright"
         )
     turned = choice == "stored" or choice is None and fits_stored
@@ -112,7 +112,7 @@ def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
     except (ImportError, SystemExit) as error:  # without onnxruntime it exits
         raise InputError(
             f"rembg, which removes backgrounds, could not be imported ({error}): {_INSTALL}; or give a "
-            "cut-out with --mask FILE"
+            "cut-out with mask=FILE"
         ) from None
     try:
         session = rembg.new_session(_MODEL)
@@ -120,14 +120,14 @@ def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
     except Exception as error:  # of the download, its file, or the inference: it may be anything
         raise InputError(
             f"rembg could not remove the background: {' '.join(str(error).split())[:200]}; its model "
-            f"{_MODEL} is downloaded at first use; or give a cut-out with --mask FILE"
+            f"{_MODEL} is downloaded at first use; or give a cut-out with mask=FILE"
         ) from None
     return mask.astype(np.float32) / 255
 
 
 __all__ = ["NoCutOut", "Photo", "load_photo", "cut_out_photo", "plain_background_mask"]
 _STRIP_PIXELS = 1 << 19  # of colours and alpha that are joined at a time
-_OTHER_CUT_OUTS = "give RGBA, a cut-out with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]')"
+_OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[rembg]')"
 
 
 class NoCutOut(InputError):
@@ -215,7 +215,7 @@ def cut_out_photo(
     expect("remove_background", remove_background, bool)
     expect("whole", whole, bool)
     if mask is not None and remove_background:
-        raise InputError("--mask and --remove-background are two ways to the same cut-out; leave out one of them")
+        raise InputError("mask= and remove_background= are two ways to the same cut-out; leave out one of them")
     check_finite(picture, path)
     rgb, alpha = _colour_and_alpha(picture.pixels)
     colours = to_srgb(rgb, picture)
@@ -229,13 +229,13 @@ def cut_out_photo(
         description = f"cut out by {Path(mask).name}"
     elif remove_background:
         alpha = rembg_alpha(as_floats(photo.pixels))
-        empty = f"{path}: rembg found no object; give a cut-out with --mask FILE"
+        empty = f"{path}: rembg found no object; give a cut-out with mask=FILE"
         description = "cut out by rembg"
     elif alpha is not None and (
         whole or (alpha > alpha.dtype.type(0.5 * _full_scale(alpha))).mean() < _CONSTANTS.covers_all
     ):
         alpha = _as_alpha(alpha)
-        empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or --mask FILE"
+        empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or mask=FILE"
         description = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
         photo.notes += [] if whole else _inversion_note(f"{path}: its alpha", alpha)
     elif whole:
@@ -284,8 +284,8 @@ def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | Non
         if covered is None:
             raise NoCutOut(
                 f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
-                "to show the whole scene, give its distances with --depth FILE, or have them estimated with --depth "
-                "auto (pip install 'lightfield-gs[depth]')"
+                "to show the whole scene, give its distances with depth=FILE, or have them estimated with depth=auto "
+                "(pip install 'lightfield-gs[depth]')"
             )
         photo.notes.append(
             f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "

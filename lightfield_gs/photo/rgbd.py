@@ -298,7 +298,7 @@ def _checked_margin(margin_px: Sequence[int], height: int, width: int) -> tuple[
     if (width + left + right) * (height + top + bottom) > _MOST_WITH_MARGIN:
         raise InputError(
             f"margin_px: {left}, {top}, {right}, {bottom} around a photo of {width} x {height}; expected at most "
-            f"{_MOST_WITH_MARGIN} pixels in all; make both smaller, or leave the margin out (--fit cover)"
+            f"{_MOST_WITH_MARGIN} pixels in all; make both smaller, or leave the margin out (fit=cover)"
         )
     return left, top, right, bottom
 

@@ -70,13 +70,13 @@ def split_halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.nd
         InputError: The side is invalid, or the pixels have no two halves.
     """
     if side not in DEPTH_PARTS:
-        raise InputError(f"--rgbd: expected {', '.join(DEPTH_PARTS)}, got {side!r}")
+        raise InputError(f"rgbd=: expected {', '.join(DEPTH_PARTS)}, got {side!r}")
     axis = 1 if side in ("right", "left") else 0
     size = pixels.shape[axis]
     if size % 2:
         raise InputError(
             f"{path}: expected two halves of one size, its {'height width'.split()[axis]} is {size}; cut "
-            "photo and depth map apart and give the latter with --depth"
+            "photo and depth map apart and give the latter with depth="
         )
     parts = pixels.swapaxes(0, axis)
     first, second = (part.swapaxes(0, axis) for part in (parts[: size // 2], parts[size // 2 :]))

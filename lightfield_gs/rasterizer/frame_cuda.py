@@ -1,8 +1,8 @@
-"""Light-field images on a CUDA device, forward only: frames whose sizes are fixed and that never wait for the device.
+"""Light-field images on CUDA without gradients: frames of fixed size, which never wait for the device.
 
-How many (tile, splat) pairs a frame has is known only to the device. The first frame of its kind reads it back; later
-ones reserve what the frames before needed and a little more. A frame that needs more than was reserved is still drawn
-right, every tile looking through all splats, and the next frame reserves more.
+Only the device knows the number of intersections of tiles and splats. The first frame of a kind reads it back; later
+frames allocate the capacity that frames so far needed, and a little more. A frame that needs more is still drawn right:
+each tile looks through all splats. The next frame allocates more.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.scene import float_and_byte_addresses
 from lightfield_gs.rasterizer.stats import Stats
 
-# Pairs that are reserved beyond those of the last frame, as a share of them: for one rig, and for rigs that change
+# Capacity beyond the intersections of the last frame, as a fraction of them: for one rig, and for rigs that change
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0
-# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered. At the highest
-# order colours for which it is not good enough are exact
+# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered. Colours for
+# which the highest order is not good enough are exact
 COLOUR_ORDERS = (2, 4, 8)
-_LEAST_PAIRS = 1 << 12
-_SHOWN = 1 / 255  # what an error must exceed to be said
-_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # pairs are numbered with 32 bits
+_LEAST_CAPACITY = 1 << 12
+_VISIBLE = 1 / 255  # errors above this are told
+_MOST_INTERSECTIONS, _INTERSECTION_BYTES = 2**32 - 1, 4  # they are numbered with 32 bits
 _MOST_KNOWN = 64  # kinds of frames that are remembered
 # An environment variable for tests and measurements: the kernels of frames draw as on a device of less shared memory
 SHARED_MEMORY_LIMIT = "LFGS_SHARED_MEMORY_LIMIT"
-# How far the polynomials of colours may err in exact frames, whose other errors leave less room than on the CPU. The
-# first bounds what the frame's order cannot express, the second what each splat's polynomial leaves out to be shorter.
-# The latter adds up over all splats of a sample. At the highest order, a bound of the third makes a colour exact: it is
-# some ten times what few splats really err.
+# Errors of the polynomials of colours in exact frames, whose other errors are larger than on the CPU. The first bounds
+# what the frame's order cannot express, the second what each splat's polynomial leaves out to be shorter. The second
+# adds up over all splats of a sample. At the highest order a colour whose bound exceeds the third is exact; the bound
+# is some ten times the real error of few splats.
 _COLOUR_TOLERANCE, _COLOUR_LEFT_OUT, _COLOUR_MOST = 2e-5, 5e-6, 1e-4
 
 
 def _colour_tolerances(quality: Quality) -> tuple[float, float, float]:
-    """The tolerances of colours: of the frame's order, of what each splat leaves out, and of the highest order.
+    """Return the tolerances of colours: of the frame's order, of each splat's powers left out, of the highest order.
 
-    Kernels that draw colours as lines or parabolas leave out as much again, so the latter is half of what is allowed.
+    Kernels that draw colours as lines or parabolas leave out as much again, so the second is half of the tolerance.
     """
     exact = quality.colour_error == EXACT.colour_error
     if exact:
@@ -54,12 +54,20 @@ def _colour_tolerances(quality: Quality) -> tuple[float, float, float]:
 
 
 class DirectFrame:
-    """A light-field image in the making: its work buffer, from torch's allocator, and its stages, on torch's stream."""
+    """One light-field image: its work buffer, of torch's allocator, and its stages, on torch's stream."""
 
     def __init__(
         self, job: DirectRender, quality: Quality, colour_order: int, capacity: int, kernel: str | None = None
     ):
-        """capacity: pairs that there is room for. kernel: one of _core.cuda.FRAME_KERNELS (None: chosen by cost)."""
+        """Allocate the work buffer.
+
+        Args:
+            job: the render.
+            quality: how much error is allowed.
+            colour_order: of the polynomials of colours.
+            capacity: for how many intersections memory is made.
+            kernel: one of _core.cuda.FRAME_KERNELS; None: chosen by cost.
+        """
         self.scene = scene = job.scene
         _, left_out, most = _colour_tolerances(quality)
         self.native = _core.cuda.DirectFrame(
@@ -85,7 +93,7 @@ class DirectFrame:
         return torch.cuda.current_stream(self.work.device).cuda_stream
 
     def project(self, keep_lists: bool = False) -> None:
-        """keep_lists: nothing but colours has changed since these splats were binned and ordered: their lists stay."""
+        """Run the stage project. keep_lists: only colours have changed since order and bin, whose lists stay."""
         _core.cuda.frame_project(self.native, self.scene.native(), keep_lists, self.stream)
 
     def bin(self) -> None:
@@ -98,7 +106,7 @@ class DirectFrame:
         _core.cuda.frame_composite(self.native, background.data_ptr(), *float_and_byte_addresses(out), self.stream)
 
     def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None, keep_lists: bool = False) -> None:
-        """Runs all stages in order; with keep_lists (see project) neither bin nor order."""
+        """Run all stages in order; with keep_lists (see project) neither bin nor order."""
         stats = stats or Stats()
         with stats.stage("project"):
             self.project(keep_lists)
@@ -111,19 +119,24 @@ class DirectFrame:
             self.composite(background, out)
 
     def state(self) -> dict[str, Any]:
-        """What the frame found out: pairs, drawn, colour_error, kernel, exact, bent_colours, curved, pruned,
-        lattice_tiles, refused_tiles, tried_tiles. Waits for the device."""
-        return _state_of(self.state_bytes().cpu())
+        """Return what the device found out; waits for it.
+
+        Keys: pairs, drawn, colour_error, kernel, exact, bent_colours, curved, pruned, lattice_tiles, refused_tiles,
+        tried_tiles.
+        """
+        return _read_state(self.state_bytes().cpu())
 
     def state_bytes(self) -> Tensor:
-        """The frame's state on the device, uint8: a part of its work buffer."""
+        """Return the state on the device, uint8: a part of the work buffer."""
         offset = self.native.state_address() - self.work.data_ptr()
         return self.work[offset : offset + _core.cuda.FRAME_STATE_BYTES]
 
 
 def shared_memory_limit() -> int:
-    """How many bytes of shared memory a block of a frame's kernels may take at most, from 1 on, as the environment
-    variable LFGS_SHARED_MEMORY_LIMIT says; 0: what the device has. Raises InputError where that is no such number."""
+    """Return the most bytes of shared memory that a block of a frame's kernels may take; 0: what the device has.
+
+    The environment variable LFGS_SHARED_MEMORY_LIMIT sets it, from 1 on. Raises InputError for another value.
+    """
     text = os.environ.get(SHARED_MEMORY_LIMIT, "")
     if text and not (text.isascii() and text.isdigit() and len(text) <= 10 and 0 < int(text) < 2**31):
         raise InputError(
@@ -133,25 +146,29 @@ def shared_memory_limit() -> int:
     return int(text or 0)
 
 
-def _state_of(host: Tensor) -> dict[str, Any]:
+def _read_state(host: Tensor) -> dict[str, Any]:
     state = _core.cuda.frame_state(host.data_ptr())
     return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
 
 
 class DirectFrames:
-    """Frames of scenes of one kind and quality, by whatever rigs: draws them, and remembers what they needed.
+    """Draw frames of scenes of one kind and quality by any rigs, and remember the capacity and colour order they need.
 
-    Their colour polynomials have the highest order that a frame so far needed. Where rigs change, colours may therefore
-    differ from those of `known_frames` by the errors of both, each at most twice the tolerance: once for what the order
-    cannot express, once for the powers left out. A frame that needs a higher order than those before is still drawn
-    with theirs, and only the next one with its own; the next one says so where that was off by more than 1/255. Where
-    frames are counted, it is drawn again.
+    Polynomials of colours have the highest order that a frame so far needed. Where rigs change, colours may therefore
+    differ from those of `known_frames` by the errors of both. Each is at most twice the tolerance: once for the order,
+    once for the powers left out. A frame that needs a higher order than those before is drawn with theirs, and the next
+    with its own. The next tells if the error was more than 1/255. Where frames are counted, the frame is drawn again.
     """
 
     def __init__(self, job: DirectRender, quality: Quality, slack: float = _MOVING_SLACK):
-        """job: any of those to be drawn; slack: pairs to reserve beyond those of the last frame, as a share of them.
+        """Prepare for renders like `job`.
 
-        Compensated opacities are drawn without lattices and without half precision, whatever the quality.
+        Scenes with a compensation are drawn without lattices and half precision, whatever the quality.
+
+        Args:
+            job: any of the renders.
+            quality: how much error is allowed.
+            slack: capacity beyond the intersections of the last frame, as a fraction of them.
         """
         if job.compensated:
             quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
@@ -164,13 +181,13 @@ class DirectFrames:
         self.noted: torch.cuda.Event | None = None  # once it is reached, `host` holds the state of a frame
 
     def takes(self, job: DirectRender) -> bool:
-        """Whether these frames can show the scene of a job; its number of Gaussians does not matter."""
+        """Return whether the scene of a job is of this kind; its number of Gaussians does not matter."""
         return job.scene.device == self.device and (job.scene.degree == 0) == (self.orders == (0,))
 
     def draw(
         self, job: DirectRender, as_bytes: bool = False, stats: Stats | None = None, out: Tensor | None = None
     ) -> Tensor:
-        """The image [H, W, 3], in `out` where it is given. Fills `stats`."""
+        """Draw the image [H, W, 3], into `out` if given. Fills `stats`."""
         stats = stats or Stats()
         with job.scene.guard:
             with stats.stage("plan"):
@@ -186,7 +203,7 @@ class DirectFrames:
         return out
 
     def frame(self, job: DirectRender) -> DirectFrame:
-        """A frame with room for what the frames so far needed. The first waits for the device, later ones do not."""
+        """Return a frame of the capacity that frames so far needed. The first waits for the device."""
         if self.capacity is None:
             self._learn(job)
         elif not torch.cuda.is_current_stream_capturing():
@@ -194,24 +211,24 @@ class DirectFrames:
         return self._frame(job, cast(int, self.capacity))
 
     def note(self, frame: DirectFrame) -> None:
-        """Begins to copy the frame's state to the host, where `adapt` looks at it."""
+        """Begin to copy the frame's state to the host, where `adapt` reads it."""
         self.host.copy_(frame.state_bytes(), non_blocking=True)
         if not torch.cuda.is_current_stream_capturing():
             self.mark()
 
     def mark(self) -> None:
-        """Notes that a copy of a frame's state is under way on the current stream."""
+        """Note that a copy of a frame's state is under way on the current stream."""
         self.noted = torch.cuda.Event()
         self.noted.record()
 
     def adapt(self) -> bool:
-        """Reserves more if the state of the last noted frame has arrived and shows a lack; returns whether it did."""
+        """Raise capacity or order if the last noted state has arrived and shows a lack; return whether it did."""
         if self.noted is None or not self.noted.query():
             return False
         self.noted = None
-        state = _state_of(self.host)
+        state = _read_state(self.host)
         error, allowed = state["colour_error"], sum(_colour_tolerances(self.quality)[:2])
-        if error > max(_SHOWN, allowed) and self.colour_order < self.orders[-1]:
+        if error > max(_VISIBLE, allowed) and self.colour_order < self.orders[-1]:
             assume(
                 f"colours of the frame before are off by up to {255 * error:.1f}/255: its Gaussians are nearer to the "
                 "cameras than those of the frames before it. Frames from now on are right; draw that one again"
@@ -219,7 +236,7 @@ class DirectFrames:
         return self._needs(state)
 
     def _learn(self, job: DirectRender) -> None:
-        """Finds out how many pairs a first frame has and which order its colours need, without drawing it."""
+        """Learn the capacity and colour order of a first frame, without drawing it."""
         if torch.cuda.is_current_stream_capturing():
             raise InputError(
                 "the first frame of a kind waits for the device, which a stream that captures a graph "
@@ -228,24 +245,26 @@ class DirectFrames:
         while True:
             frame = self._frame(job, 0)
             frame.project()
-            frame.bin()  # without room for any it only counts the pairs
+            frame.bin()  # without capacity it only counts the intersections
             order = self.colour_order
             self._needs(frame.state())
             if order == self.colour_order:
                 return
 
     def _needs(self, state: dict[str, Any]) -> bool:
-        """Raises capacity and order of colours to what a frame of this state lacked; returns whether either changed."""
+        """Raise capacity and order of colours to what a frame of this state lacked; return whether either changed."""
         before = self.capacity, self.colour_order
         if self.capacity is None or state["intersections"] > self.capacity:
-            affordable = free_memory(self.device) // (2 * _PAIR_BYTES)
-            enough = min(int(state["intersections"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
+            affordable = free_memory(self.device) // (2 * _INTERSECTION_BYTES)
+            enough = min(
+                int(state["intersections"] * (1 + self.slack)) + _LEAST_CAPACITY, _MOST_INTERSECTIONS, affordable
+            )
             self.capacity = max(self.capacity or 0, enough)
         self._needs_order(state)
         return before != (self.capacity, self.colour_order)
 
     def _needs_order(self, state: dict[str, Any]) -> bool:
-        """Raises the order of colours if a frame of this state lacked one; returns whether it did."""
+        """Raise the order of colours if a frame of this state lacked one; return whether it did."""
         before = self.colour_order
         if state["colour_error"] > sum(_colour_tolerances(self.quality)[:2]):
             self.colour_order = next((o for o in self.orders if o > before), before)
@@ -261,7 +280,7 @@ forced_kernel: str | None = None
 
 
 def known_frames(job: DirectRender, quality: Quality) -> DirectFrames:
-    """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
+    """Return the frames of one camera, number of Gaussians and quality; the last 64 are remembered."""
     scene = job.scene
     key = (
         scene.device,

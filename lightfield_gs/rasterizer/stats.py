@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class Stats:
     """What a render did: milliseconds per stage, counts, bytes of work memory.
 
-    device: where the work is done. At both ends of a stage its host waits for a CUDA device, or the work of one stage
-    would be timed in another. None: nothing waits, and stages of a device have no times that mean anything.
+    device: where the work is done. At both ends of a stage the host waits for a CUDA device: else the work of one stage
+    would be timed in another. None: nothing waits, and times of a device's stages mean nothing.
     """
 
     device: torch.device | None = None
@@ -42,7 +42,7 @@ class Stats:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Adds the time of what is done within to the stage of this name."""
+        """Add the time inside the block to the stage of this name."""
         self._wait()
         start = time.perf_counter()
         yield
@@ -54,7 +54,7 @@ class Stats:
             torch.cuda.synchronize(self.device)
 
     def add_render(self, other: Stats) -> None:
-        """Adds one of several renders that follow each other: their work adds up, their memory is used again."""
+        """Add one of several renders in a row: their work adds up, their memory is used again."""
         for name, ms in other.stages_ms.items():
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
         self.intersections += other.intersections
@@ -64,11 +64,11 @@ class Stats:
         self.work_bytes = max(self.work_bytes, other.work_bytes)
 
     def add_buffers(self, *buffers: Tensor) -> None:
-        """Adds the sizes of these to the work memory."""
+        """Add the sizes of buffers to the work memory."""
         self.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
 
     def count_frame(self, state: dict[str, Any], work: Tensor) -> None:
-        """Adds a light-field frame on CUDA, by the state that it found out, and its work buffer."""
+        """Add a light-field frame on CUDA by its state and its work buffer."""
         self.intersections += state["intersections"]
         self.images += 1
         self.gaussians_drawn += state["drawn"]
@@ -77,13 +77,13 @@ class Stats:
         self.add_buffers(work)
 
     def count(self, counters: _core.Counters) -> None:
-        """Adds what the core counted in a composite."""
+        """Add the core's counts of a composite."""
         self.intersections += counters.intersections
         self.evaluations += counters.evaluations
         self.work_bytes += counters.scratch_bytes
 
     def report(self, gaussians: int, subpixels: int) -> dict[str, Any]:
-        """What `encode` tells in its stats; gaussians: how many there are. Evaluations are not counted on CUDA."""
+        """Return the stats of `encode`. gaussians: how many there are. Evaluations are not counted on CUDA."""
         on_cuda = self.device is not None and self.device.type == "cuda"
         found: dict[str, Any] = {
             "stages_ms": dict(self.stages_ms),
@@ -102,9 +102,12 @@ class Stats:
 
 
 def count_culled(gaussians: Gaussians, world_to_camera: np.ndarray, drawn: int, pruned: int) -> dict[str, int]:
-    """Gaussians that are not drawn, by the first reason that holds: behind (or nearer than the near plane), faint
-    (opacity below 1/255), outside the panel from every camera of the rig (or of no shape: a quaternion of zeros; or
-    nowhere above a raised opacity cut, or for anti-aliasing above 1/255), pruned (Quality.contribution_cut)."""
+    """Count the Gaussians that are not drawn, by the first reason that holds.
+
+    behind: nearer than the near plane. faint: of opacity below 1/255. pruned: by Quality.contribution_cut. outside: of
+    the panel from every camera of the rig; or of no shape (a quaternion of zeros); or nowhere above a raised opacity
+    cut, or with anti-aliasing nowhere above 1/255.
+    """
     pose = torch.as_tensor(world_to_camera, dtype=torch.float64, device=gaussians.means.device)
     behind = gaussians.means.double() @ pose[2, :3] + pose[2, 3] < _core.NEAR_DEPTH
     faint = ~behind & (gaussians.opacities.double() * 255 < 1)
@@ -113,8 +116,14 @@ def count_culled(gaussians: Gaussians, world_to_camera: np.ndarray, drawn: int, 
 
 
 def direct_counts(counters: _core.Counters, orders: Tensor, splats: Tensor, most: int) -> dict[str, Any]:
-    """Tiles, lattices and samples of a composite; splats [1, N, ...] by the polynomial orders [1, N] of their colours,
-    0..most, or -1 where no polynomial is good enough."""
+    """Return counts of tiles, lattices and samples of a composite, and of splats by the orders of their colours.
+
+    Args:
+        counters: the core's.
+        orders: [1, N], orders of the polynomials of colours, 0..most, or -1 where no polynomial is good enough.
+        splats: [1, N, SPLAT_FIELDS].
+        most: the highest order.
+    """
     drawn = orders[splats[..., _core.SPLAT_REACH_INDEX] >= 0]  # what is not drawn has a negative reach
     return {
         "colour_orders": torch.bincount(drawn[drawn >= 0], minlength=most + 1).tolist(),
@@ -126,8 +135,10 @@ def direct_counts(counters: _core.Counters, orders: Tensor, splats: Tensor, most
 
 
 def frame_counts(state: dict[str, Any]) -> dict[str, Any]:
-    """Tiles of a frame on CUDA that were drawn from a lattice and by the frame's kernel, those of hardly any Gaussian
-    among the latter, and how many lattices were tried; {} for a frame without lattices, which counts none."""
+    """Return counts of a frame's tiles on CUDA: drawn from a lattice, drawn by the kernel, and lattices tried.
+
+    Tiles of hardly any Gaussian count as drawn by the kernel. {}: a frame without lattices counts none.
+    """
     lattice, drawn = state["lattice_tiles"], state["refused_tiles"]
     if not lattice + drawn:
         return {}
@@ -135,7 +146,7 @@ def frame_counts(state: dict[str, Any]) -> dict[str, Any]:
 
 
 def skipped_lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
-    """What `encode` puts in stats["skipped"], and an Encoder in its stats, a line each."""
+    """Return lines of text for stats["skipped"] of `encode`, or for the stats of an Encoder."""
     out = []
     if reasons := skipped.get("gaussians"):
         out.append(f"of {gaussians} Gaussians not drawn: " + ", ".join(f"{n} {why}" for why, n in reasons.items()))

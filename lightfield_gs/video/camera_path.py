@@ -99,8 +99,8 @@ class CameraPath:
     sides goes round it, and does not cut the corner.
 
     Between keyframes each value is a cubic with the slopes of the parabola through three neighbours, so that speeds do
-    not jump (Hermite; Catmull and Rom, 1974, of uneven times). A path that ends with its first rig is a loop, smooth
-    there as well.
+    not jump. Source: Hermite; Catmull and Rom, 1974, of uneven times. A path that ends with its first rig is a loop,
+    smooth there as well.
 
     Args:
         times_s: increasing times of the keyframes, seconds.

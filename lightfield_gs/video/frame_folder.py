@@ -129,12 +129,12 @@ class FrameFolder:
             if other.get("job") != self._manifest["job"]:
                 raise InputError(
                     f"{self.path} holds frames of another job: {_difference(other.get('made'), self._manifest['made'])}"
-                    " differ; give another folder, or --overwrite to remove them"
+                    " differ; give another folder, or overwrite=True to remove them"
                 )
         elif there:
             raise InputError(
                 f"{self.path} holds {len(there)} frames without a {MANIFEST} that says whose they are; give another "
-                "folder, or --overwrite to remove them"
+                "folder, or overwrite=True to remove them"
             )
         return [number for number in range(count) if frame_name(number) not in there]
 

@@ -73,11 +73,11 @@ def choose_codec(path: Path, kind: Kind, name: CodecName | None) -> CodecName:
     if kind == "native" and not _CODECS[name].is_lossless:
         raise InputError(
             f"{path}: {name} keeps one colour for 2 x 2 pixels (4:2:0), which mixes sub-pixels of different views, and "
-            "loses the fine detail that the lenses need; take --codec h264-rgb or ffv1, which lose nothing, a folder "
-            "of PNG files, or --kind quilt"
+            "loses the fine detail that the lenses need; take codec=h264-rgb or ffv1, which lose nothing, a folder "
+            "of PNG files, or kind=quilt"
         )
     if suffix not in _CODECS[name].suffixes:
-        raise InputError(f"{path}: {name} goes into {' or '.join(_CODECS[name].suffixes)}; change the name or --codec")
+        raise InputError(f"{path}: {name} goes into {' or '.join(_CODECS[name].suffixes)}; change the name or codec=")
     return name
 
 
@@ -108,7 +108,7 @@ class VideoFile:
         if self._codec.pixels == "yuv420p" and (size_px[0] % 2 or size_px[1] % 2):
             raise InputError(f"{path}: {codec} takes even sizes, got {size_px[0]} x {size_px[1]}")
         if self._codec.encoder not in self._av.codecs_available:
-            raise InputError(f"{path}: this build of PyAV has no {self._codec.encoder}; choose another --codec")
+            raise InputError(f"{path}: this build of PyAV has no {self._codec.encoder}; choose another codec=")
         self.missing = list(range(count))
 
     def __enter__(self) -> VideoFile:

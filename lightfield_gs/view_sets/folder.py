@@ -101,7 +101,7 @@ def _find_files(
     if grid := _hci(folder, names, pictures, tiles):
         return _grid_row(folder, grid, row, "an HCI light field")
     if grid := _stanford(pictures):
-        assume(f"views of {folder} go from left to right with their column (else --right-to-left)")
+        assume(f"views of {folder} go from left to right with their column (else right_to_left=True)")
         return _grid_row(folder, grid, row, "a Stanford light field")
     found = arrange(folder, without_maps(folder, pictures))
     if isinstance(found, dict) and tiles is None:
@@ -113,7 +113,7 @@ def _find_files(
     if tiles is None:
         assume(
             f"the {len(paths)} pictures of {folder} are a grid of {columns} x {columns} cameras, row by row from the "
-            f"top left, {why} (else --tiles {len(paths)}x1)"
+            f"top left, {why} (else tiles={len(paths)}x1)"
         )
     return _grid_row(folder, {divmod(k, columns): path for k, path in enumerate(paths)}, row, "a grid of views")
 
@@ -125,16 +125,16 @@ def _count_columns(
     count, side = len(paths), math.isqrt(len(paths))
     if tiles is not None:
         if tiles[0] * tiles[1] != count:
-            raise InputError(f"{folder}: expected {tiles[0]} x {tiles[1]} pictures as --tiles says, got {count}")
+            raise InputError(f"{folder}: expected {tiles[0]} x {tiles[1]} pictures as tiles= says, got {count}")
         return tiles[0], ""
     is_square = side * side == count and side >= _LEAST_SIDE
     if row is not None:
         if not is_square:
             raise InputError(
                 f"{folder}: a row is one of a grid of cameras, and nothing says that these {count} pictures are one; "
-                "give --tiles COLUMNSxROWS, or leave --row out"
+                "give tiles=COLUMNSxROWS, or leave row= out"
             )
-        return side, "as --row asks for"
+        return side, "as row= asks for"
     if is_square and looks_like_rows(lambda k: colours.read(paths[k]), side):
         return side, "for the pictures jump from row to row"
     return count, ""
@@ -161,9 +161,9 @@ def _hci_size(folder: Path, names: list[str], numbers: set[int]) -> Tiles:
     if max(numbers) >= side * side:
         raise InputError(
             f"{folder}: expected parameters.cfg, or a square number of pictures, got numbers up to {max(numbers)}; "
-            "give --tiles COLUMNSxROWS"
+            "give tiles=COLUMNSxROWS"
         )
-    assume(f"{folder} holds a light field of {side} x {side} cameras, for it has no parameters.cfg (else --tiles CxR)")
+    assume(f"{folder} holds a light field of {side} x {side} cameras, for it has no parameters.cfg (else tiles=CxR)")
     return side, side
 
 

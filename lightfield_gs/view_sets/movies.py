@@ -115,7 +115,7 @@ class FrameViews:
         if self.count <= _MOST_TO_AND_FRO and plays_back_and_forth([thumbnail(view) for view in self._views]):
             assume(
                 f"the frames of {movie.path} go one way across the views, though they seem to go there and back; "
-                f"one way may be --frames {numbers[0]}:{numbers[self.count // 2]}:{span.step}"
+                f"one way may be span={numbers[0]}:{numbers[self.count // 2]}:{span.step}"
             )
 
     def view(self, number: int) -> np.ndarray:

@@ -81,7 +81,7 @@ class QuiltViews:
             columns, rows = self.layout.columns, self.layout.rows
             assume(
                 f"{where} holds {self.count} views, for the last {plain} of its {columns} x {rows} tiles are plain "
-                f"(else --tiles {columns}x{rows})"
+                f"(else tiles={columns}x{rows})"
             )
 
     def _is_plain(self, tile_number: int) -> bool:
@@ -96,12 +96,12 @@ class QuiltViews:
             return in_colour(self.pixels[self.layout.tile(row * columns + column, self.top_first)], self.background)
 
         if rows_are_reversed(tile, columns, rows):
-            way = "leave --top-first out" if self.top_first else "give --top-first"
+            way = "leave top_first= out" if self.top_first else "give top_first=True"
             onwards = "downwards from the top" if self.top_first else "upwards from the bottom"
             assume(
                 f"the rows of {where} go on {onwards}, "
-                f"though views then jump from row to row; if things jump as the eye moves, {way}, and --right-to-left "
-                "if what is near seems far"
+                f"though views then jump from row to row; if things jump as the eye moves, {way}, and "
+                "right_to_left=True if what is near seems far"
             )
 
 
@@ -109,7 +109,7 @@ FileLayout = tuple[QuiltLayout, bool, int]  # layout; whether the aspect is know
 
 
 def read_quilt_layout(path: Path, tiles: tuple[int, int] | None) -> FileLayout | None:
-    """Return the layout of a quilt by --tiles, its file name, or its Exif; None where nothing tells it.
+    """Return the layout of a quilt by `tiles`, its file name, or its Exif; None where nothing tells it.
 
     Looking Glass' programs wrote a UserComment in JSON with LKGColumns, LKGRows, LKGAspect and LKGNumViews. Raises
     InputError.
@@ -119,7 +119,7 @@ def read_quilt_layout(path: Path, tiles: tuple[int, int] | None) -> FileLayout |
     except InputError:
         if tiles is None:
             raise
-        named = None  # --tiles overrides the name
+        named = None  # `tiles` overrides the name
     if tiles is not None:
         layout = QuiltLayout(*tiles, 1.0 if named is None else named.aspect)
         return layout, named is not None, layout.views
@@ -129,7 +129,7 @@ def read_quilt_layout(path: Path, tiles: tuple[int, int] | None) -> FileLayout |
     if (comment[0].columns, comment[0].rows) != (named.columns, named.rows):
         assume(
             f"{path} has {named.columns} x {named.rows} views as its name says, though its Exif says "
-            f"{comment[0].columns} x {comment[0].rows} (else --tiles)"
+            f"{comment[0].columns} x {comment[0].rows} (else tiles=)"
         )
     return named, True, named.views
 
@@ -148,7 +148,7 @@ def _exif_layout(path: Path) -> FileLayout | None:
         )
         count = int(numbers.get("LKGNumViews", layout.views))
     except (InputError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: its Exif cannot be used ({error}); give --tiles COLUMNSxROWS") from None
+        raise InputError(f"{path}: its Exif cannot be used ({error}); give tiles=COLUMNSxROWS") from None
     return layout, "LKGAspect" in numbers, count if 2 <= count <= layout.views else layout.views
 
 
@@ -220,7 +220,7 @@ class QuiltMovie:
         self.aspect = self.layout.aspect if is_known else None
         self.numbers = span.numbers(movie.count)
         if not self.numbers:
-            raise InputError(f"{movie.path}: --frames takes none of its {movie.count} frames")
+            raise InputError(f"{movie.path}: span= takes none of its {movie.count} frames")
         self.fps = None if movie.fps is None else movie.fps / span.step
         self.description = f"a movie of {len(self.numbers)} quilts of {self.layout.columns} x {self.layout.rows} views"
         self.colours, self._movie = colours, movie
@@ -280,16 +280,16 @@ def open_views(
     path, colours = checked_path(path), ViewColours(background, keeps_linear)
     if path.is_dir():
         if top_first or span is not None:
-            raise InputError(f"{path}: --top-first is about quilts and --frames about movies, and this is a folder")
+            raise InputError(f"{path}: top_first= is about quilts and span= about movies, and this is a folder")
         return _read_folder(path, colours, tiles, row, right_to_left)
     if row is not None:
-        raise InputError(f"{path}: --row is about the cameras of a folder, and this is a file; leave it out")
+        raise InputError(f"{path}: row= is about the cameras of a folder, and this is a file; leave it out")
     if is_movie(path):
         return _read_movie(path, colours, tiles, span, top_first, right_to_left)
     if span is not None:
         refuse_video(path)
         raise InputError(
-            f"{path}: --frames is about videos and animations, and by its name and its start this is none; leave it "
+            f"{path}: span= is about videos and animations, and by its name and its start this is none; leave it "
             "out, or rename or convert it to .mp4, or give its pictures as files in a folder"
         )
     return _read_quilt(path, colours, tiles, top_first, right_to_left)
@@ -313,7 +313,7 @@ def _read_quilt(
     stated = read_quilt_layout(path, tiles)
     if stated is None:
         raise InputError(
-            f"{path}: its name does not say how it is divided; give --tiles COLUMNSxROWS, or rename it to "
+            f"{path}: its name does not say how it is divided; give tiles=COLUMNSxROWS, or rename it to "
             f"{path.stem}_qs<columns>x<rows>a<aspect>{path.suffix}"
         )
     layout, is_known, count = stated
@@ -345,11 +345,11 @@ def _read_movie(
     if span is None:
         raise InputError(
             f"{path}: has {movie.count} frames, and nothing says what they are; where each is a view, as the camera "
-            f"slides to the right, give --frames FIRST:LAST:STEP, such as 0:{movie.count - 1}; where each is a quilt, "
-            f"--tiles COLUMNSxROWS, or rename it to {path.stem}_qs<columns>x<rows>a<aspect>{path.suffix}"
+            f"slides to the right, give span=FIRST:LAST:STEP, such as 0:{movie.count - 1}; where each is a quilt, "
+            f"tiles=COLUMNSxROWS, or rename it to {path.stem}_qs<columns>x<rows>a<aspect>{path.suffix}"
         )
     if top_first:
-        raise InputError(f"{path}: --top-first is about quilts, and its frames are views; leave it out")
+        raise InputError(f"{path}: top_first= is about quilts, and its frames are views; leave it out")
     views = FrameViews(movie, span, colours, right_to_left)
     description = f"{views.count} frames as views, from {views.first_frame} to {views.last_frame}"
     return ViewSet(views, views.width_px / views.height_px, description, colours)

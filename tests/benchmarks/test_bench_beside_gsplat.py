@@ -194,7 +194,7 @@ def test_the_peers_loss_is_ours(photographs, gsplat):
 def test_peers_take_the_photographs_in_the_order_of_ours(photographs, gsplat):
     settings = FitSettings(steps=20, cap_max=200, seed=3)
     peer = fit.ARMS["gsplat-mcmc"](photographs, settings)
-    assert peer._order == Schedule.of(settings, photographs.train.count, "cpu").order[:, 0].tolist()
+    assert peer._order == Schedule.make(settings, photographs.train.count, "cpu").order[:, 0].tolist()
 
 
 def test_ours_is_compared_with_every_other_arm():

@@ -8,6 +8,7 @@ import torch
 from command_line import complaint
 
 from lightfield_gs import cli
+from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.scenes import files as scene_file
 from lightfield_gs.panels.panel import Panel
@@ -194,3 +195,20 @@ def test_faults_of_our_own_are_not_hidden(folder, monkeypatch):
     monkeypatch.setattr(scene_file, "read_scene", lambda *_, **__: (_ for _ in ()).throw(RuntimeError("a bug")))
     with pytest.raises(RuntimeError, match="a bug"):
         cli.main("encode s.ply -o o.png".split())
+
+
+@pytest.mark.parametrize(
+    "message, expected",
+    [
+        ("leave out cameras= and view_map=, or", "leave out --cameras and --view-map, or"),
+        ("device='cuda': none, or use device='cpu'", "--device cuda: none, or use --device cpu"),
+        ("(else tiles=4x3); give span=FIRST:LAST:STEP", "(else --tiles 4x3); give --frames FIRST:LAST:STEP"),
+        (
+            "antialiased=True or antialiased=False, serial=SERIAL",
+            "--antialiased or --no-antialiased, --device-serial SERIAL",
+        ),
+        ("a=1.png: got 'b=2', in x/c=3", "a=1.png: got 'b=2', in x/c=3"),
+    ],
+)
+def test_arguments_in_messages_become_options(message, expected):
+    assert as_options(message) == expected

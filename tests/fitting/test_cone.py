@@ -258,7 +258,7 @@ def test_pixels_in_the_frame_are_those_whose_rays_go_through_it():
     assert not PanelWindow.locate(display, world).mask(flipped, images.intrinsics[2], 48, 32).any()  # it looks away
 
 
-# At 31 dB a change of 0.1 dB is one of 3e-4 in the root of the mean square; the mean error may be 1e-4 and the cut
+# At 31 dB, 0.1 dB are 3e-4 in the root of the mean square. The mean error may be 1e-4 and the cut.
 @pytest.mark.parametrize("cut, most_db", [(0.0, 0.01), (1e-4, 0.1)])
 def test_what_is_pruned_for_a_panel_costs_photographs_nothing_in_its_frame(cut, most_db):
     scene, world = random_scene(600, extent=1.4, size=0.1, dtype=torch.float32), Normalization((0.0, 0.0, 0.0), 1.0)

@@ -80,12 +80,12 @@ def test_a_fit_to_few_photographs_says_what_it_leaves_out(tmp_path, capsys):
         said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("steps leave out")]
         lines.append((result.settings.dropout, said))
     few = (
-        "steps leave out no Gaussians: with 11 photographs --dropout 0.2 gains up to 1 dB or loses up to 1.5, by the "
-        "scene; compare the PSNR of photographs held out"
+        "steps leave out no Gaussians: with 11 photographs a dropout of 0.2 gains up to 1 dB or loses up to 1.5, by "
+        "the scene; compare the PSNR of photographs held out"
     )
     assert lines == [
         (0.0, [few]),
-        (0.2, ["steps leave out a random part of the Gaussians, up to 20% at the end (--dropout)"]),
+        (0.2, ["steps leave out a random part of the Gaussians, up to 20% at the end (dropout)"]),
         (0.0, []),
     ]
 

@@ -119,7 +119,7 @@ def test_a_fit_that_was_stopped_leaves_a_scene_and_goes_on(capture, in_one_go, t
 def test_a_run_of_other_settings_or_of_another_capture_is_refused(capture, tmp_path):
     folder = tmp_path / "run"
     lf.fit(capture, folder=folder, **{**QUICK, "steps": 4})
-    with pytest.raises(InputError, match=r"steps was 4 and is 5; .*--fresh"):
+    with pytest.raises(InputError, match=r"steps was 4 and is 5; .*fresh=True"):
         lf.fit(capture, folder=folder, **{**QUICK, "steps": 5})
     with pytest.raises(InputError, match="other photographs held out"):
         lf.fit(capture, folder=folder, **{**QUICK, "steps": 4, "test_every": 4})
@@ -191,7 +191,7 @@ def test_scalars_for_tensorboard_are_written_where_asked(capture, tmp_path, monk
 
 def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
     monkeypatch.setattr(memory, "free_bytes", lambda device: 1_000_000_000)
-    with pytest.raises(InputError, match="--gaussians.*--scale.*--sh-degree"):
+    with pytest.raises(InputError, match="cap_max=.*scale=.*sh_degree="):
         lf.fit(capture, **{**QUICK, "cap_max": 1_000_000})
 
 

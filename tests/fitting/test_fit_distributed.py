@@ -112,8 +112,8 @@ def test_two_processes_fit_as_one(tmp_path, device, capsys):
             torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-5)
         torch.testing.assert_close(two["losses"][:3], one["losses"][:3], atol=1e-5, rtol=1e-4)
         if density == "adaptive" and device == "cuda":
-            # Thresholds decide what is cloned: so short a fit of 200 Gaussians ends 2 dB elsewhere if its first fields
-            # change by 1e-7, and one process on CUDA adds up two views in another order than two do
+            # Clones depend on thresholds: such a short fit of 200 Gaussians ends 2 dB elsewhere if its first state
+            # changes by 1e-7. One process on CUDA sums two images in another order than two processes do.
             continue
         assert two["psnr_db"] == pytest.approx(one["psnr_db"], abs=0.05) and one["psnr_db"] > 14
         for name, alone in one["extra"].items():

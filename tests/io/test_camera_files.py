@@ -127,7 +127,7 @@ def test_the_image_fits_the_panel_and_the_principal_point_stays(tmp_path):
         (transforms(w=None), r"frames\[0\].w"),
         ({"cameras": 3}, "frames"),
         (3, "frames"),
-        ({"world_to_camera": 3}, "--cameras"),
+        ({"world_to_camera": 3}, "cameras="),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, data, words):
@@ -137,7 +137,7 @@ def test_what_is_wrong_is_named(tmp_path, data, words):
 
 def test_files_of_the_other_option_are_told_apart(tmp_path):
     for data in (inria(), transforms()):
-        with pytest.raises(InputError, match=r"c.json.*--camera FILE"):
+        with pytest.raises(InputError, match=r"c.json.*camera=FILE"):
             read_cameras(written(tmp_path, data), PANEL)
     for call, data, words in (
         (Cameras.from_inria, transforms(), "list"),

@@ -21,8 +21,10 @@ KEYS = {
 
 
 def _write(folder, model="PINHOLE", **camera):
-    """A capture as transforms.json, with the poses of a COLMAP model, which are returned; that is where nerfstudio
-    leaves it, and has points alone to tell."""
+    """Write a capture as transforms.json with the poses of a COLMAP model, and return the poses.
+
+    The model is where nerfstudio leaves it, and only its points are read.
+    """
     picture = dots([in_pixels(model, seen(model, *dot)) for dot in DOTS])
     write_capture(folder / "colmap", "PINHOLE")
     poses = read_capture(folder / "colmap").world_to_camera

@@ -128,8 +128,7 @@ def test_a_lens_that_folds_most_of_the_picture_is_refused(tmp_path):
 
 @pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_RADIAL"])
 def test_intrinsics_follow_the_files(tmp_path, model):
-    """A set that was reduced to 32 x 23 of 96 x 72, rounded, and further in memory: dots stay where a pinhole of the
-    intrinsics shows them."""
+    """Dots of images that were reduced to 32 x 23 of 96 x 72, rounded, and further in memory, fit the intrinsics."""
     ratio = np.array([49 / WIDTH, 36 / HEIGHT])
     places = [np.array(in_pixels(model, seen(model, *dot))) * ratio for dot in DOTS]
     write_capture(tmp_path, model)

@@ -136,8 +136,10 @@ def test_points_of_ply_files(tmp_path):
 
 
 def test_points_beside_a_transforms_json(tmp_path):
-    """A .ply of nerfstudio's name; one whose folder was another; else those of the model that it came from, moved as
-    the cameras were, whatever applied_transform says."""
+    """A .ply of nerfstudio's name is read, also one that was in another folder.
+
+    Else the points are those of the COLMAP model, moved as the cameras were, whatever applied_transform says.
+    """
     matrices = write_ring(tmp_path, applied_transform=np.eye(3, 4).tolist())
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))

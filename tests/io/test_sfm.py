@@ -1,5 +1,8 @@
-"""Structure from motion by pycolmap: what it is given and what is taken of it, by a stand-in; and photographs that take
-more than COLMAP's own settings, by itself where it is installed."""
+"""Structure from motion by pycolmap.
+
+A stand-in checks its input and the use of its output. Where pycolmap is installed, it poses photographs that need
+other settings than COLMAP's own.
+"""
 
 import sys
 from contextlib import nullcontext
@@ -42,8 +45,10 @@ class _Model:
 
 
 def _stand_in(*tries: dict[int, _Model]) -> SimpleNamespace:
-    """What is used of pycolmap, which finds these models in each try, or those of the last; it keeps what it was given:
-    groups, one for each camera, start, the first bytes of each photograph, and focal_px, of each try."""
+    """Stand in for pycolmap: each try finds these models, further tries the last ones.
+
+    It records its input: groups, one for each camera; start, the first bytes of each photograph; focal_px of each try.
+    """
     given = SimpleNamespace(groups=[], start={}, focal_px=[])
     camera = SimpleNamespace(camera_id=1, width=WIDTH, height=HEIGHT, focal_length=1.0, has_prior_focal_length=False)
     database = SimpleNamespace(

@@ -29,8 +29,10 @@ def picture(size: int) -> torch.Tensor:
 
 
 def cloud(depth: torch.Tensor, degree: int = 0, layers: int = 2, opacity: float = 0.5) -> Gaussians:
-    """Gaussians of two layers about surfaces at depth [SIZE,SIZE], a footprint before it and behind, in the colours of
-    the picture at the network's resolution."""
+    """Return Gaussians of layers one footprint in front of and behind surfaces at depth [SIZE,SIZE].
+
+    Their colours are the picture's at the network's resolution.
+    """
     pixels = describe_pixels(picture(SIZE), INTRINSICS)
     parts = []
     for layer in range(layers):
@@ -176,8 +178,11 @@ def test_the_encoder_draws_what_is_predicted():
 
 
 def test_outlines_are_where_the_photo_has_them():
-    """Overlapping texels add up as optical depth: were opacities blurred as they are, half-covered pixels would be
-    drawn nearly whole, and the object larger by half a pixel all round (0.54, and 0.26 of opacity at the rim)."""
+    """Optical depths of overlapping texels add up.
+
+    If opacities were blurred as they are, half-covered pixels would be drawn nearly opaque. The object would be larger
+    by half a pixel all round (0.54, and 0.26 of opacity at the rim).
+    """
     truth = picture(2 * SIZE)[0, 3]
     _, alpha = drawn(detailed(slanted(), 2, opacity=0.01), 2)
     errors = alpha / alpha[truth == 1].median() - truth

@@ -113,7 +113,7 @@ def test_several_displays_are_told_apart_by_their_serial(tmp_path, shape):
     path.write_text(json.dumps(DISPLAYS[shape]))
     assert Panel.load(path, serial="LKG-A") == Panel.from_looking_glass(WRAPPED)
     assert Panel.load(str(path), serial="lkg-b") == Panel.from_looking_glass(OTHER)
-    with pytest.raises(InputError, match="2 displays: LKG-A, LKG-B; say which with --device-serial"):
+    with pytest.raises(InputError, match="2 displays: LKG-A, LKG-B; say which with serial="):
         Panel.load(path)
     with pytest.raises(InputError, match="no calibration of a display with serial 'LKG-C'; it has LKG-A, LKG-B"):
         Panel.load(path, serial="LKG-C")

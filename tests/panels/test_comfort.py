@@ -79,7 +79,7 @@ def test_the_report_finds_near_and_far():
 
 def test_the_comfortable_amount_is_just_comfortable():
     report = depth_report(SCENE, PANEL, RIG)
-    assert report.comfortable is False and any("--depth-amount" in words for words in report.warnings())
+    assert report.comfortable is False and any("depth_amount=" in words for words in report.warnings())
     for share, comfortable in ((0.999, True), (1.001, False)):
         changed = depth_report(SCENE, PANEL, Look(depth_amount=share * report.amount).applied(RIG, PANEL))
         assert changed.comfortable is comfortable
@@ -137,7 +137,7 @@ def test_a_panel_without_measures_has_pixels_only():
     report = depth_report(SCENE, replace(PANEL, viewing_distance_mm=None), RIG)
     assert report.near.edge_px == pytest.approx(-96 * math.tan(math.radians(20)) * (1 - 1 / 8) * (2 / NEAR - 1))
     assert report.near.behind_mm is report.comfortable is report.amount is None and report.sharp_mm == (None, None)
-    assert any("--viewing-distance" in line for line in report.lines())
+    assert any("viewing_distance_mm=" in line for line in report.lines())
 
 
 def test_what_nobody_has_seen_is_measured():

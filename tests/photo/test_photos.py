@@ -114,7 +114,7 @@ def pale_thing(what: str) -> np.ndarray:
 @pytest.mark.parametrize("what", ["mug", "shirt"])
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
 def test_white_before_white_is_refused(tmp_path, what, suffix):
-    with pytest.raises(InputError, match=r": the object is hardly different .* \d\d% .*--mask.*--remove-background"):
+    with pytest.raises(InputError, match=r": the object is hardly different .* \d\d% .*mask=.*remove_background=True"):
         load_photo(save(tmp_path / f"a.{suffix}", pale_thing(what)))
 
 
@@ -149,7 +149,7 @@ def test_a_mask_of_the_stored_pixels_is_turned_with_the_photo(tmp_path):
 def test_a_mask_that_may_lie_either_way_is_refused_until_it_is_said(tmp_path, orientation, shape):
     mask = turned_photo(tmp_path / "a.jpg", orientation, shape)
     path = save(tmp_path / "m.png", mask)
-    with pytest.raises(InputError, match=r"m.png: .*orientation.* --map-orientation: stored .* upright"):
+    with pytest.raises(InputError, match=r"m.png: .*orientation.* map_orientation=: stored .* upright"):
         load_photo(tmp_path / "a.jpg", path)
     turned = np.rot90(mask, -1 if orientation == 6 else 2)
     for choice, expected in (("stored", turned), ("upright", mask)):

@@ -320,11 +320,11 @@ def test_a_name_given_as_host_is_one_of_the_page():
         assert get(server, "/panel", Host="localhost.")[0] == 200 and not server.is_name_of_itself
     with hosted("localhost.") as server:
         assert get(server, "/panel", Host="localhost")[0] == 200
-    with pytest.raises(InputError, match="another --host"):
+    with pytest.raises(InputError, match="another host="):
         Server({}, host="no.such.name.invalid")
-    with pytest.raises(InputError, match="no address of this machine.*another --host"):
+    with pytest.raises(InputError, match="no address of this machine.*another host="):
         Server({}, host="192.0.2.1")
-    with pytest.raises(InputError, match="--host: expected an address"):
+    with pytest.raises(InputError, match="host=: expected an address"):
         Server({}, host="a..b")
 
 
@@ -339,5 +339,5 @@ def test_a_name_that_leads_a_machine_to_itself_is_known(monkeypatch):
 
 
 def test_a_port_that_is_taken_is_a_complaint():
-    with serving({}) as server, pytest.raises(InputError, match="give another --port"):
+    with serving({}) as server, pytest.raises(InputError, match="give another port="):
         Server({}, server.server_address[1])

@@ -133,7 +133,7 @@ def test_a_grid_of_cameras_is_taken_row_by_row(tmp_path):
     row = write_views(tmp_path / "row", {f"{k:03}.png": camera(k) for k in range(16)})
     found, said = shown(row)
     assert len(found) == 16 and "cameras" not in said
-    with pytest.raises(InputError, match="expected 5 x 3 pictures as --tiles says, got 16"):
+    with pytest.raises(InputError, match="expected 5 x 3 pictures as tiles= says, got 16"):
         open_views(row, (5, 3))
 
 
@@ -151,8 +151,8 @@ def test_quilts_come_from_the_top_and_from_the_right(tmp_path):
     for path, options, hint in (
         (below, {}, ""),
         (above, {"top_first": True}, ""),
-        (above, {}, "give --top-first"),
-        (below, {"top_first": True}, "leave --top-first out"),
+        (above, {}, "give top_first=True"),
+        (below, {"top_first": True}, "leave top_first= out"),
     ):
         found, said = shown(path, **options)
         assert np.array_equal(found, views) == (not hint)
@@ -310,7 +310,7 @@ def test_each_frame_of_a_video_is_one_view_whenever_it_comes(tmp_path):
 
 
 def test_frames_that_come_back_are_noticed(tmp_path):
-    for name, there, words in (("fro.gif", [0, 2, 4, 6, 8, 6, 4, 2], "--frames 0:4:1"), ("to.gif", range(8), "")):
+    for name, there, words in (("fro.gif", [0, 2, 4, 6, 8, 6, 4, 2], "span=0:4:1"), ("to.gif", range(8), "")):
         first, *rest = (Image.fromarray(camera(k)) for k in there)
         first.save(tmp_path / name, save_all=True, append_images=rest, duration=100)
         said = shown(tmp_path / name, span=FrameRange())[1]

@@ -107,8 +107,8 @@ def read_camera_file(path: str | Path) -> list[FileCamera]:
         return _transforms(path, data)
     if isinstance(data, dict) and "world_to_camera" in data:
         raise InputError(
-            f"{path}: holds one camera for each view (world_to_camera, focal_px); give it as --cameras, "
-            "with --method sorted"
+            f"{path}: holds one camera for each view (world_to_camera, focal_px); give it as cameras=, "
+            "with method=sorted"
         )
     raise InputError(
         f"{path}: expected a list of cameras (cameras.json, with position and rotation) or an object with "

@@ -114,7 +114,7 @@ class Capture:
             test = sorted(self.names.index(name) for name in self.held_out)
             assume(
                 f"{counted(len(test), 'photograph', len(self.names), 'are held out')}, as {self.held_by} says: "
-                f"{first_names(self.held_out)}; --test-every N holds out others"
+                f"{first_names(self.held_out)}; test_every=N holds out others"
             )
         elif test_every is None:
             test = []

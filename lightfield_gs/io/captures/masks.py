@@ -97,8 +97,8 @@ def find_capture_masks(
 ) -> list[Path | None]:
     """Find the mask of each photograph of a capture, with a note. A photograph without a mask counts as a whole.
 
-    The folder that was given comes first; then the layout's own masks; then a folder masks or mask of the capture,
-    beside or below the images; then files beside the photographs. Masks of no photograph are noted.
+    The folder that was given comes first, then the layout's own masks. Then come a folder masks or mask of the
+    capture, beside or below the images, and files beside the photographs. Masks of no photograph are noted.
 
     Args:
         layout: the capture as its layout has it.

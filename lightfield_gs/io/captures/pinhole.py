@@ -1,7 +1,7 @@
 """Pinhole cameras and their poses: conversions and checks that the readers of all layouts share.
 
-Source of the transforms.json fields: Mildenhall et al., "NeRF", ECCV 2020; Müller et al., "Instant Neural Graphics
-Primitives", 2022; nerfstudio's data conventions for camera_model and the lens.
+Source of the transforms.json fields: Mildenhall et al., "NeRF", ECCV 2020. Müller et al., "Instant Neural Graphics
+Primitives", 2022. nerfstudio's data conventions for camera_model and the lens.
 """
 
 from __future__ import annotations

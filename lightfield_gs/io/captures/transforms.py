@@ -1,7 +1,7 @@
 """Captures with a transforms.json: nerfstudio's, instant-ngp's and NeRF's.
 
-Source: nerfstudio's data conventions, also for train_filenames, val_filenames and test_filenames; Müller et al.,
-"Instant Neural Graphics Primitives", 2022; the synthetic scenes of Mildenhall et al., "NeRF", 2020, for
+Source: nerfstudio's data conventions, also for train_filenames, val_filenames and test_filenames. Müller et al.,
+"Instant Neural Graphics Primitives", 2022. The synthetic scenes of Mildenhall et al., "NeRF", 2020, for
 transforms_train.json, transforms_val.json and transforms_test.json.
 
 The fields are those of objects.py, with these differences:

@@ -54,7 +54,7 @@ class FitRecord:
 
 
 def format_rgb(colour: Iterable[float]) -> str:
-    """Format a colour as --background takes it: "0,0.5,1"."""
+    """Format a colour as red, green and blue: "0,0.5,1"."""
     return ",".join(f"{part:g}" for part in colour)
 
 
@@ -116,7 +116,7 @@ def find_fit_record(comments: Iterable[str]) -> FitRecord | None:
             background = (red, green, blue)
     except (InputError, ValueError, AttributeError) as error:
         raise InputError(
-            f"its line of how it was fitted is none ({' '.join(str(error).split())[:100]}); give --background R,G,B, "
-            "and --antialiased or --no-antialiased, which go before it"
+            f"its line of how it was fitted is none ({' '.join(str(error).split())[:100]}); give background=R,G,B, "
+            "and antialiased=True or antialiased=False, which go before it"
         ) from None
     return FitRecord(antialiased, background)

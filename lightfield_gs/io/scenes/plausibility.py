@@ -113,10 +113,7 @@ def check_or_skip(
     summary = f"{int(bad.sum())} of {len(bad)} Gaussians have values without a meaning ({', '.join(counts)})"
     if not skip:
         named = _first_invalid(None if records is None else records[first], first, fields)
-        raise InputError(
-            f"{path}: {named}; {summary}; leave them out with --skip-invalid (Python: skip_invalid=True) or export the "
-            "file again"
-        )
+        raise InputError(f"{path}: {named}; {summary}; leave them out with skip_invalid=True or export the file again")
     if bad.all():
         raise InputError(f"{path}: {summary}, and nothing is left without them; export the file again")
     return {name: array[~bad] for name, array in fields.items()}, [f"{summary} and were left out"]

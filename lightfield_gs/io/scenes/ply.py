@@ -91,7 +91,7 @@ def read(path: Path, skip_invalid: bool, time: float | None = None) -> SceneArra
 def refuse_time(path: Path, time: float | None) -> None:
     """Raise InputError if a time is given for a format without moving Gaussians."""
     if time is not None:
-        raise InputError(f"{path}: its format holds no Gaussians that move; leave out --time (Python: time)")
+        raise InputError(f"{path}: its format holds no Gaussians that move; leave out time=")
 
 
 def _check_header(path: Path, header: Header) -> None:
@@ -218,7 +218,7 @@ def _read_fields(
             fields["opacities"] = (opacities * state.opacity_factors).astype(np.float32)
         decided += state.notes
     elif time is not None:
-        raise InputError(f"{path}: no motion of its Gaussians is known (trbf_center, trbf_scale); leave out --time")
+        raise InputError(f"{path}: no motion of its Gaussians is known (trbf_center, trbf_scale); leave out time=")
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
     notes = [*decided, *notes, *unknown_motion_notes(path, names), *([FILTER_NOTE] if has_filter else [])]
     notes += [*skipped, *value_notes(log_scales, logits, means), *step_notes(records, scales)]

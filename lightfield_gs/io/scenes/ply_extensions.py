@@ -21,7 +21,7 @@ from lightfield_gs.base.errors import InputError
 FILTER = "filter_3D"  # standard deviation of Mip-Splatting's filter for each Gaussian, scene units
 FILTER_NOTE = (
     f"the property {FILTER} of Mip-Splatting was applied to scales and opacities; its scenes are trained with "
-    "anti-aliasing: --antialiased (Python: antialiased=True) draws them as they were"
+    "anti-aliasing: antialiased=True draws them as they were"
 )
 _CENTRE, _SCALE = "trbf_center", "trbf_scale"
 _NETWORK = re.compile(r"f_t_\d+")  # features that a network beside the file turns into colours
@@ -102,8 +102,7 @@ def evaluate_motion(path: Path, records: np.ndarray, time: float | None) -> Moti
             quaternion_offsets = np.stack([records[f"omega_{i}"] for i in range(4)], 1) * since[:, None]
         opacity_factors = np.exp(-np.square(since / np.exp(records[_SCALE].astype(np.float64))))
     notes = [
-        f"its Gaussians move and are drawn at the time {at:g}, of about {first:.3g} to {last:.3g} (another: --time; "
-        "Python: time)"
+        f"its Gaussians move and are drawn at the time {at:g}, of about {first:.3g} to {last:.3g} (another: time=)"
     ]
     if not (opacity_factors > _FAINTEST).any():
         notes.append(f"none of its Gaussians shows at the time {at:g}")

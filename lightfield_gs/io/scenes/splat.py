@@ -69,5 +69,5 @@ def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = F
     if fields["sh"].shape[1] > 1:
         lost.append("a .splat holds no harmonics above degree 0: colours no longer vary with the direction of view")
     if antialiased:
-        lost.append("a .splat cannot say that it was trained with anti-aliasing: draw it with --antialiased")
+        lost.append("a .splat cannot say that it was trained with anti-aliasing: draw it with antialiased=True")
     return lost

@@ -156,15 +156,15 @@ class Server(ThreadingHTTPServer):
             self.address_family, address = _resolved(host, port)
             super().__init__(address, _Handler)
         except UnicodeError:
-            raise InputError(f"--host: expected an address of this machine, got '{host}'") from None
+            raise InputError(f"host=: expected an address of this machine, got '{host}'") from None
         except OSError as error:
             if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
                 raise InputError(
                     f"cannot listen on {host}: it is no address of this machine ({error.strerror or error}); give "
-                    "another --host"
+                    "another host="
                 ) from None
             raise InputError(
-                f"cannot listen on {host}:{port}: {error.strerror or error}; give another --port, or 0 for any"
+                f"cannot listen on {host}:{port}: {error.strerror or error}; give another port=, or 0 for any"
             ) from None
         self._bound = ipaddress.ip_address(str(self.server_address[0]))
         self.is_local = self._bound.is_loopback
@@ -201,7 +201,7 @@ class Server(ThreadingHTTPServer):
     def is_named(self, name: str | None) -> bool:
         """Whether a request names this server: a page from elsewhere, whose name was made to lead here, does not.
 
-        Its names are the --host given, this machine's, and addresses: a browser gives these only where they were asked
+        Its names are the host given, this machine's, and addresses: a browser gives these only where they were asked
         for. A server on one address has that one, and those of this machine to itself.
         """
         if name is None:
