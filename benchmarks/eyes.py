@@ -94,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Rows of every width of the view filter, for every scene and cone, and their text."""
-    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.panel_of(args)
+    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.load_panel(args)
     check_panel(panel)
     cones, degrees = options.cones(args.cone), options.sh_degrees(args.sh_degree)
     found: list[dict[str, Any]] = []

@@ -116,10 +116,10 @@ def rows(photographs: Photographs, arms: Sequence[str], settings: FitSettings, s
     """A row for each seed, arm and mark, in this order, as soon as it is known. Raises InputError."""
     for seed in range(seeds):
         for arm in arms:
-            yield from _rows_of(photographs, arm, replace(settings, seed=seed))
+            yield from _fit_rows(photographs, arm, replace(settings, seed=seed))
 
 
-def _rows_of(photographs: Photographs, arm: str, settings: FitSettings) -> Iterator[dict[str, Any]]:
+def _fit_rows(photographs: Photographs, arm: str, settings: FitSettings) -> Iterator[dict[str, Any]]:
     """The rows of one fit. Times are of its steps alone, from device to device."""
     device = photographs.train.device
     begin = partial(ARMS[arm], photographs, settings)

@@ -121,5 +121,5 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         raise InputError(f"--files: expected some of {', '.join(SINKS)}, with commas, got {args.files!r}")
     torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
     frames = args.frames or FRAMES[args.device]
-    found = rows(args.scene, options.panel_of(args), frames, sinks, args.device)
+    found = rows(args.scene, options.load_panel(args), frames, sinks, args.device)
     return {"rows": found}, table(found)

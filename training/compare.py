@@ -67,7 +67,7 @@ class Experiment:
     scored: dict[str, Path]
 
 
-def _run_of(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> TrainingConfig:
+def _arm_config(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> TrainingConfig:
     """The run of an arm. Raises InputError for fields out of range and cones that may leave sources without target."""
     changes = {field: value for field, value in dataclasses.asdict(arm).items() if value is not None}
     with named(f"arms: {name}"):
@@ -107,7 +107,7 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
     parser.add_argument("--report-only", action="store_true", help="train nothing, report on what is there")
     common, options = parse(parser, arguments)
     root = Path(options.data_root)
-    runs = {name: _run_of(common, name, arm, root) for name, arm in options.arms.items()}
+    runs = {name: _arm_config(common, name, arm, root) for name, arm in options.arms.items()}
     if not runs or not options.scored:
         raise InputError("arms, scored: expected at least one of each")
     for name in runs:

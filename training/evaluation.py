@@ -31,7 +31,7 @@ from lightfield_gs.models import SplatterNet
 from lightfield_gs.reference.metrics import gradient_psnr_db, psnr_db, ssim
 from training.comparison import SIZE_PX, Comparison, Source, compare_object, save_comparison
 from training.data.background import Choice
-from training.data.objects import find_objects, folder_of
+from training.data.objects import find_objects, object_folder
 from training.ranges import MOST
 
 BIN_DEG = 5
@@ -128,7 +128,7 @@ def score_folder(
         novel = _means([row for angle, row in scores if angle is not None])
         of_objects[str(path.relative_to(data))] = novel["psnr_db"]
         if save_renders is not None:
-            folder = save_renders / folder_of(path).relative_to(data).parent
+            folder = save_renders / object_folder(path).relative_to(data).parent
             save_comparison(comparison, folder / f"{comparison.name}.png")
     if not of_objects:
         raise InputError(

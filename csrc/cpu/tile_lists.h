@@ -11,16 +11,16 @@ namespace lfgs {
 
 class TileLists {
  public:
-  // tiles_of(id) returns a Range of tiles within [0, tiles). fetch(id) is called some splats earlier, to ask for
+  // tile_range(id) returns a Range of tiles within [0, tiles). fetch(id) is called some splats earlier, to ask for
   // memory.
   template <class TilesOf, class Fetch>
-  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tiles_of, const Fetch& fetch) {
+  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tile_range, const Fetch& fetch) {
     // Count the splats of each tile, and remember the tiles of each splat
     ranges_.resize(size_t(count));
     offsets_.assign(size_t(tiles) + 1, 0);
     for (int64_t k = 0; k < count; ++k) {
       if (k + kAhead < count) fetch(ids[k + kAhead]);
-      const Range r = tiles_of(ids[k]);
+      const Range r = tile_range(ids[k]);
       ranges_[k] = {int32_t(r.first), int32_t(r.last)};
       for (int64_t t = r.first; t <= r.last; ++t) ++offsets_[t + 1];
     }
@@ -34,8 +34,8 @@ class TileLists {
   }
 
   template <class TilesOf>
-  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tiles_of) {
-    build(ids, count, tiles, tiles_of, [](int32_t) {});
+  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tile_range) {
+    build(ids, count, tiles, tile_range, [](int32_t) {});
   }
 
   const int32_t* begin(int64_t tile) const { return splats_.data() + offsets_[tile]; }

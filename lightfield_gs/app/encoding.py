@@ -28,7 +28,7 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.cuda import to_numpy
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import of_other_methods
+from lightfield_gs.base.options import misplaced_options
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
@@ -231,7 +231,7 @@ def check_options(options: EncodeOptions) -> None:
     check_scene_options(options.scene, options.camera)
     quality = None if options.quality == "exact" else options.quality
     given = {"cameras": options.cameras, "view_map": options.view_map, "memory_budget": options.memory_budget}
-    for name, its in of_other_methods(options.method, **given, quality=quality):
+    for name, its in misplaced_options(options.method, **given, quality=quality):
         if name == "quality":
             raise InputError(f"--quality {quality} is for --method {its}, not {options.method}; leave out one of them")
         raise InputError(f"--{name.replace('_', '-')} is for --method {its}, not {options.method}")

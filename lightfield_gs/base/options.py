@@ -46,7 +46,7 @@ ONLY_FOR: dict[str, Method] = {
 }
 
 
-def of_other_methods(method: str, **given: object) -> list[tuple[str, Method]]:
+def misplaced_options(method: str, **given: object) -> list[tuple[str, Method]]:
     """Which of these (None: not given) the method does not take, and the one that does."""
     return [(name, ONLY_FOR[name]) for name, value in given.items() if value is not None and ONLY_FOR[name] != method]
 

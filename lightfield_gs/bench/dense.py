@@ -117,7 +117,7 @@ def rows(counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: 
             options.progress(f"no rows of gsplat: {error}")
     found = []
     for count in counts:
-        found += _rows_of(frustum(count, *size_px), camera(*size_px, device), programs, repeats)
+        found += _scene_rows(frustum(count, *size_px), camera(*size_px, device), programs, repeats)
         taken = (f"{row['program']} {in_ms(row['ms_total'])} ms" for row in found[-len(programs) :])
         options.progress(f"{count} Gaussians: {', '.join(taken)}")
     return found
@@ -140,7 +140,7 @@ def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
     return draw
 
 
-def _rows_of(
+def _scene_rows(
     gaussians: Gaussians, cameras: Cameras, programs: dict[str, Program], repeats: int | None
 ) -> list[dict[str, Any]]:
     """The rows of one scene. Every program has Gaussians of its own, whose gradients are held."""

@@ -352,7 +352,7 @@ def measure_cases(
         raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
     if args.oracle_samples is not None and args.oracle_samples < 1:
         raise InputError(f"--oracle-samples: expected 1 or more, got {args.oracle_samples}")
-    panel, degrees = options.panel_of(args), options.sh_degrees(args.sh_degree)
+    panel, degrees = options.load_panel(args), options.sh_degrees(args.sh_degree)
     options.check_scenes(scenes, degrees)
     found: list[dict[str, Any]] = []
     comparisons: list[dict[str, Any]] = []

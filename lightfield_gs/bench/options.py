@@ -40,7 +40,7 @@ def add_panel(parser: argparse.ArgumentParser) -> None:
     add_device_serial(parser.add_argument)
 
 
-def panel_of(args: argparse.Namespace) -> Panel:
+def load_panel(args: argparse.Namespace) -> Panel:
     """The panel that was asked for. Raises InputError."""
     return Panel.load(args.panel, serial=args.device_serial)
 

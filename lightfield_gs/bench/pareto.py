@@ -268,7 +268,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     found: list[dict[str, Any]] = []
     count = options.one_thread_count(args.threads)
     cones = CONES if args.cone is None else options.cones(args.cone)
-    for subject in subjects(scenes, photos, options.panel_of(args), cones, args.device):
+    for subject in subjects(scenes, photos, options.load_panel(args), cones, args.device):
         made = subject()
         options.progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
         found += rows(made, settings(), args.repeats, count)

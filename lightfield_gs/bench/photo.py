@@ -164,5 +164,5 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     photos = [str(EXAMPLE)] if args.photo is None else args.photo.split(",")
     options.check_photos(photos)
     threads, detail = options.thread_counts(args.threads), network_detail(read_options(PhotoOptions, args))
-    found = rows(photos, args.model, options.panel_of(args), args.device, args.repeats, threads, detail)
+    found = rows(photos, args.model, options.load_panel(args), args.device, args.repeats, threads, detail)
     return {"rows": found}, table(found)

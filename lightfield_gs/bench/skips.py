@@ -287,7 +287,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Rows of every skip, for every scene and cone, and their text."""
-    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.panel_of(args)
+    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.load_panel(args)
     cones, count = options.cones(args.cone), options.one_thread_count(args.threads)
     degrees, found = options.sh_degrees(args.sh_degree), []
     options.check_scenes(scenes, degrees)

@@ -50,7 +50,7 @@ def encode_direct(
     out: Tensor | None,
     antialiased: bool,
 ) -> Tensor:
-    """The image [H, W, 3], by the operator that has a reverse where gradients are wanted. See encode.
+    """Draw the image [H, W, 3], by the operator that has a backward where gradients are wanted. See encode.
 
     Raises InputError for arguments that this operator does not have.
     """
@@ -75,11 +75,18 @@ def draw_direct(
     threads: int | None = None,
     out: Tensor | None = None,
 ) -> Tensor:
-    """The image [H, W, 3] without gradients. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`, and `out`
-    where it is given: an image of that size and type, which the caller has checked.
+    """Draw the image [H, W, 3] without gradients.
 
-    On CUDA the fast kernels of a frame draw it: within 1/255, except where a sample lies on a threshold, such as the
-    alpha from which on a splat counts.
+    On CUDA the fast kernels of a frame draw it. They err by up to 1/255, except where a sample lies on a threshold,
+    such as the least alpha of a splat.
+
+    Args:
+        job: the render.
+        as_bytes: whether the image is uint8 = round(255 clamp(c, 0, 1)).
+        quality: how much error is allowed.
+        stats: filled with times and counts.
+        threads: of the CPU; None: torch's.
+        out: an image of that size and type, which the caller has checked.
     """
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
     if job.scene.device.type == "cuda":

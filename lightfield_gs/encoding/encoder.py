@@ -117,17 +117,18 @@ class Encoder:
         return self._view_filter
 
     def __getstate__(self) -> dict[str, Any]:
-        """What copies and pickles take with them: all but the memory of the frame before."""
+        """Return what copies and pickles take: all but the memory of the frame before."""
         return {**self.__dict__, "_frames": None}
 
     def forget(self) -> None:
-        """Has the next frame drawn in full, and gives back the memory that was kept for it."""
+        """Draw the next frame in full, and free the memory that was kept for it."""
         self._frames: CpuFrameCache | CudaFrameCache | None = None
 
     def __call__(self, gaussians: Gaussians) -> Tensor:
-        """The image [H, W, 3]. On CUDA it is the same tensor every time: the next call draws over it.
+        """Return the image [H, W, 3]. On CUDA it is the same tensor every time, which the next call overwrites.
 
-        Raises InputError where gradients are wanted: a float output, and Gaussians or a background that require one.
+        Raises InputError where gradients are wanted: for a float output, and Gaussians or a background that require
+        one.
         """
         expect("gaussians", gaussians, Gaussians)
         if wants_gradients(gaussians, self.background, self.output):

@@ -139,7 +139,7 @@ class CudaFrameCache:
         given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], view)
         shown, self.shown, image = self.shown, None, self.image
         moved, self.last_view = self.last_view not in (None, view), view
-        outgrown = self.frames is not None and self.frames.adapt()  # the last frame lacked room or order
+        outgrown = self.frames is not None and self.frames.adapt()  # the last frame lacked capacity or order
         if outgrown or self.captured is not None and self.captured.is_outgrown():
             self.captured = None
         elif shown and image is not None and self._still_shows(given, *shown, _version(image)):

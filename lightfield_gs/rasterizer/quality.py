@@ -65,7 +65,7 @@ class Quality:
 
     @staticmethod
     def of(quality: QualityName | Quality) -> Quality:
-        """The setting of that name, or the object itself. Raises InputError."""
+        """Return the setting of that name, or the object itself. Raises InputError."""
         if isinstance(quality, Quality):
             return quality
         if not isinstance(quality, str) or quality not in QUALITIES:
@@ -78,7 +78,7 @@ class Quality:
         return self == EXACT
 
     def __getstate__(self) -> dict[str, object]:
-        """What copies and pickles take with them: all but the core's own, which is made again."""
+        """Return what copies and pickles take: all but the core's own, which is made again."""
         return {name: value for name, value in vars(self).items() if name != "native"}
 
     @cached_property

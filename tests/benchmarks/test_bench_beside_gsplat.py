@@ -119,7 +119,7 @@ def test_dense_rows_and_table(tmp_path, capsys):
 
 def test_dense_compares_images_and_gradients(gsplat):
     programs = {dense.OURS: dense._ours, "gsplat 0": dense._gsplats}
-    rows = dense._rows_of(dense.frustum(200, 60, 40), dense.camera(60, 40, "cpu"), programs, 1)
+    rows = dense._scene_rows(dense.frustum(200, 60, 40), dense.camera(60, 40, "cpu"), programs, 1)
     assert [row["program"] for row in rows] == list(programs)
     names = {"image", "image_largest", "means", "quaternions", "scales", "opacities", "sh"}
     assert set(rows[1]["differences"]) == names and max(rows[1]["differences"].values()) < 1e-5
@@ -164,7 +164,7 @@ def test_scores_are_those_of_a_fit(photographs):
 @pytest.mark.parametrize("arm", list(fit.RECIPES))
 def test_a_fit_in_the_peers_loop_learns(arm, photographs, gsplat):
     settings = FitSettings(steps=60, cap_max=200)
-    rows = list(fit._rows_of(photographs, arm, settings))
+    rows = list(fit._fit_rows(photographs, arm, settings))
     peer = fit.ARMS[arm](photographs, settings)
     assert rows[-1]["psnr_db"] > fit.scores(peer, photographs.test)["psnr_db"] + 1
     strategy = Strategy.made[0]

@@ -90,7 +90,7 @@ def test_more_pairs_than_can_be_counted_are_refused():
     scene = [t[None].to(like) for t in random_scene(many).fields().values()]
     scene[2], scene[3] = torch.full_like(scene[2], 1e5), torch.ones_like(scene[3])
     views = [t.to(like) for t in dense_views(1, 1, 65536, 65536)]
-    with pytest.raises(ValueError, match="pairs of tile and Gaussian"):
+    with pytest.raises(ValueError, match="intersections of tile and Gaussian"):
         torch.ops.lightfield_gs.render_images(*scene, like.new_zeros(1, 1, 3), *views, 65536, 65536)
 
 

@@ -111,7 +111,8 @@ def test_lists_of_any_length_are_in_order(drawn):
     swapped = encode(type(scene)(*reverse), panel, rig, background=cases.BACKGROUND, output="float32")
     assert ((swapped - expected) ** 2).mean() > 1e-6  # it shows in which order those of one depth are
     listed, walked = drawn("crowd")
-    assert cases.CROWD + 600 < listed["pairs"] == walked["pairs"] < 2 * cases.CROWD  # more than are sorted at a time
+    # More than are sorted at a time
+    assert cases.CROWD + 600 < listed["intersections"] == walked["intersections"] < 2 * cases.CROWD
     for frame in (listed, walked):
         assert ((frame["image"] - expected) ** 2).mean() < 1e-8 and frame["drawn"] == cases.CROWD
 

@@ -98,7 +98,7 @@ def test_a_set_of_clothed_objects_can_be_trained_on(tmp_path, monkeypatch, capsy
         assert len(views.image_paths) == 12 and views.width_px == 48
         np.testing.assert_allclose(np.linalg.norm(views.camera_to_world[:, :3, 3], axis=-1), 1.3, atol=1e-6)
         assert 0.01 < (read_view(views, 3)[..., 3] > 127).mean() < 0.9
-    first, again = (make_objects.draw_objects_of([number], 0, torch.device("cpu"))[0] for number in (0, 0))
+    first, again = (make_objects.draw_numbered([number], 0, torch.device("cpu"))[0] for number in (0, 0))
     np.testing.assert_array_equal(first, again)
     assert make_objects.main([*arguments, "--device", "cpu"]) == 2
 

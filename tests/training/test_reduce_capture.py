@@ -31,7 +31,7 @@ def test_a_reduced_capture_is_the_large_one_made_small(tmp_path):
     np.testing.assert_allclose(small.intrinsics, large.intrinsics, rtol=5e-3)
     np.testing.assert_allclose(small.points, large.points, rtol=1e-5)
     np.testing.assert_array_equal(small.colours, large.colours)
-    assert small.photographs[0].lens == large.photographs[0].lens
+    assert small.photographs[0].distortion == large.photographs[0].distortion
     assert np.abs(small.image(4).astype(float) - large.image(4)).mean() < 6  # of 255: JPEG
     with Image.open(tmp_path / "small/images" / small.names[0]) as image:
         assert not image.getexif()

@@ -65,7 +65,7 @@ def premultiplied(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return np.concatenate([colours.astype(np.uint8), alpha[..., None]], axis=-1)
 
 
-def border_of(rgb: np.ndarray, lossy: bool) -> Border:
+def read_border(rgb: np.ndarray, lossy: bool) -> Border:
     """What find_background looks at of a view [H,W,3]."""
     return Border(rgb[_at_border(rgb)], rgb[[0, 0, -1, -1], [0, -1, 0, -1]], lossy)
 

@@ -26,7 +26,7 @@ from lightfield_gs.io.atomic import atomic_path, make_folder
 from lightfield_gs.models.crop import MARGIN, object_square
 from training.data.background import Choice
 from training.data.images import find_cutout, read_view
-from training.data.objects import find_objects, folder_of, read_object
+from training.data.objects import find_objects, object_folder, read_object
 
 _VERSION = 4
 _CHUNK = 8  # objects that a process takes at a time
@@ -83,7 +83,7 @@ def fingerprint(objects: list[Path], background: Choice = "auto") -> str:
     digest = hashlib.sha256(f"{_VERSION};{MARGIN};{background}".encode())
     for name in objects:
         digest.update(f"{name};".encode())
-        for path in sorted(folder_of(name).rglob("*")):
+        for path in sorted(object_folder(name).rglob("*")):
             if path.is_file():
                 state = path.stat()
                 digest.update(f"{path}:{state.st_size}:{state.st_mtime_ns};".encode())

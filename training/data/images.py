@@ -13,7 +13,7 @@ from lightfield_gs.io.captures.objects import ObjectImages
 from lightfield_gs.io.captures.photograph import read_mask
 from lightfield_gs.io.captures.undistortion import brown_source_positions, undistort
 from lightfield_gs.io.images import read_image, read_info
-from training.data.background import Background, Choice, border_of, find_background, premultiplied
+from training.data.background import Background, Choice, find_background, premultiplied, read_border
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def find_cutout(views: ObjectImages, background: Choice = "auto") -> Cutout:
             continue  # named by whoever reads this view
         if pixels.shape[2] == 4 and pixels[..., 3].min() < 255:
             return Cutout("alpha")
-        borders.append(border_of(pixels[..., :3], _is_lossy(path)))
+        borders.append(read_border(pixels[..., :3], _is_lossy(path)))
     found = find_background(borders, background)
     if found and background != "auto" and not any((view.pixels == found.colour).all(-1).any() for view in borders):
         raise InputError(

@@ -72,7 +72,7 @@ def _drawn_here(pool: ProcessPoolExecutor, root: Path, count: int, seed: int) ->
     written = []
     for first in range(0, count, _ON_GPU):
         numbers = list(range(first, min(count, first + _ON_GPU)))
-        pictures, poses = draw_objects_of(numbers, seed, torch.device("cuda"))
+        pictures, poses = draw_numbered(numbers, seed, torch.device("cuda"))
         written += [pool.submit(_write, root, *one) for one in zip(numbers, pictures, poses)]
     for one in written:
         yield one.result()
@@ -84,11 +84,11 @@ def _drawn_there(pool: ProcessPoolExecutor, root: Path, count: int, seed: int) -
 
 def _draw_and_write(root: Path, seed: int, number: int) -> None:
     torch.set_num_threads(1)  # each core has a process of its own
-    pictures, poses = draw_objects_of([number], seed, torch.device("cpu"))
+    pictures, poses = draw_numbered([number], seed, torch.device("cpu"))
     _write(root, number, pictures[0], poses[0])
 
 
-def draw_objects_of(numbers: list[int], seed: int, device: torch.device) -> tuple[np.ndarray, np.ndarray]:
+def draw_numbered(numbers: list[int], seed: int, device: torch.device) -> tuple[np.ndarray, np.ndarray]:
     """Pictures uint8 [B,V,S,S,4] with straight alpha, and camera-to-world matrices [B,V,4,4], of objects by number."""
     streams = [np.random.default_rng((seed, number)) for number in numbers]
     angles = np.radians(np.stack([train_angles(rng, AZIMUTH_DEG, ELEVATION_DEG) for rng in streams]))

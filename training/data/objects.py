@@ -60,6 +60,6 @@ def read_object(path: Path) -> ObjectImages:
     return at_object_distance(path, read_nerf_object(path))
 
 
-def folder_of(path: Path) -> Path:
+def object_folder(path: Path) -> Path:
     """The folder that holds all files of an object, as find_objects names it."""
     return path if path.is_dir() else path.parent

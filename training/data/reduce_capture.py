@@ -66,7 +66,7 @@ def _write_model(folder: Path, model: ColmapModel, sizes: dict[str, tuple[int, i
     poses = []
     for number, image in enumerate(sorted(images, key=lambda image: image.name), 1):
         pose = capture.world_to_camera[capture.names.index(image.name)]
-        place = _numbers([*quaternion_of(pose[:3, :3]), *pose[:3, 3]], 9)
+        place = _numbers([*to_quaternion(pose[:3, :3]), *pose[:3, 3]], 9)
         poses.append(f"{number} {place} {image.camera} {_jpeg(image.name)}\n")  # and a line for its observations
     points = [
         f"{number} {_numbers(point, 6)} {' '.join(map(str, colour))} 0"
@@ -87,7 +87,7 @@ def _camera_line(number: int, camera: ColmapCamera, size: tuple[int, int]) -> st
     return f"{number} {camera.model} {size[0]} {size[1]} {_numbers(parameters, 10)}"
 
 
-def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+def to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """The unit quaternion [4] of a rotation [3,3], w, x, y, z with w >= 0: the eigenvector of the largest eigenvalue of
     a symmetric matrix of its entries (Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix",
     2000)."""

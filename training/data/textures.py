@@ -60,7 +60,7 @@ def read_photographs(folder: Path) -> Photographs:
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of photographs, found no such folder")
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
-    pieces = [piece for path in paths for piece in _pieces_of(path)]
+    pieces = [piece for path in paths for piece in _cut_pieces(path)]
     if not pieces:
         raise InputError(
             f"{folder}: expected photographs of {PIECE_PX} px or more on each side ({', '.join(_SUFFIXES)}), found "
@@ -69,7 +69,7 @@ def read_photographs(folder: Path) -> Photographs:
     return Photographs(torch.stack(pieces))
 
 
-def _pieces_of(path: Path) -> list[Tensor]:
+def _cut_pieces(path: Path) -> list[Tensor]:
     """The pieces of one photograph, uint8 [PIECE_PX,PIECE_PX,3]."""
     pixels = read_image(path)
     pixels = pixels.astype(np.float32) / np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else pixels

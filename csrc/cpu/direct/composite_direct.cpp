@@ -131,12 +131,12 @@ class DirectBands {
   // Lists which splats may touch each `width` of the cells. uncut: with the opacity cut at 1/255, as lattices take
   // them.
   void list(TileLists& out, SplatList splats, Range cells, int64_t width, bool uncut) {
-    auto splat_of = [&](int32_t id) -> const Splat<T>& {
+    auto listed_splat = [&](int32_t id) -> const Splat<T>& {
       return uncut ? job_.splats.splats[id] : scene_.splats[id].splat;
     };
-    auto tiles_of = [&](int32_t id) -> Range {
+    auto tile_range = [&](int32_t id) -> Range {
       T low, high;
-      const Splat<T>& splat = splat_of(id);
+      const Splat<T>& splat = listed_splat(id);
       if (!footprint_columns(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low, high))
         return {0, -1};
       const Range touched = layout_.cell_range(double(low), double(high));
@@ -144,8 +144,8 @@ class DirectBands {
       if (last < first) return {0, -1};
       return {(first - cells.first) / width, (last - cells.first) / width};
     };
-    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, tiles_of,
-              [&](int32_t id) { hwy::Prefetch(&splat_of(id)); });
+    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, tile_range,
+              [&](int32_t id) { hwy::Prefetch(&listed_splat(id)); });
     counters_.intersections += out.intersections();
   }
 

@@ -193,10 +193,10 @@ class LatticeNodes {
       hn::StoreU(hn::Mul(hn::Mul(step, step), Reciprocal(d, S)), d, &scale_.data[l]);
       // Where the splat touches a node, both are within the row
       const auto touched = hn::And(hn::Ge(left, zero), hn::Le(from, to));
-      auto block_of = [&](V node) {
+      auto to_block = [&](V node) {
         return hn::ShiftRight<kBlockBits>(hn::ConvertTo(di, hn::IfThenElseZero(touched, node)));
       };
-      const auto block = block_of(from), blocks = hn::Add(hn::Sub(block_of(to), block), hn::Set(di, 1));
+      const auto block = to_block(from), blocks = hn::Add(hn::Sub(to_block(to), block), hn::Set(di, 1));
       hn::StoreU(block, di, &block_.data[l]);
       hn::StoreU(hn::IfThenElseZero(hn::RebindMask(di, touched), blocks), di, &blocks_.data[l]);
     }

@@ -235,12 +235,12 @@ template <class T>
 void photo_loss(const PhotoLoss<T>& job, int threads) {
   const int64_t bands = (job.height_px + kLossBand - 1) / kLossBand, items = job.images * bands;
   std::vector<LossScratch<T>> scratch(std::min<int64_t>(threads, items), LossScratch<T>(job.row()));
-  auto band_of = [&](int64_t item) {
+  auto to_band = [&](int64_t item) {
     const int64_t first = item % bands * kLossBand;
     return LossBand{item / bands, first, std::min(first + kLossBand, job.height_px)};
   };
-  parallel_for(items, threads, [&](int64_t item, int worker) { derivatives(job, band_of(item), scratch[worker]); });
-  parallel_for(items, threads, [&](int64_t item, int worker) { gradient(job, band_of(item), scratch[worker]); });
+  parallel_for(items, threads, [&](int64_t item, int worker) { derivatives(job, to_band(item), scratch[worker]); });
+  parallel_for(items, threads, [&](int64_t item, int worker) { gradient(job, to_band(item), scratch[worker]); });
   double sum = 0;
   for (int64_t line = 0; line < job.images * job.height_px; ++line) sum += job.partials[line];
   *job.loss = T(sum * job.sample_weight());

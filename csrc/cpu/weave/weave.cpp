@@ -27,11 +27,11 @@ inline int64_t most_mixed(const WeaveFan& fan) { return std::min(fan.views, int6
 // [most_mixed].
 inline WeaveMix mix_at(const WeaveFan& fan, double place, float* weights) {
   const int64_t last = fan.views - 1;
-  const auto view_of = [&](double x) { return std::clamp(int64_t(x), int64_t(0), last); };
-  if (fan.box == 0) return weights[0] = 1, WeaveMix{view_of(std::floor(place + 0.5)), 1, weights};
+  const auto to_view = [&](double x) { return std::clamp(int64_t(x), int64_t(0), last); };
+  if (fan.box == 0) return weights[0] = 1, WeaveMix{to_view(std::floor(place + 0.5)), 1, weights};
   const double low = place - fan.box / 2, high = place + fan.box / 2;
-  const int64_t first = view_of(std::floor(low + 0.5));
-  const int64_t end = std::min(view_of(std::ceil(high + 0.5) - 1) + 1, first + most_mixed(fan));
+  const int64_t first = to_view(std::floor(low + 0.5));
+  const int64_t end = std::min(to_view(std::ceil(high + 0.5) - 1) + 1, first + most_mixed(fan));
   for (int64_t view = first; view < end; ++view) {
     const double from = view == 0 ? low : std::max(low, double(view) - 0.5);
     const double to = view == last ? high : std::min(high, double(view) + 0.5);
@@ -101,16 +101,16 @@ class Weaver {
       shifts_.push_back(window.shift * ((double(view) + 0.5) / double(fan.views) - 0.5));
   }
 
-  // Call mix_of(column, channel) for the mix of every sub-pixel of a row, whose count is 0 where nothing is shown.
+  // Call to_mix(column, channel) for the mix of every sub-pixel of a row, whose count is 0 where nothing is shown.
   template <class MixOf>
-  void draw_row(int64_t row, const MixOf& mix_of) const {
+  void draw_row(int64_t row, const MixOf& to_mix) const {
     const int64_t width = fan_.map.width_px;
     const double place = window_.top + (double(row) + 0.5) * (window_.height / double(fan_.map.height_px));
     const Tap down = tap_at(place, views_.height_px, window_.low_y, window_.high_y);
     if (!down.inside) return;
     for (int64_t column = 0; column < width; ++column)
       for (int channel = 0; channel < 3; ++channel) {
-        const WeaveMix mix = mix_of(column, channel);
+        const WeaveMix mix = to_mix(column, channel);
         if (mix.count > 0 && mix.first >= views_.first && mix.first < views_.first + views_.own)
           draw(mix, down, column, channel, out_[(row * width + column) * 3 + channel]);
       }
@@ -173,7 +173,7 @@ class RowPhases {
   uint64_t first_[kCellPeriod][3], step_;
 };
 
-double place_of(const WeaveFan& fan, uint64_t phase) {
+double place_index(const WeaveFan& fan, uint64_t phase) {
   const double panel_views = double(fan.map.lens.views), views = double(fan.views);
   const double x = double(phase >> 11) * (0x1p-53 * panel_views);  // 53 bits convert exactly
   const double at = fan.inverted ? x : panel_views - x;
@@ -196,7 +196,7 @@ void weave(const WeaveViews<T>& views, const WeaveWindow& window, const WeaveFan
       const RowPhases phases(map.lens, row);
       std::vector<float> weights(size_t(most_mixed(fan)));
       weaver.draw_row(row, [&](int64_t column, int channel) {
-        return mix_at(fan, place_of(fan, phases.at(column, channel)), weights.data());
+        return mix_at(fan, place_index(fan, phases.at(column, channel)), weights.data());
       });
     });
     return;

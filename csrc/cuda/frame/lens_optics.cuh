@@ -57,7 +57,7 @@ __device__ inline void group_offsets(const LensColumns& lens_columns, int group,
 }
 
 // Place of a sub-pixel within its pixel.
-__device__ inline int place_of(int subpixel) { return (subpixel % 3 + 3) % 3; }
+__device__ inline int place_index(int subpixel) { return (subpixel % 3 + 3) % 3; }
 
 // Where a sub-pixel m >= 0 of a row stands in the image: pixels are stored as red, green, blue.
 __device__ inline int in_image(const LensOptics& lens, int m) {

@@ -62,7 +62,7 @@ __global__ void __launch_bounds__(kThreads) intersections_kernel(const __grid_co
     for (;;) {
       while (left == 0 && row <= rows.last) {
         int tile = 0;
-        left = rows.tiles_of(row++, tile), list = first_list + tile;
+        left = rows.tiles_in(row++, tile), list = first_list + tile;
       }
       if (!__any_sync(~0u, left > 0)) break;
       add_together(chunk, pass, left > 0, list, id);
@@ -75,7 +75,7 @@ __global__ void __launch_bounds__(kThreads) intersections_kernel(const __grid_co
       const TileRows all(shared, chunk.image);
       for (int mine = all.first + lane; mine <= all.last; mine += 32) {
         int tile = 0;
-        const int count = all.tiles_of(mine, tile);
+        const int count = all.tiles_in(mine, tile);
         for (int k = 0; k < count; ++k) add(chunk, pass, shared_id / per_view * tiles + tile + k, shared_id);
       }
     }

@@ -31,7 +31,7 @@ __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts
   const TileRows rows(splat, image);
   uint32_t count = 0;
   int tile;
-  for (int row = rows.first; row <= rows.last; ++row) count += rows.tiles_of(row, tile);
+  for (int row = rows.first; row <= rows.last; ++row) count += rows.tiles_in(row, tile);
   counts[i] = count;
 }
 
@@ -64,7 +64,7 @@ __device__ void fill_together(const Splats<float>& splats, const Image& image, c
   for (int begin = rows.first; begin <= rows.last; begin += 32) {
     const int row = begin + int(threadIdx.x % 32);
     int tile = 0;
-    const int count = row <= rows.last ? rows.tiles_of(row, tile) : 0;
+    const int count = row <= rows.last ? rows.tiles_in(row, tile) : 0;
     const uint32_t end = sum_to_lane(uint32_t(count));
     write_intersections(intersections, index, first_tile + tile, count, at + end - count);
     at += __shfl_sync(~0u, end, 31);
@@ -91,7 +91,7 @@ __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* i
     uint32_t at = begin;
     for (int row = rows.first; row <= rows.last; ++row) {
       int tile;
-      const int count = rows.tiles_of(row, tile);
+      const int count = rows.tiles_in(row, tile);
       write_intersections(intersections, index, first_tile + tile, count, at);
       at += count;
     }

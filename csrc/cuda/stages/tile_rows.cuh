@@ -19,7 +19,7 @@ struct TileRows {
   }
 
   // The number of tiles that it may touch in a row, of which `tile` receives the first.
-  __device__ int tiles_of(int row, int& tile) const {
+  __device__ int tiles_in(int row, int& tile) const {
     const int width = image.tile.width_px, height = image.tile.height_px;
     const float top = float(row * height) + 0.5f;
     float low, high;

@@ -149,7 +149,7 @@ LFGS_HD SoftTexel blurred_down(const Sheet& sheet, int reach, const Weight& weig
 
 // The smaller of the steps to both neighbours, `stride` texels off, where both go the same way, else 0: edges stay
 // open. Beyond the sheet's own edges there is no step.
-LFGS_HD float step_of(const float* disparity, int64_t stride, int64_t at, int64_t count) {
+LFGS_HD float to_step(const float* disparity, int64_t stride, int64_t at, int64_t count) {
   if (at == 0 || at + 1 >= count) return 0;
   const float ahead = disparity[stride] - disparity[0], behind = disparity[0] - disparity[-stride];
   if (!(ahead * behind > 0)) return 0;
@@ -210,8 +210,8 @@ LFGS_HD TexelGaussian finish_texel(const Sheet& sheet, int reach, const Weight& 
     found.opacity = glm::clamp(look.opacity * outline * there, 0.f, look.most_opaque);
 
     const float slope = -1 / (disparity[0] * footprint);
-    const float across = step_of(disparity, 1, column, columns) * slope;
-    const float down = step_of(disparity, columns, row, sheet.rows()) * slope;
+    const float across = to_step(disparity, 1, column, columns) * slope;
+    const float down = to_step(disparity, columns, row, sheet.rows()) * slope;
     lay_along(glm::clamp(across, -look.steepest, look.steepest), glm::clamp(down, -look.steepest, look.steepest), ray,
               found);
   }

@@ -181,8 +181,8 @@ class Server(ThreadingHTTPServer):
     def url(self) -> str:
         """The address of the page for a browser on this machine."""
         if self.is_everywhere:
-            return self._url_of("127.0.0.1" if self._bound.version == 4 else "::1")
-        return self._url_of(str(self._bound))
+            return self._url("127.0.0.1" if self._bound.version == 4 else "::1")
+        return self._url(str(self._bound))
 
     @property
     def is_everywhere(self) -> bool:
@@ -193,9 +193,9 @@ class Server(ThreadingHTTPServer):
     def other_urls(self) -> list[str]:
         """The page's addresses for other machines, where it listens on all of this one's; as far as they are known."""
         families = [socket.AF_INET] if self._bound.version == 4 else [socket.AF_INET, socket.AF_INET6]
-        return [self._url_of(address) for address in _addresses(families)]
+        return [self._url(address) for address in _addresses(families)]
 
-    def _url_of(self, address: str) -> str:
+    def _url(self, address: str) -> str:
         return f"http://{f'[{address}]' if ':' in address else address}:{self.server_address[1]}"
 
     def is_named(self, name: str | None) -> bool:

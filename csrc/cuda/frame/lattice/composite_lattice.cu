@@ -118,7 +118,7 @@ __device__ float draw_lattice(const DirectFrame& frame, const List& list, int se
     const Point point(lattice, number);
     const float3 colour = draw(list, lattice, point, log2_parts, stop, background, memory);
     const bool keeps = own_part(log2_parts) == 0;
-    if (keeps && point.node) store_node(lattice, point, colour, place_of(memory, lattice, section, point), memory);
+    if (keeps && point.node) store_node(lattice, point, colour, place_index(memory, lattice, section, point), memory);
     __syncthreads();
     if (keeps && point.middle) {
       sums.add(difference(interpolated(lattice, Nodes(memory, section), point), colour));
@@ -160,7 +160,7 @@ __device__ bool fits(const DirectFrame& frame, const List& list, const LatticePa
 }
 
 // The i-th row of tiles that is drawn. The probed rows go first, to learn where lattices are worth trying.
-__device__ int row_of(int i, int probes) {
+__device__ int row_index(int i, int probes) {
   const int between = i - probes;
   return i < probes ? i * kProbeRows : between / (kProbeRows - 1) * kProbeRows + between % (kProbeRows - 1) + 1;
 }
@@ -272,7 +272,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   if (!state.lattices) return;
   const Tiling& tiling = frame.tiling();
   const int probes = (tiling.down + kProbeRows - 1) / kProbeRows, i = int(blockIdx.x) / tiling.across;
-  const int row = row_of(i, probes);
+  const int row = row_index(i, probes);
   if (row >= tiling.down) return;
   const bool probe = i < probes, first = threadIdx.x == 0;
   Tile tile(frame, tiling, row, int(blockIdx.x) - i * tiling.across);

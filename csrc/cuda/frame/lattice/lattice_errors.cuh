@@ -30,7 +30,7 @@ struct Point {
 };
 
 // Where in Memory::corners the cell that begins at a node has its place.
-__device__ inline int place_of(const Memory& memory, const Lattice& lattice, int section, const Point& node) {
+__device__ inline int place_index(const Memory& memory, const Lattice& lattice, int section, const Point& node) {
   return memory.first_node[section] + lattice.plane[node.k].first + node.j * lattice.across + node.i;
 }
 
@@ -53,7 +53,7 @@ __device__ inline float3 difference(float3 a, float3 b) { return make_float3(a.x
 // The colour that interpolation gives for the middle of a cell.
 __device__ inline float3 interpolated(const Lattice& lattice, const Nodes& nodes, const Point& middle) {
   auto channel = [&](int c) {
-    return nodes.at(nodes.row_of(c, middle.j), __float2half2_rn(0.5f), float(middle.i) + 0.5f,
+    return nodes.at(nodes.row_index(c, middle.j), __float2half2_rn(0.5f), float(middle.i) + 0.5f,
                     Seen(lattice, middle.k, 0.5f));
   };
   return make_float3(channel(0), channel(1), channel(2));
@@ -136,7 +136,7 @@ __device__ float move_nodes(const Lattice& lattice, int section, Memory& memory)
   for (int n = threadIdx.x; n < lattice.nodes(); n += kThreads) {
     const Point node(lattice, n);
     const float3 mean = errors_round(lattice, node, memory.errors);
-    const int place = place_of(memory, lattice, section, node);
+    const int place = place_index(memory, lattice, section, node);
     auto moved = [&](int c, float error) {
       largest = fmaxf(largest, fabsf(kNodeFactor * error));
       return fmaf(-kNodeFactor, error, __half2float(memory.corners[c][place].low.x));

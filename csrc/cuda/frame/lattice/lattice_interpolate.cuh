@@ -27,7 +27,7 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const View
   for (int i = 0; i < 3; ++i) {
     const bool next = place + i >= 3;
     const int at = place + i - 3 * next;
-    channels[i] = nodes.row_of(tile.lens.channels[at], row), x[i] = next ? x_first + nodes.per_x : x_first;
+    channels[i] = nodes.row_index(tile.lens.channels[at], row), x[i] = next ? x_first + nodes.per_x : x_first;
   }
 
   // Three at a time

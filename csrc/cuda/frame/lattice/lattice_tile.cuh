@@ -251,7 +251,7 @@ struct Nodes {
         last_along(float(lattice.across - 1 - lattice.margin) - 0.02f) {}
 
   // Where a row of nodes of a channel begins, less what the bits of a NodePosition are too large by (modulo 2^32).
-  __device__ unsigned row_of(int channel, int row) const {
+  __device__ unsigned row_index(int channel, int row) const {
     return unsigned(channel * kChannelNodes + row * across) - NodePosition::kMagicBits;
   }
   // The colour at x0 + along step_x, as seen, `part` (twice in a word) of the way from the row of nodes to the next. It

@@ -87,7 +87,7 @@ struct Patch {
     // At which place of a pixel the lenses of this lane's samples begin
     places = 0;
     for (int s = 0; s < 2 * kFragments; ++s)  // sample s is in fragment s / 2, in row lane / 4 of it or 8 more
-      places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
+      places |= 1u << 8 * place_index(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
   }
 
   // Staged splat i; in the place of its depth is a number, see splat_with_entry().
@@ -180,7 +180,7 @@ struct Patch {
       const uchar2 lens_columns = own.lens_columns[kept.x][kept.y];
       const int begin = max(start + max(int(lens_columns.x), first), 0);
       const int end = min(start + min(int(lens_columns.y), last + 1), 3 * lens.width_px);
-      int place = place_of(start + first);
+      int place = place_index(start + first);
 #pragma unroll
       for (int t = 0; t < kLensColumns; ++t, place = place == 2 ? 0 : place + 1) {
         const int m = start + first + t;

@@ -214,13 +214,13 @@ __device__ Marks specialise(const DirectFrame& frame, int count, float2 centre, 
 
   // Colours become steps, and find their places in the fit
   if (needs_exact) colour = {};
-  auto step_of = [&](float4 part, float4& last) { return steps(by_place<C::Cells>(frame.optics, part), count, last); };
-  const float4 step = step_of(colour.value, staged.colour.value);
+  auto to_step = [&](float4 part, float4& last) { return steps(by_place<C::Cells>(frame.optics, part), count, last); };
+  const float4 step = to_step(colour.value, staged.colour.value);
   fit[2].z = step.x, fit[2].w = step.y, fit[3].x = step.z;
   float4 slope = colour.slope, bend = colour.bend;
-  if constexpr (C::Harmonics) slope = step_of(slope, staged.colour.slope);
+  if constexpr (C::Harmonics) slope = to_step(slope, staged.colour.slope);
   if constexpr (C::Harmonics && !C::SlopesInFit) staged.slope[lane] = slope;
-  if constexpr (C::Bends) staged.bend[lane] = bend = step_of(bend, staged.colour.bend);
+  if constexpr (C::Bends) staged.bend[lane] = bend = to_step(bend, staged.colour.bend);
   if constexpr (C::SlopesInFit) fit[3] = make_float4(step.z, slope.x, slope.y, slope.z);
   if (C::Half) put_halves(fit, slope, half_unit(frame.optics));
 
