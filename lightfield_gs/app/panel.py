@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.base.cli_messages import note
@@ -14,8 +15,10 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.simulate import missing_geometry
+
+if TYPE_CHECKING:
+    from lightfield_gs.panels.quilt import QuiltLayout
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.checks import expect
+from lightfield_gs.base.checks import expect, wrong_type
 from lightfield_gs.base.errors import InputError
 
 Colour = Sequence[float] | np.ndarray | Tensor  # red, green and blue, or anything that broadcasts to them
@@ -68,8 +68,8 @@ def check_tensor(
     Raises:
         InputError: for another type, shape, dtype or device.
     """
-    expect(what, value, Tensor)
-    assert isinstance(value, Tensor)
+    if not isinstance(value, Tensor):
+        raise wrong_type(what, value, Tensor)
     if value.shape != shape:
         raise InputError(f"{what} must be {list(shape)}, got {list(value.shape)}")
     if value.dtype != dtype or value.device != device:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, field, fields
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,14 @@ def counted(count: int, what: str = "item", of: int | None = None, does: str = "
 def expect(what: str, value: object, *kinds: type) -> None:
     """Raises InputError unless the value is of one of these types; True and False are no numbers."""
     if not isinstance(value, kinds) or isinstance(value, bool) and bool not in kinds:
-        wanted = [_KIND_NAMES.get(kind.__name__, kind.__name__) for kind in kinds]
-        hint = "; use torch.from_numpy" if isinstance(value, np.ndarray) and "torch.Tensor" in wanted else ""
-        raise InputError(f"{what}: expected {' or '.join(wanted)}, got {type(value).__name__}{hint}")
+        raise wrong_type(what, value, *kinds)
+
+
+def wrong_type(what: str, value: object, *kinds: type) -> InputError:
+    """Return the error of a value that has none of the expected types."""
+    wanted = [_KIND_NAMES.get(kind.__name__, kind.__name__) for kind in kinds]
+    hint = "; use torch.from_numpy" if isinstance(value, np.ndarray) and "torch.Tensor" in wanted else ""
+    return InputError(f"{what}: expected {' or '.join(wanted)}, got {type(value).__name__}{hint}")
 
 
 def _is_number(value: object) -> bool:
@@ -69,3 +75,38 @@ def is_row(values: Any, count: int | None = None) -> bool:
     else:
         good = isinstance(values, Sequence) and not isinstance(values, (str, bytes))
     return good and count in (None, len(values))
+
+
+def number_pair(what: str, values: Any, low: float, high: float) -> tuple[float, float]:
+    """Return `values` as two floats in low..high; raise InputError for others."""
+    if not is_row(values, 2):
+        raise InputError(f"{what} must be two numbers, got {shown(values)}")
+    return real_number(what, values[0], low, high), real_number(what, values[1], low, high)
+
+
+def checked_field(check: Callable[..., Any], *bounds: Any, default: Any = MISSING) -> Any:
+    """Return a dataclass field for check_fields; it may be None where its default is.
+
+    Args:
+        check: whole_number or another function that takes the name, the value and the bounds, and returns the value.
+        bounds: what `check` takes beside name and value.
+        default: of the field; without one the field has to be given.
+    """
+    return field(default=default, metadata={"check": check, "bounds": bounds})
+
+
+def check_fields(record: Any, prefix: str = "") -> None:
+    """Check the fields of a dataclass that checked_field made, and store the values that the checks return.
+
+    Args:
+        record: the instance, frozen or not.
+        prefix: what stands before the fields' names in messages.
+
+    Raises:
+        InputError: a value is refused.
+    """
+    for one in fields(record):
+        value = getattr(record, one.name)
+        if one.metadata and not (value is None and one.default is None):
+            checked = one.metadata["check"](f"{prefix}{one.name}", value, *one.metadata["bounds"])
+            object.__setattr__(record, one.name, checked)

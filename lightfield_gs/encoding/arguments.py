@@ -15,7 +15,7 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, check_values
 
 DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024
@@ -79,7 +79,7 @@ def check_types(
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
-        gaussians.validate()  # looks at values, which waits for the device: a stream that captures must not
+        check_values(gaussians)  # looks at values, which waits for the device: a stream that captures must not
 
 
 def check_together(

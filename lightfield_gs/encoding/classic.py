@@ -23,7 +23,7 @@ from lightfield_gs.rasterizer.images import render
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras, recentre
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, check_values
 
 
 @torch.no_grad()
@@ -53,7 +53,7 @@ def render_views(
     expect("antialiased", antialiased, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
-        gaussians.validate()  # on CUDA looking at values would wait for the device
+        check_values(gaussians)  # on CUDA looking at values would wait for the device
     aperture = view_aperture(panel, rig, check_view_filter(view_filter))
     colour = background_tensor(background, gaussians.means)
     return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0]

@@ -16,13 +16,13 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import to_bytes
+from lightfield_gs.base.arrays import check_tensor, to_bytes
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
-from lightfield_gs.rasterizer.scene import SceneTensors, check, float_and_byte_addresses
+from lightfield_gs.rasterizer.scene import SceneTensors, float_and_byte_addresses
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import CpuWorkspace
 from lightfield_gs.scene.cameras import Cameras
@@ -260,7 +260,7 @@ def encode_sorted(
             f"the plan was made for {plan.device_type}, and the Gaussians are on {device}: make "
             f"SortedPlan(..., device='{device.type}')"
         )
-    background = check("background", background, (3,), scene)
+    background = check_tensor("background", background, (3,), scene.dtype, scene.device)
     out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
     if plan.hidden:
         out[:] = to_bytes(background.clone()) if as_bytes else background

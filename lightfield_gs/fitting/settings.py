@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.base.checks import check_fields, checked_field, expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
 
 Density = Literal["mcmc", "adaptive"]
@@ -52,37 +52,32 @@ def decay_rate(rate: float, decay: float, step: int, steps: int) -> float:
 
 def _whole(default: int | None, low: int = 0, high: int = _MOST_STEPS) -> Any:
     """Return a field of whole numbers low..high; also None where the default is None."""
-    return field(default=default, metadata={"type": int, "range": (low, high)})
+    return checked_field(whole_number, low, high, default=default)
 
 
 def _real(default: float | None, low: float = 0.0, high: float = 1e9) -> Any:
     """Return a field of real numbers low..high; also None where the default is None."""
-    return field(default=default, metadata={"type": float, "range": (low, high)})
+    return checked_field(real_number, low, high, default=default)
 
 
 def _choice(default: str, choices: tuple[str, ...]) -> Any:
     """Return a field that takes one of `choices`."""
-    return field(default=default, metadata={"type": str, "choices": choices})
+    return checked_field(_one_of, choices, default=default)
 
 
 def _flag(default: bool) -> Any:
     """Return a field that takes True or False."""
-    return field(default=default, metadata={"type": bool})
+    return checked_field(_boolean, default=default)
 
 
-def _checked(setting: Field, value: Any) -> Any:
-    """Return a value in its setting's type; raise InputError where the setting's metadata forbid it."""
-    name, kind = setting.name, setting.metadata["type"]
-    if value is None and setting.default is None:
-        return None
-    if kind is int:
-        return whole_number(name, value, *setting.metadata["range"])
-    if kind is float:
-        return real_number(name, value, *setting.metadata["range"])
-    if kind is bool:
-        expect(name, value, bool)
-    elif value not in (choices := setting.metadata["choices"]):
+def _one_of(name: str, value: Any, choices: tuple[str, ...]) -> Any:
+    if value not in choices:
         raise InputError(f"{name}: expected {' or '.join(choices)}, got {shown(value)}")
+    return value
+
+
+def _boolean(name: str, value: Any) -> Any:
+    expect(name, value, bool)
     return value
 
 
@@ -150,9 +145,7 @@ class FitSettings:
     morton_every: int = _whole(5000)
 
     def __post_init__(self) -> None:
-        for setting in fields(self):
-            if setting.metadata:
-                object.__setattr__(self, setting.name, _checked(setting, getattr(self, setting.name)))
+        check_fields(self)
         if self.background is not None:
             if not is_row(self.background, 3):
                 raise InputError(f"background: expected red, green and blue, or none, got {shown(self.background)}")

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect, real_number, shown, whole_number
+from lightfield_gs.base.checks import check_fields, checked_field, expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.options import (
     CELL_ROWS,
@@ -39,6 +39,7 @@ from lightfield_gs.panels.looking_glass import panel_fields
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
 DEFAULT_PANEL = "65in-8k-96v"
+STRIPES: tuple[Cell, ...] = ()  # the sub-pixel cells of a panel that has none
 LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 
 
@@ -79,48 +80,35 @@ class Panel:
         InputError: A value is out of its range.
     """
 
-    width_px: int
-    height_px: int
-    views: int
-    line_number: float
-    slant_tan: float
-    phase: float = 0.0
+    width_px: int = checked_field(whole_number, 1, MAX_SIZE_PX)
+    height_px: int = checked_field(whole_number, 1, MAX_SIZE_PX)
+    views: int = checked_field(whole_number, 1, MAX_VIEWS)
+    line_number: float = checked_field(real_number, 1e-3, 1e6)
+    slant_tan: float = checked_field(real_number, -10, 10)
+    phase: float = checked_field(real_number, -1e12, 1e12, default=0.0)
     subpixel_order: SubpixelOrder = "RGB"
     invert_views: bool = False
-    cone_deg: float = DEFAULT_CONE_DEG
-    viewing_distance_mm: float | None = None
-    pixel_pitch_mm: float | None = None
+    cone_deg: float = checked_field(real_number, 1e-6, 180, default=DEFAULT_CONE_DEG)
+    viewing_distance_mm: float | None = checked_field(real_number, 1e-3, 1e9, default=None)
+    pixel_pitch_mm: float | None = checked_field(real_number, 1e-6, 1e6, default=None)
     name: str = "panel"
-    subpixel_cells: tuple[Cell, ...] = ()
+    subpixel_cells: tuple[Cell, ...] = STRIPES
     cell_pattern: int = 0
     cell_rule: CellRule = "unity"
     cell_rows: CellRows = "bottom"
 
     def __post_init__(self) -> None:
-        for key, low, high in (("width_px", 1, MAX_SIZE_PX), ("height_px", 1, MAX_SIZE_PX), ("views", 1, MAX_VIEWS)):
-            self._set(key, whole_number(f"panel: {key}", getattr(self, key), low, high))
-        for key, least, most in (
-            ("line_number", 1e-3, 1e6),
-            ("slant_tan", -10, 10),
-            ("phase", -1e12, 1e12),
-            ("cone_deg", 1e-6, 180),
-            ("viewing_distance_mm", 1e-3, 1e9),
-            ("pixel_pitch_mm", 1e-6, 1e6),
-        ):
-            if getattr(self, key) is not None or key not in ("viewing_distance_mm", "pixel_pitch_mm"):
-                self._set(key, real_number(f"panel: {key}", getattr(self, key), least, most))
+        check_fields(self, "panel: ")
         if self.cone_deg >= 180:
             raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
         if not isinstance(self.subpixel_order, str) or self.subpixel_order not in SUBPIXEL_ORDERS:
             raise InputError(f"panel: subpixel_order must be RGB or BGR, got {shown(self.subpixel_order)}")
         if not isinstance(self.invert_views, bool):
             raise InputError(f"panel: invert_views must be true or false, got {shown(self.invert_views)}")
-        self._set("name", str(self.name))
-        self._set("subpixel_cells", checked_cells(self.subpixel_cells))
+        object.__setattr__(self, "name", str(self.name))
+        if self.subpixel_cells is not STRIPES:
+            object.__setattr__(self, "subpixel_cells", checked_cells(self.subpixel_cells))
         self._check_cells()
-
-    def _set(self, key: str, value: Any) -> None:
-        object.__setattr__(self, key, value)
 
     def _check_cells(self) -> None:
         """Raise InputError for an unknown pattern, rule or origin of rows, or for too few cells."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import real_number, whole_number
+from lightfield_gs.base.checks import check_fields, checked_field, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, MAX_SIDE_PX
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
@@ -39,18 +39,16 @@ class QuiltLayout:
         InputError: A value is out of its range.
     """
 
-    columns: int
-    rows: int
-    aspect: float
+    columns: int = checked_field(whole_number, 1, MAX_VIEWS)
+    rows: int = checked_field(whole_number, 1, MAX_VIEWS)
+    aspect: float = checked_field(real_number, 0.01, 100)
     width_px: int | None = None
     height_px: int | None = None
 
     def __post_init__(self) -> None:
-        for key in ("columns", "rows"):
-            object.__setattr__(self, key, whole_number(f"quilt: {key}", getattr(self, key), 1, MAX_VIEWS))
+        check_fields(self, "quilt: ")
         if self.views > MAX_VIEWS:
             raise InputError(f"quilt: expected at most {MAX_VIEWS} views, got {self.columns} x {self.rows}")
-        object.__setattr__(self, "aspect", real_number("quilt: aspect", self.aspect, 0.01, 100))
         if self.width_px is None or self.height_px is None:
             return
         for key, least in (("width_px", self.columns), ("height_px", self.rows)):

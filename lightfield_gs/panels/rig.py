@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.base.checks import (
+    check_fields,
+    checked_field,
+    expect,
+    is_row,
+    number_pair,
+    real_number,
+    shown,
+    whole_number,
+)
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.text_files import read_mapping, write_mapping
 from lightfield_gs.panels.panel import Panel
@@ -40,18 +49,14 @@ class Rig:
     """
 
     world_to_camera: np.ndarray
-    focal_px: tuple[float, float]
-    principal_point_px: tuple[float, float]
-    zero_depth: float
-    cone_deg: float | None = None
+    focal_px: tuple[float, float] = checked_field(number_pair, 1e-3, 1e9)
+    principal_point_px: tuple[float, float] = checked_field(number_pair, -1e9, 1e9)
+    zero_depth: float = checked_field(real_number, 1e-6, 1e12)
+    cone_deg: float | None = checked_field(real_number, 0, 179.999, default=None)
 
     def __post_init__(self) -> None:
         self.world_to_camera = _rigid(self.world_to_camera)
-        self.focal_px = _pair("rig: focal_px", self.focal_px, 1e-3, 1e9)
-        self.principal_point_px = _pair("rig: principal_point_px", self.principal_point_px, -1e9, 1e9)
-        self.zero_depth = real_number("rig: zero_depth", self.zero_depth, 1e-6, 1e12)
-        if self.cone_deg is not None:
-            self.cone_deg = real_number("rig: cone_deg", self.cone_deg, 0, 179.999)
+        check_fields(self, "rig: ")
 
     # Files
 
@@ -224,9 +229,3 @@ def _rigid(given: Any) -> np.ndarray:
             "scale, shear or mirroring is not allowed"
         )
     return matrix
-
-
-def _pair(what: str, values: Any, low: float, high: float) -> tuple[float, float]:
-    if not is_row(values, 2):
-        raise InputError(f"{what} must be two numbers, got {shown(values)}")
-    return real_number(what, values[0], low, high), real_number(what, values[1], low, high)

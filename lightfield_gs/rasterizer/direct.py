@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.rasterizer.lenticular_camera import CameraNumbers, LenticularCamera
 from lightfield_gs.rasterizer.operators import differentiable_once, operator_schema
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import SceneTensors, check
+from lightfield_gs.rasterizer.scene import SceneTensors
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import Workspace, make_workspace
 
@@ -41,7 +42,7 @@ class DirectRender:
             InputError: for tensors of other shapes, types or devices.
         """
         self.scene = SceneTensors(*(t.unsqueeze(0) for t in fields))
-        self.background = check("background", background, (3,), self.scene)
+        self.background = check_tensor("background", background, (3,), self.scene.dtype, self.scene.device)
         self.camera, self.antialiased, self.native = camera, antialiased, camera.native(antialiased)
         self.compensated = antialiased or camera.aperture > 0  # opacities are lowered where footprints are widened
         self.width, self.height = camera.lens.width_px, camera.lens.height_px
@@ -148,7 +149,8 @@ def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
     """
     render, drawn = _unpack(arguments), _Drawn(*arguments[_OPTIONS + 1 :])
     shape = (render.height, render.width, 3)
-    image, g_image = (check(name, t, shape, render.scene) for name, t in zip(drawn._fields, drawn))
+    like = render.scene.dtype, render.scene.device
+    image, g_image = (check_tensor(name, t, shape, *like) for name, t in zip(drawn._fields, drawn))
     work = render.workspace(Stats(), torch.get_num_threads())
     with render.scene.guard:
         fields, parts = work.direct_backward(render.native, render.background, image, g_image)

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.scene import GradientRequest, ImageGradients, RenderState, SceneTensors, check
+from lightfield_gs.rasterizer.scene import GradientRequest, ImageGradients, RenderState, SceneTensors
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import make_workspace
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, project_images_backward
@@ -113,9 +114,9 @@ class ImageInputs:
         self.lead = lead = (scene.batch, world_to_camera.shape[1])
         self.images, self.width, self.height = lead[0] * lead[1], width, height
         self._camera_tensors = [
-            check("world_to_camera", world_to_camera, (*lead, 4, 4), scene),
-            check("intrinsics", intrinsics, (*lead, 4), scene),
-            check("limits", limits, (*lead, 5), scene),
+            check_tensor("world_to_camera", world_to_camera, (*lead, 4, 4), scene.dtype, scene.device),
+            check_tensor("intrinsics", intrinsics, (*lead, 4), scene.dtype, scene.device),
+            check_tensor("limits", limits, (*lead, 5), scene.dtype, scene.device),
         ]
         poses, optics, edges = (t.data_ptr() for t in self._camera_tensors)
         self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
@@ -170,7 +171,8 @@ class ImageRender:
             InputError: for a background or state that does not fit the inputs.
         """
         self.inputs, self.scene, self.stats = inputs, inputs.scene, stats or Stats()
-        self.background = check("background", background, (*inputs.lead, 3), self.scene)
+        like = self.scene.dtype, self.scene.device
+        self.background = check_tensor("background", background, (*inputs.lead, 3), *like)
         with self.scene.guard:
             self.work = make_workspace(
                 self.scene,
@@ -244,8 +246,9 @@ class ImageRender:
 
     def _checked(self, prefix: str, images: ImageBuffers) -> ImageBuffers:
         """Return the images contiguous. Raises InputError."""
+        like = self.scene.dtype, self.scene.device
         image, alpha, depth = (
-            None if tensor is None else check(prefix + name, tensor, shape, self.scene)
+            None if tensor is None else check_tensor(prefix + name, tensor, shape, *like)
             for name, tensor, shape in zip(images._fields, images, self.inputs.shapes)
         )
         assert image is not None

@@ -22,7 +22,7 @@ from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunk
 from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.cameras import Cameras, recentre
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, check_values
 
 
 class RenderedImages(NamedTuple):
@@ -82,7 +82,7 @@ def render(
         expect(name, value, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
-        gaussians.validate()  # on CUDA looking at values would wait for the device
+        check_values(gaussians)  # on CUDA looking at values would wait for the device
     refuse_tangents(*gaussians.fields().values(), background, cameras.world_to_camera)
     if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
         raise InputError(

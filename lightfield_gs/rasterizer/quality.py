@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from lightfield_gs import _core
-from lightfield_gs.base.checks import real_number, shown
+from lightfield_gs.base.checks import check_fields, checked_field, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QualityName
 
@@ -45,23 +45,15 @@ class Quality:
     Raises InputError for numbers out of their ranges.
     """
 
-    opacity_cut: float = OPACITY_CUT
-    transmittance_stop: float = TRANSMITTANCE_STOP
-    colour_error: float = COLOUR_ERROR
-    lattice_error: float = 0.0
-    contribution_cut: float = 0.0
-    evaluation_error: float = 0.0
+    opacity_cut: float = checked_field(real_number, OPACITY_CUT, 0.5, default=OPACITY_CUT)
+    transmittance_stop: float = checked_field(real_number, TRANSMITTANCE_STOP, 0.5, default=TRANSMITTANCE_STOP)
+    colour_error: float = checked_field(real_number, 0.0, 1.0, default=COLOUR_ERROR)
+    lattice_error: float = checked_field(real_number, 0.0, 1.0, default=0.0)
+    contribution_cut: float = checked_field(real_number, 0.0, 1.0, default=0.0)
+    evaluation_error: float = checked_field(real_number, 0.0, 1.0, default=0.0)
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("opacity_cut", OPACITY_CUT, 0.5),
-            ("transmittance_stop", TRANSMITTANCE_STOP, 0.5),
-            ("colour_error", 0.0, 1.0),
-            ("lattice_error", 0.0, 1.0),
-            ("contribution_cut", 0.0, 1.0),
-            ("evaluation_error", 0.0, 1.0),
-        ):
-            real_number(f"quality: {name}", getattr(self, name), low, high)
+        check_fields(self, "quality: ")
 
     @staticmethod
     def of(quality: QualityName | Quality) -> Quality:

@@ -34,11 +34,6 @@ def _stages(tensor: Tensor) -> ModuleType:
     raise InputError(f"the rasterizer takes float32 or float64 tensors, got {tensor.dtype}")
 
 
-def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor | SceneTensors) -> Tensor:
-    """Return `tensor` contiguous. Raises InputError for another shape, or dtype or device than those of `like`."""
-    return check_tensor(name, tensor, shape, like.dtype, like.device)
-
-
 def float_and_byte_addresses(out: Tensor) -> tuple[int, int]:
     """Return where a composite writes floats, and where bytes: the address of `out` for its type, and 0."""
     return (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
@@ -64,11 +59,14 @@ class SceneTensors:
         self.dtype, self.device = means.dtype, means.device
         self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[2]]
         self.tensors = [
-            check("means", means, (batch, count, 3), means),
-            check("quaternions", quaternions, (batch, count, 4), means),
-            check("scales", scales, (batch, count, 3), means),
-            check("opacities", opacities, (batch, count), means),
-            check("sh", sh, (batch, count, sh.shape[2], 3), means),
+            check_tensor(name, tensor, (batch, count, *shape), self.dtype, self.device)
+            for name, tensor, shape in (
+                ("means", means, (3,)),
+                ("quaternions", quaternions, (4,)),
+                ("scales", scales, (3,)),
+                ("opacities", opacities, ()),
+                ("sh", sh, (sh.shape[2], 3)),
+            )
         ]
 
     def without_values(self) -> SceneTensors:
@@ -116,7 +114,7 @@ class RenderState(NamedTuple):
     def check(self, images: int, scene: SceneTensors, colour_order: int, least_bytes: int) -> RenderState:
         """Return the state contiguous. Raises InputError if it is not of such a render."""
         splats, colours = (
-            check(f"state: {name}", t, shape, scene)
+            check_tensor(f"state: {name}", t, shape, scene.dtype, scene.device)
             for name, t, shape in zip(self._fields, self, self.shapes(images, scene.count, colour_order))
         )
         size = self.lists.numel()

@@ -14,7 +14,7 @@ import torch
 
 import lightfield_gs
 from lightfield_gs.base.assumptions import Loss, assume
-from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.checks import is_row, real_number, shown, wrong_type
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.scene.rotation import rotated_fields
@@ -58,7 +58,8 @@ class Gaussians:
 
     def _expect_tensors(self) -> None:
         for name, tensor in self.fields().items():
-            expect(name, tensor, torch.Tensor)
+            if not isinstance(tensor, torch.Tensor):
+                raise wrong_type(name, tensor, torch.Tensor)
 
     @property
     def count(self) -> int:
@@ -127,18 +128,7 @@ class Gaussians:
                 field and the first bad index.
         """
         self.validate_layout()
-        if self.count == 0:
-            return self
-        fields, (extremes, has_rotations) = self.fields(), _extremes(self)
-        for (name, tensor), (low, high) in zip(fields.items(), extremes):
-            if not (math.isfinite(low) and math.isfinite(high)):
-                _raise_for(torch.isfinite(tensor), name, tensor, "a finite number")
-            if name == "scales" and low <= 0:
-                _raise_for(tensor > 0, name, tensor, "a standard deviation > 0")
-            if name == "opacities" and (low < 0 or high > 1):
-                _raise_for((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
-        if not has_rotations:
-            _raise_for(self.quaternions.any(-1), "quaternions", self.quaternions, "not all four zero")
+        check_values(self)
         return self
 
     def validate_layout(self) -> None:
@@ -205,6 +195,22 @@ class Gaussians:
         """
         for words in lightfield_gs.write_scene(self, path, comments):
             assume(f"{path}: {words}", Loss)
+
+
+def check_values(gaussians: Gaussians) -> None:
+    """Raise InputError for values that Gaussians.validate refuses; their layout is valid."""
+    if gaussians.count == 0:
+        return
+    fields, (extremes, has_rotations) = gaussians.fields(), _extremes(gaussians)
+    for (name, tensor), (low, high) in zip(fields.items(), extremes):
+        if not (math.isfinite(low) and math.isfinite(high)):
+            _raise_for(torch.isfinite(tensor), name, tensor, "a finite number")
+        if name == "scales" and low <= 0:
+            _raise_for(tensor > 0, name, tensor, "a standard deviation > 0")
+        if name == "opacities" and (low < 0 or high > 1):
+            _raise_for((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
+    if not has_rotations:
+        _raise_for(gaussians.quaternions.any(-1), "quaternions", gaussians.quaternions, "not all four zero")
 
 
 def _extremes(gaussians: Gaussians) -> tuple[list[tuple[float, float]], bool]:
