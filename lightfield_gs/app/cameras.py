@@ -151,11 +151,10 @@ def _look_from(
 
 
 def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-    from lightfield_gs.panels.framing import frame_scene
 
     axis = scene_up(up, file)
     notes: list[str] = []
-    rig = frame_scene(gaussians, panel, up=axis.axis, notes=notes)
+    rig = Rig.frame(gaussians, panel, up=axis.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
     return rig, [f"axes: {axis.describe()}", *(f"framing: {words}; {others}" for words in notes)]
 

@@ -19,7 +19,6 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
@@ -130,7 +129,7 @@ def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> flo
 def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
     """The rig of a scene: that of the synthetic ones, or automatic framing of a .ply file; its cone always stated."""
     if Path(scene).suffix.lower() == ".ply":
-        rig = frame_scene(gaussians, panel)
+        rig = Rig.frame(gaussians, panel)
         return replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
     focal, centre = (panel.width_px, panel.width_px), (panel.width_px / 2, panel.height_px / 2)
     return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_degrees(cone, panel, panel.width_px))

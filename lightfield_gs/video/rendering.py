@@ -22,7 +22,8 @@ from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
-from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.scene.gaussians import Gaussians
 
 _EYE_WIDTH_PX = 1920

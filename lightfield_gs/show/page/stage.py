@@ -24,7 +24,8 @@ from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.look import CONES_DEG, MOST_AMOUNT, MOST_PAN, ZOOMS, Look
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.preview import contact_sheet, to_integers
