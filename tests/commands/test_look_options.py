@@ -9,6 +9,7 @@ import torch
 from command_line import PANEL, complaint, run
 
 from lightfield_gs import Look, cli, depth_report
+from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.io.images import read_info
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
@@ -77,7 +78,7 @@ def test_the_depth_report_is_that_of_the_library(folder, capsys):
     report = depth_report(gaussians, PANEL, Rig.frame(gaussians, PANEL))
     assert code == 0 and output.out.splitlines()[-6:] == report.lines()
     # A cloud of scattered Gaussians has gaps all over
-    assert output.err.splitlines() == [f"note: {words}" for words in report.warnings()] and output.err
+    assert output.err.splitlines() == [f"note: {as_options(words)}" for words in report.warnings()] and output.err
 
 
 def test_what_was_steered_gets_notes_unasked(folder, capsys):
