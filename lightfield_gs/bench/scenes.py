@@ -101,9 +101,13 @@ def check_scene(name: str, sh_degree: int | None = None) -> None:
 
 
 def load_scene(name: str, sh_degree: int | None = None) -> Gaussians:
-    """A scene by name: `sheet:S`, `cloud:N`, or the path of a .ply file.
+    """Return a scene by name: `sheet:S`, `cloud:N`, or the path of a .ply file.
 
-    sh_degree: 0..3 of a synthetic scene (None: 0); a file has its own. Raises InputError.
+    Args:
+        sh_degree: 0..3 of a synthetic scene (None: 0); a file has its own.
+
+    Raises:
+        InputError: there is no such scene.
     """
     check_scene(name, sh_degree)
     kind, _, size = name.partition(":")

@@ -118,7 +118,11 @@ class EyeRenderer:
 
 
 class FrameRenderer(Protocol):
-    """Renders a frame. size_px: (width, height)."""
+    """Renders a frame.
+
+    Attributes:
+        size_px: Width and height.
+    """
 
     size_px: tuple[int, int]
 
@@ -126,7 +130,7 @@ class FrameRenderer(Protocol):
 
 
 class Sink(AbstractContextManager, Protocol):
-    """A FrameFolder or a VideoFile. fetch: returns a frame on the host in the form that `put` takes."""
+    """A FrameFolder or a VideoFile."""
 
     missing: list[int]
 
