@@ -42,17 +42,7 @@ class FramingConstants:
     visible: float = 0.7  # visible fraction of the content that is enough
     worth: float = 0.1  # gain of the visible fraction for which the camera goes nearer
     # factors of the usual distance that it tries
-    nearer: tuple[float, float, float, float, float, float, float, float, float] = (
-        0.85,
-        0.7,
-        0.6,
-        0.5,
-        0.4,
-        0.3,
-        0.2,
-        0.12,
-        0.06,
-    )
+    nearer: tuple[float, ...] = (0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06)
     # fraction of the scene up to which the rest counts as floaters, which are left out even if a given camera could
     # show them
     few: float = 0.1
