@@ -35,9 +35,11 @@ OPTIONS = {"packed": False, "near_plane": 0.01, "rasterize_mode": "classic"}
 
 @dataclass(frozen=True)
 class Recipe:
-    """What an arm is made of. our_loss: that of our fits, in one pass, in place of torch's operations.
+    """Parts of an arm. Our rasterizer does not go with absgrad, whose gradients lie in an attribute of gsplat's own
+    tensor.
 
-    Ours as the rasterizer does not go with absgrad, which wants its gradients in an attribute of gsplat's own tensor.
+    Attributes:
+        our_loss: Our fits' loss in one pass, in place of torch's operations.
     """
 
     rasterizer: Literal["gsplat", "ours"]

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from lightfield_gs.io.scenes.files import read_scene, write_scene
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.comfort import DepthReport, depth_report
-    from lightfield_gs.panels.framing import frame_scene
     from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
@@ -53,7 +52,6 @@ _HOMES = {
     "depth_report": "panels.comfort",
     "encode": "encoding.encode",
     "fit": "fitting.fit",
-    "frame_scene": "panels.framing",
     "from_depth": "photo.rgbd",
     "interlace": "encoding.classic",
     "load_photo": "photo.load",
@@ -86,7 +84,6 @@ __all__ = [
     "depth_report",
     "encode",
     "fit",
-    "frame_scene",
     "from_depth",
     "interlace",
     "load_photo",

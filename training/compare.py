@@ -59,8 +59,12 @@ class Arm:
 
 @dataclass(frozen=True)
 class Experiment:
-    """runs: the configuration of each arm's run. scored: folders that all are scored on in the end, by the names that
-    the report gives them."""
+    """Runs to train and score.
+
+    Attributes:
+        runs: The configuration of each arm's run.
+        scored: Folders on which all runs are scored in the end, by their names in the report.
+    """
 
     output_dir: Path
     runs: dict[str, TrainingConfig]

@@ -53,9 +53,15 @@ def is_finished(run: TrainingConfig) -> bool:
 
 
 def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, Tensor]) -> dict[str, Any]:
-    """Scores of a finished run in each folder; kept beside its weights, for as long as these and the data are the same.
+    """Return scores of a finished run in each folder.
 
-    decoded: see score_folder. Raises InputError for data that cannot be used.
+    They stay beside the weights as long as the weights and the data are the same.
+
+    Args:
+        decoded: See score_folder.
+
+    Raises:
+        InputError: the data cannot be used.
     """
     weights = _final_weights(run)
     of = {

@@ -31,9 +31,13 @@ class Point(NamedTuple):
 
 
 def read_point(text: str, other: str | None) -> Point:
-    """The point that AXIS:VALUE=FOLDER names. other: the arm that the first is compared with; None: the only other.
+    """Return the point that AXIS:VALUE=FOLDER names.
 
-    Raises InputError for anything else, and where the folder has no report of such arms.
+    Args:
+        other: The arm that the first is compared with; None: the only other.
+
+    Raises:
+        InputError: the text has another form, or the folder has no report of such arms.
     """
     place, equals, folder = text.partition("=")
     axis, colon, number = place.rpartition(":")

@@ -37,8 +37,11 @@ Source = int | Literal["middle"]
 class Comparison:
     """One object with V views, the source being one of them.
 
-    source: its number. doubt: set where the cameras stand elsewhere than the network expects. azimuths_deg: [V], from
-    the source. truth, rendered, card: [V,3,H,W] on white, 0..1.
+    Attributes:
+        source: Number of the source.
+        doubt: Set where the cameras stand elsewhere than the network expects.
+        azimuths_deg: [V], from the source.
+        truth, rendered, card: [V,3,H,W] on white, 0..1.
     """
 
     name: str

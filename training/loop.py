@@ -34,9 +34,10 @@ from training.trainer import StepValues, Trainer
 
 
 def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> BatchPlanner:
-    """The source of a run's batches, its views on the team's device; decodes the data first where that is not done.
+    """Return the source of a run's batches, its views on the team's device; decode the data first if necessary.
 
-    tell: print what says, in each set, which pixels are object.
+    Args:
+        tell: Print how each set's object pixels are found.
     """
     with team.leader_first():
         sets, target_sets = (
@@ -124,9 +125,10 @@ def _record(values: StepValues, log: RunLog) -> bool:
 
 
 def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> None:
-    """Scores the averaged weights on objects of the validation folder, if that is due and not done.
+    """Score the averaged weights on objects of the validation folder, if that is due and not done.
 
-    decoded: see score_folder.
+    Args:
+        decoded: See score_folder.
     """
     config = trainer.config
     if not (trainer.team.leads and config.scores_due(trainer.step)) or trainer.step <= log.scored:

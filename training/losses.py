@@ -56,12 +56,16 @@ def composite(premultiplied: Tensor, backgrounds: Tensor) -> Tensor:
 
 
 def roughness(means: Tensor, source: Tensor) -> Tensor:
-    """How much the disparity 1/z of Gaussians differs between neighbouring pixels of the object, scene units^-1.
+    """Return how much the disparity 1/z of Gaussians differs between neighbouring pixels of the object, scene units^-1.
 
-    Where the depth is uncertain, squared error rewards scattering neighbours over it, which shows as dots in magnified
-    views. Differences count less across edges of the picture, where depth may jump.
-    Every example counts alike, whatever the size of its object.
-    means: [B,N,3] in the source camera's axes, N = layers * H * W. source: [B,4,H,W] premultiplied RGBA.
+    Where the depth is uncertain, squared error rewards neighbours scattered over it, which show as dots in magnified
+    views. Differences count less across edges of the picture, where depth may jump. Every example counts alike,
+    whatever
+    the size of its object.
+
+    Args:
+        means: [B,N,3] in the source camera's axes, N = layers * H * W.
+        source: [B,4,H,W] premultiplied RGBA.
     """
     batch, _, height, width = source.shape
     disparity = 1 / means[..., 2].view(batch, -1, height, width)
@@ -82,9 +86,10 @@ def gradient_error(images: Tensor, wanted: Tensor) -> Tensor:
 
 
 def translucency(alpha: Tensor) -> Tensor:
-    """How far pixels are from being object or background: the mean of alpha (1 - alpha), 0 to 1/4.
+    """Return how far pixels are from being object or background: the mean of alpha (1 - alpha), 0 to 1/4.
 
-    alpha: opacities of any shape, 0..1.
+    Args:
+        alpha: Opacities of any shape, 0..1.
     """
     return (alpha * (1 - alpha)).mean()
 
@@ -98,10 +103,14 @@ def total_loss(
     source: Tensor,
     weights: LossWeights,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The weighted sum and its unweighted terms.
+    """Return the weighted sum and its unweighted terms.
 
-    images: rendered [B,V,3,H,W] over backgrounds [B,V,3]. alpha: rendered opacity [B,V,H,W]. targets: [B,V,4,H,W]
-    premultiplied RGBA. means, source: see roughness.
+    Args:
+        images: Rendered [B,V,3,H,W] over the backgrounds.
+        alpha: Rendered opacity [B,V,H,W].
+        targets: [B,V,4,H,W] premultiplied RGBA.
+        backgrounds: [B,V,3].
+        means, source: See roughness.
     """
     wanted = composite(targets, backgrounds)
     errors = (images - wanted).square().mean((2, 3, 4))

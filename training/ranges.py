@@ -8,9 +8,14 @@ MOST = 10**9  # for counts that nothing else bounds
 
 
 def check_ranges(config: object, where: str = "", **ranges: tuple[float, float]) -> None:
-    """Raises InputError unless each of these fields, or every element of one, lies in its range, ends included.
+    """Check that each of these fields, or every element of one, lies in its range, ends included.
 
-    ranges: whole numbers are expected where the lower end is an int. where: goes before the field's name in messages.
+    Args:
+        where: Text before the field's name in messages.
+        ranges: Ranges of the fields; a lower end of type int asks for whole numbers.
+
+    Raises:
+        InputError: a number is out of its range.
     """
     for field, (low, high) in ranges.items():
         value = getattr(config, field)

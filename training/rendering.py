@@ -19,9 +19,12 @@ def render_views(
     height_px: int,
     backgrounds: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Images [B,V,3,H,W] over plain backgrounds [B,V,3], and opacities [B,V,H,W]; float32, differentiable.
+    """Return images [B,V,3,H,W] over plain backgrounds [B,V,3], and opacities [B,V,H,W]; float32, differentiable.
 
-    gaussians: with leading B. world_to_camera: [B,V,4,4]. intrinsics: [B,V,4] as (fx, fy, cx, cy) in pixels.
+    Args:
+        gaussians: With leading B.
+        world_to_camera: [B,V,4,4].
+        intrinsics: [B,V,4] as (fx, fy, cx, cy) in pixels.
     """
     cameras = Cameras(world_to_camera, intrinsics[..., :2], intrinsics[..., 2:], width_px, height_px)
     with torch.autocast(world_to_camera.device.type, enabled=False):
@@ -32,10 +35,15 @@ def render_views(
 def render_card(
     picture: Tensor, source_intrinsics: Tensor, depth: float, world_to_camera: Tensor, intrinsics: Tensor
 ) -> Tensor:
-    """A picture as a flat card, upright before its own camera at a depth: [V,C,H,W], its frame as other cameras see it.
+    """Draw a picture as a flat card, upright before its own camera at a depth, as other cameras see it: [V,C,H,W].
 
-    picture: [C,H,W]. source_intrinsics: [4], (fx, fy, cx, cy) in pixels. world_to_camera: [V,4,4], the world being the
-    axes of the picture's camera. intrinsics: [V,4]. Bilinear; zero beyond the card and where it is behind a camera.
+    The result is bilinear, and zero beyond the card and where it is behind a camera.
+
+    Args:
+        picture: [C,H,W].
+        source_intrinsics: [4], (fx, fy, cx, cy) in pixels.
+        world_to_camera: [V,4,4], the world being the axes of the picture's camera.
+        intrinsics: [V,4].
     """
     height, width = picture.shape[1:]
     columns, rows = (torch.arange(size, device=picture.device) + 0.5 for size in (width, height))

@@ -36,7 +36,10 @@ def make_optimizer(net: nn.Module, config: OptimizerConfig) -> torch.optim.AdamW
 class WeightAverage:
     """Exponential moving average of a network's weights, following closely at first.
 
-    average: the network that holds the average. net: the one that is trained. decay: of the average in the long run.
+    Args:
+        average: The network that holds the average.
+        net: The trained network.
+        decay: Decay of the average in the long run.
     """
 
     def __init__(self, average: nn.Module, net: nn.Module, decay: float) -> None:

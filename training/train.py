@@ -28,9 +28,13 @@ def read_config(arguments: list[str] | None = None) -> TrainingConfig:
 
 
 def parse(parser: ArgumentParser, arguments: list[str] | None) -> tuple[TrainingConfig, Namespace]:
-    """The configuration that command-line arguments describe, and the values of the parser's own options.
+    """Return the configuration that command-line arguments describe, and the values of the parser's own options.
 
-    parser: gets --config and an option for every field of TrainingConfig. Raises InputError for bad arguments.
+    Args:
+        parser: Gets --config and an option for every field of TrainingConfig.
+
+    Raises:
+        InputError: an argument is bad.
     """
     parser.add_argument("--config", action="config", help="YAML file with options")
     parser.add_class_arguments(TrainingConfig)

@@ -84,9 +84,12 @@ class Trainer:
         self._replica = team.replicated(self.net)
 
     def advance(self, batch: Batch, stop: bool = False) -> StepValues:
-        """One optimizer step on this process's share of a batch. stop: whether this process has been told to end.
+        """Do one optimizer step on this process's part of a batch.
 
-        On CUDA the step is queued, not finished, when this returns, but for what the rasterizer waits for.
+        On CUDA the step is queued, not finished, when this returns, but for the rasterizer's own waits.
+
+        Args:
+            stop: Whether this process has been told to end.
         """
         config, size, device, marks = self.config, batch.targets.shape[-1], self.team.device, self.marks
         marks.mark("batch")

@@ -77,7 +77,11 @@ def _read_rig(path: Path, panel: Panel) -> Rig:
 
 
 def _read_camera_file(path: Path, index: int | None, panel: Panel, up: str | None, messages: list[str]) -> CameraChoice:
-    """Return the camera of a camera file, fitted to the panel. messages: lines that follow its own."""
+    """Return the camera of a camera file, fitted to the panel.
+
+    Args:
+        messages: Lines that follow the function's own messages.
+    """
     from lightfield_gs.io.captures.camera_files import read_camera_file
 
     cameras = read_camera_file(path)
@@ -151,11 +155,10 @@ def _look_from(
 
 
 def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-    from lightfield_gs.panels.framing import frame_scene
 
     axis = scene_up(up, file)
     notes: list[str] = []
-    rig = frame_scene(gaussians, panel, up=axis.axis, notes=notes)
+    rig = Rig.frame(gaussians, panel, up=axis.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
     return rig, [f"axes: {axis.describe()}", *(f"framing: {words}; {others}" for words in notes)]
 
@@ -214,7 +217,11 @@ def scene_comments(
 def load_view_cameras(path: Path, panel: Panel, has_view_map: bool) -> Cameras:
     """Read the camera of each view, and note where they are in the wrong order or look like another panel's.
 
-    has_view_map: the views of a view map are in an order of its own. Raises InputError.
+    Args:
+        has_view_map: Whether the cameras belong to a view map, whose views have an order of their own.
+
+    Raises:
+        InputError: the file cannot be used.
     """
     from lightfield_gs.encoding.view_files import read_cameras
 

@@ -152,9 +152,10 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
 
 
 def _other_ways(path: Path, picture: Picture, side: str | None) -> list[str]:
-    """Return notes on depth maps of a photo that are not used, and on what else the picture may be.
+    """Return notes on depth maps of a photo that are not used, and on other kinds of picture that it may be.
 
-    side: the half that looks like a depth map; its note is the first.
+    Args:
+        side: The half that looks like a depth map; its note comes first.
     """
     from lightfield_gs.io.depth_names import depth_maps_beside
     from lightfield_gs.photo.embedded_depth import embedded_notes

@@ -132,7 +132,14 @@ def _map_numbers(
     size: tuple[int, int],
     turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None,
 ) -> DepthMap:
-    """Return the depth map of these numbers. size: height and width of the photo. Raises InputError."""
+    """Return the depth map of these numbers.
+
+    Args:
+        size: Height and width of the photo.
+
+    Raises:
+        InputError: the numbers are no depth map.
+    """
     from lightfield_gs.photo.depth import depth_map
 
     return depth_map(
@@ -150,7 +157,11 @@ def _map_numbers(
 def _turn_with(
     options: PhotoOptions, photo: Photo, choice: str | None
 ) -> Callable[[DepthNumbers], tuple[np.ndarray, bool]]:
-    """Return the function that turns a map's numbers as the photo was turned. choice: of --map-orientation."""
+    """Return the function that turns a map's numbers as the photo was turned.
+
+    Args:
+        choice: The value of --map-orientation.
+    """
     from lightfield_gs.photo.load import turn_with_photo
 
     return lambda numbers: turn_with_photo(

@@ -53,11 +53,16 @@ class Item:
 def read_items(
     source: str | Path, suffix: str, output: Path, with_maps: bool = True
 ) -> tuple[list[Item], Counter[str]]:
-    """The items of a folder or a list, in order, and how many files of a folder are none, by the ends of their names.
+    """Return the items of a folder or a list, in order, and counts of the folder's other files by the ends of their
+    names.
 
-    suffix: of images. output: the folder of the batch, which is left out where it is in the other. with_maps: whether
-    photos and videos of a folder take the depth maps beside them, which are no items either way. Raises InputError
-    where there is none, and where two would become one file.
+    Args:
+        suffix: Suffix of the images.
+        output: The folder of the batch, which is left out if it lies in the source.
+        with_maps: Whether photos and videos of a folder take the depth maps beside them. Depth maps are never items.
+
+    Raises:
+        InputError: there is no item, or two items would become one file.
     """
     source = checked_path(source)
     left: Counter[str] = Counter()
@@ -96,8 +101,13 @@ def read_items(
 def _found(
     source: Path, at: PurePosixPath, output: Path, left: Counter[str]
 ) -> Iterator[tuple[PurePosixPath, Command, PurePosixPath | None]]:
-    """What a folder, and those in it, hold, by names from `source`, in order, each with the depth map beside it; hidden
-    ones are left out. at: the name of the folder itself."""
+    """Yield the inputs in a folder and below it, in order, each with the depth map beside it.
+
+    Hidden files and folders are left out.
+
+    Args:
+        at: Name of the folder itself, relative to `source`.
+    """
     folder = source / at
     if (command := _command(folder, is_folder=True)) in ("fit", "encode"):
         raise InputError(f"{folder} is one {'capture' if command == 'fit' else 'scene'}; give the folder it is in")
@@ -145,7 +155,11 @@ def _command(path: Path, is_folder: bool) -> Command | None:
 
 
 def _item(path: Path, name: PurePosixPath, suffix: str, command: Command | None = None, **more: Any) -> Item:
-    """The item of a path. name: of it in the source, of which that of its output is made."""
+    """Return the item of a path.
+
+    Args:
+        name: Name of the path in the source, from which the name of the output is made.
+    """
     is_folder = path.suffix.lower() not in PICTURES and os.path.isdir(path)  # any name, however long
     command = command or _command(path, is_folder) or "encode"
     end = "" if command == "video" else suffix

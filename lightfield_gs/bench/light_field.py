@@ -44,9 +44,11 @@ COUNTERS = (
 
 @dataclass(frozen=True)
 class Case:
-    """What is drawn: a scene by name, before a panel, in a cone (degrees, a name, or None: the panel's).
+    """A scene by name, before a panel, in a cone.
 
-    sh_degree: of a synthetic scene; None: as the scene is.
+    Attributes:
+        cone: Degrees, a name, or None for the panel's cone.
+        sh_degree: Degree of a synthetic scene; None leaves the scene as it is.
     """
 
     scene: str
@@ -64,10 +66,14 @@ def bench_case(
     memory_budget: int | None = None,
     samples: int = ORACLE_SAMPLES,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows of one case, a method each, and how the others' images compare with the first method's.
+    """Return a row for each method of one case, and comparisons of the other images with the first method's.
 
-    memory_budget: bytes, of the method "sorted". samples: sub-pixels of the oracle.
-    Raises InputError.
+    Args:
+        memory_budget: Bytes, of the method "sorted".
+        samples: Number of sub-pixels that the oracle evaluates.
+
+    Raises:
+        InputError: the case cannot be drawn.
     """
     options.progress(f"{case.scene}: making or reading the scene")
     gaussians = load_scene(case.scene, case.sh_degree).to(device)
@@ -227,9 +233,13 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Measurement:
-    """An 8-bit image [H, W, 3], the times of the runs that made it (ms, in their order), and counters.
+    """An image, the times of the runs that made it, and counters.
 
-    stats: as `encode` fills them; peak_bytes: most device memory held beyond the scene and the image, None on the CPU.
+    Attributes:
+        image: 8 bits, [H, W, 3].
+        times_ms: Times of the runs in their order.
+        stats: As `encode` fills them.
+        peak_bytes: Most device memory held beyond the scene and the image; None on the CPU.
     """
 
     image: Tensor
@@ -256,10 +266,17 @@ def measure(
     threads: int | None = None,
     memory_budget: int | None = None,
 ) -> Measurement:
-    """Times a method of `encode`, or a peer, from Gaussians on their device to the 8-bit image on it.
+    """Time a method of `encode`, or a peer, from Gaussians on their device to the 8-bit image on it.
 
-    "direct" on CUDA is an Encoder's replayed frame. repeats: runs that count; None: as many as `timed` chooses.
-    threads, memory_budget: as `encode` takes them, the latter for "sorted" alone. Raises InputError.
+    "direct" on CUDA is an Encoder's replayed frame.
+
+    Args:
+        repeats: Number of runs that count; None lets `timed` choose.
+        threads: As `encode` takes them.
+        memory_budget: As `encode` takes it, for "sorted" alone.
+
+    Raises:
+        InputError: the method cannot draw the scene.
     """
     if method == GSPLAT:
         peer = load_from_checkout("peers").GsplatClassic(gaussians, panel, rig)

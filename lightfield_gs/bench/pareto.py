@@ -27,7 +27,6 @@ from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.load import load_photo
@@ -116,7 +115,7 @@ def _of_scene(scene: str, panel: Panel, cone: Any, device: str) -> Subject:
 def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
     """What the shipped network makes of a photo."""
     gaussians = network(None).predict(load_photo(path))
-    rig = frame_scene(gaussians, panel, np.eye(4))
+    rig = Rig.frame(gaussians, panel, np.eye(4))
     rig = replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
     return Subject(Path(path).name, gaussians.to(device), panel, rig)
 

@@ -54,8 +54,14 @@ def row(
     threads: int | None,
     detail: tuple[Detail | None, int],
 ) -> dict[str, Any]:
-    """Medians of a photo, ms: decode, the stages, total; and ms_min, ms_max of the total. detail: that of PhotoEncoder,
-    and its budget. Raises InputError."""
+    """Return a photo's medians in ms of decode, the stages and the total, and ms_min and ms_max of the total.
+
+    Args:
+        detail: Detail and budget of PhotoEncoder.
+
+    Raises:
+        InputError: the photo cannot be encoded.
+    """
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(threads or before)

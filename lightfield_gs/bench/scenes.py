@@ -19,7 +19,6 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
@@ -102,9 +101,13 @@ def check_scene(name: str, sh_degree: int | None = None) -> None:
 
 
 def load_scene(name: str, sh_degree: int | None = None) -> Gaussians:
-    """A scene by name: `sheet:S`, `cloud:N`, or the path of a .ply file.
+    """Return a scene by name: `sheet:S`, `cloud:N`, or the path of a .ply file.
 
-    sh_degree: 0..3 of a synthetic scene (None: 0); a file has its own. Raises InputError.
+    Args:
+        sh_degree: 0..3 of a synthetic scene (None: 0); a file has its own.
+
+    Raises:
+        InputError: there is no such scene.
     """
     check_scene(name, sh_degree)
     kind, _, size = name.partition(":")
@@ -130,7 +133,7 @@ def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> flo
 def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
     """The rig of a scene: that of the synthetic ones, or automatic framing of a .ply file; its cone always stated."""
     if Path(scene).suffix.lower() == ".ply":
-        rig = frame_scene(gaussians, panel)
+        rig = Rig.frame(gaussians, panel)
         return replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
     focal, centre = (panel.width_px, panel.width_px), (panel.width_px / 2, panel.height_px / 2)
     return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_degrees(cone, panel, panel.width_px))

@@ -33,11 +33,16 @@ def timed(
 def timed_in_turn(
     calls: Sequence[Callable[[], Any]], cuda: bool, repeats: int | None = None, ahead: bool = True
 ) -> tuple[Any, list[tuple[float, ...]]]:
-    """Runs of several calls one after the other: the last one's last result, and for each run the ms of each call.
+    """Run several calls one after the other; return the last call's last result and the ms of each call in each run.
 
-    On CUDA: warm runs, every call between two events on the current stream. ahead: the device is kept busy at first, so
-    that the host's part of the first call does not count, as that of the others does not. repeats None: 20 runs of
-    what takes less than 50 ms on CUDA, 5 of all else. At least one run, and none begins after a minute.
+    On CUDA the runs are warm, and each call lies between two events on the current stream. There is at least one run,
+    and
+    none begins after a minute.
+
+    Args:
+        repeats: Number of runs. None: 20 if they take less than 50 ms on CUDA, else 5.
+        ahead: Keep the device busy at first, so that the host's part of the first call does not count, as in the
+            others.
     """
     clock = partial(_cuda_ms, ahead=ahead) if cuda else _wall_ms
     repeats = _warmed_up(clock, calls, cuda, repeats)

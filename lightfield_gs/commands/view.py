@@ -23,7 +23,11 @@ from lightfield_gs.commands.options.serving import ServingOptions, add_serving, 
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """A scene that a page shows. device: where it is drawn; the others: see there."""
+    """A scene that a page shows.
+
+    Attributes:
+        device: Device that draws the scene.
+    """
 
     scene: SceneOptions
     panel: PanelOptions

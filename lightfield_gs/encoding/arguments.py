@@ -104,7 +104,7 @@ def check_together(
     for name, its in misplaced_options(method, memory_budget=memory_budget, **given):
         raise InputError(f"{name}= is for method {its!r}, not {method!r}{_WHY_NOT[name]}")
     if method != "sorted" and rig is None:
-        raise InputError(f"method {method!r} needs a rig (frame_scene makes one)")
+        raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
     if memory_budget is not None and views == "continuous":
         raise InputError(
             "memory_budget goes with integer views: cameras for all distinct places within a lens have no "

@@ -70,7 +70,11 @@ def draw_cameras(
 ) -> Tensor:
     """Draw one scene before cameras [K], unchecked and without gradients.
 
-    background: broadcasts to [1, K, 3]. Returns the image [1, K, H, W, 3].
+    Args:
+        background: Broadcasts to [1, K, 3].
+
+    Returns:
+        The image [1, K, H, W, 3].
     """
     means, cameras = recentre(gaussians.means, cameras)
     cameras = cameras.to(gaussians.means)

@@ -33,9 +33,10 @@ _BITS = {torch.float32: torch.int32, torch.float64: torch.int64}
 
 @dataclass
 class _Drawn:
-    """What a frame leaves to the next: copies of its input, and what the composite reads.
+    """The state that a frame leaves to the next: copies of its input, and the inputs of the composite.
 
-    image: a copy of the image, from the second of frames that are the same.
+    Attributes:
+        image: A copy of the image, from the second of equal frames on.
     """
 
     inputs: dict[str, Tensor]
@@ -47,7 +48,10 @@ class _Drawn:
 class CpuFrameCache:
     """Frames of one lens and quality on the CPU.
 
-    precision: of the arithmetic. as_bytes: images are uint8. antialiased: see encode.
+    Args:
+        precision: Precision of the arithmetic.
+        as_bytes: Whether images are uint8.
+        antialiased: See encode.
     """
 
     def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool):
@@ -119,7 +123,13 @@ def _version(tensor: Tensor) -> int | None:
 
 
 class CudaFrameCache:
-    """Frames of one lens and quality on CUDA. as_bytes: images are uint8; versioned, antialiased: see Encoder."""
+    """Frames of one lens and quality on CUDA.
+
+    Args:
+        as_bytes: Whether images are uint8.
+        versioned: See Encoder.
+        antialiased: See Encoder.
+    """
 
     def __init__(self, as_bytes: bool, quality: Quality, versioned: bool, antialiased: bool):
         self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
@@ -134,7 +144,11 @@ class CudaFrameCache:
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
         """Return the image, which the next call overwrites, and the stages that were not repeated.
 
-        gaussians: float32, contiguous. Raises InputError.
+        Args:
+            gaussians: float32, contiguous.
+
+        Raises:
+            InputError: the frame cannot be drawn.
         """
         given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], view)
         shown, self.shown, image = self.shown, None, self.image
@@ -172,7 +186,11 @@ class CudaFrameCache:
         return self.versioned and untouched and given.view == before.view and not given.changed_since(before)
 
     def _draw(self, given: _Input, moved: bool) -> tuple[Tensor, set[str]]:
-        """Return the image and the stages that were not repeated. moved: the camera is another than the last."""
+        """Return the image and the stages that were not repeated.
+
+        Args:
+            moved: Whether the camera differs from the last.
+        """
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
             job = DirectRender(fields, background, given.view, self.antialiased)
@@ -222,7 +240,11 @@ class _Capture:
         return {"order", "bin"} if kept else set()
 
     def _graph(self, keep_lists: bool) -> torch.cuda.CUDAGraph:
-        """Capture a frame and the copy of its state to the host. keep_lists: without order and bin."""
+        """Capture a frame and the copy of its state to the host.
+
+        Args:
+            keep_lists: Leave out order and bin.
+        """
 
         def draw() -> None:
             self.frame.draw(self.job.background, self.image, keep_lists=keep_lists)

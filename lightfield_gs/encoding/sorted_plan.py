@@ -104,7 +104,11 @@ class SortedPlan:
         return 8 * self.starts.numel() + 4 * self.views
 
     def lists(self, first: int, last: int, device: torch.device, keep: bool, threads: int) -> tuple[Tensor, Tensor]:
-        """Return starts and codes of shown views first .. last - 1 on the device. keep: hold them there."""
+        """Return starts and codes of shown views first .. last - 1 on the device.
+
+        Args:
+            keep: Hold them on the device.
+        """
         begin, end = first * self.tiles, last * self.tiles
         if device.type == "cpu" and not keep:
             starts = self.starts[begin : end + 1] - self.starts[begin]

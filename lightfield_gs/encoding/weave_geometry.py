@@ -22,12 +22,13 @@ _ROWS = 16  # of the panel at a time
 class Fan:
     """M views, 0 the left-most camera's, and their weights in the sub-pixels of a panel.
 
-    count: M.
-    continuous: places by the lens's exact x, not by the panel's integer view.
-    table: int32 [H, W, 3] in place of the lens, see `weave`.
-    box: width, in views of the M, of the box that each sub-pixel averages. Each view stands for the places that are
-        nearer to it than to another, the outermost for all beyond. Its weight is its part of the box. A box of 1 is
-        linear interpolation, one of 0 the nearest view.
+    Attributes:
+        count: M.
+        continuous: Position views by the lens's exact x, not by the panel's integer view.
+        table: int32 [H, W, 3] in place of the lens, see `weave`.
+        box: Width, in views of the M, of the box that each sub-pixel averages. Each view stands for the positions that
+            are nearer to it than to another, the outermost for all beyond. Its weight is its part of the box. A box of
+            1 is linear interpolation, a box of 0 the nearest view.
     """
 
     panel: Panel
@@ -91,8 +92,12 @@ _SAME_ASPECT = 0.01  # aspects that differ by less are one: names round them, 1.
 class Window:
     """The part of every view that the panel shows, in fractions of the view, which may reach beyond 0..1.
 
-    left, top, width, height: of the whole panel. low_x, low_y, high_x, high_y: what is left of the view by the crop.
-    shift: see `weave`. panel_px, view_px: width and height, of the view as it is sampled.
+    Attributes:
+        left, top, width, height: The whole panel.
+        low_x, low_y, high_x, high_y: The part of the view that the crop leaves.
+        shift: See `weave`.
+        panel_px: Width and height.
+        view_px: Width and height of the view as it is sampled.
     """
 
     left: float

@@ -31,11 +31,15 @@ def reduced_picture(picture: Tensor, window: Window) -> Tensor:
 
 @dataclass(frozen=True)
 class Taps:
-    """The two pixels that are mixed for each place along one side of a picture.
+    """The two pixels that are mixed for each position along one side of a picture.
 
-    first, second: int64 [V, S], offsets in the samples of a picture; weight: of the second, float32 [V, S]; inside:
-    whether the view reaches there, bool [V, S]. V: the views, or 1 where all are alike; S: the panel's columns or rows.
-    mixes: whether any weight is above 0.
+    V is the number of views, or 1 where all are alike; S is the number of the panel's columns or rows.
+
+    Attributes:
+        first, second: int64 [V, S], offsets in the samples of a picture.
+        weight: Weight of the second pixel, float32 [V, S].
+        inside: Whether the view reaches there, bool [V, S].
+        mixes: Whether any weight is above 0.
     """
 
     first: Tensor
@@ -110,7 +114,11 @@ def sampled(stack: Tensor, slot: Tensor, view: Tensor, rows: slice, across: Taps
 
 
 def _along(table: Tensor, columns: Tensor | None) -> Tensor:
-    """Return taps [V, W] for sub-pixels [R, W, 3]. columns: index of each; None: all views are alike."""
+    """Return taps [V, W] for sub-pixels [R, W, 3].
+
+    Args:
+        columns: Index of each column; None: all views are alike.
+    """
     return table[0][:, None] if columns is None else table.view(-1)[columns]
 
 
@@ -127,7 +135,8 @@ _NATIVE = {torch.uint8: _core.weave_uint8, torch.uint16: _core.weave_uint16, tor
 class Held(NamedTuple):
     """Views in memory: pictures [G, h, w, 3] from number `first` on.
 
-    own: the sub-pixels whose first view is one of the first `own` of them are drawn in this pass.
+    Attributes:
+        own: This pass draws the sub-pixels whose first view is one of the first `own` of the pictures.
     """
 
     pictures: Tensor

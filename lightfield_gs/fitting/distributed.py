@@ -78,7 +78,11 @@ class Group:
                 dist.all_reduce(tensor, dist.ReduceOp.MAX)
 
     def largest(self, number: int, device: torch.device | str = "cpu") -> int:
-        """Wait for all processes and return the largest of their numbers. device: of the group."""
+        """Wait for all processes and return the largest of their numbers.
+
+        Args:
+            device: Device of the group.
+        """
         if self.size == 1:
             return number
         numbers = torch.full((1,), number, dtype=torch.int64, device=device)

@@ -36,7 +36,11 @@ EDGES_DEG = (0, 5, 10, 15, 20, 25, 30, 45, 90, 180)
 
 
 def describe_protocol(aligned: bool) -> str:
-    """Return in words how scores are made. aligned: the held-out poses are refined first, see align_poses."""
+    """Return in words how scores are made.
+
+    Args:
+        aligned: Whether the held-out poses are refined first, see align_poses.
+    """
     return f"{_PROTOCOL}; {_ALIGNED}" if aligned else _PROTOCOL
 
 

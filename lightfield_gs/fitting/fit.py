@@ -205,9 +205,10 @@ def _prepare(
     group: Group,
     cones: tuple[Panel | str | Path | float | None, str | None, float | None],
 ) -> tuple[Run, Normalization, Display | None]:
-    """Return the run before its first step, its coordinates and its display; print what was chosen.
+    """Return the run before its first step, its coordinates and its display; print the choices.
 
-    cones: cone, centre and score_cone.
+    Args:
+        cones: cone, centre and score_cone.
     """
     display, judged, messages = place_display(capture, *cones)
     weights = None if display is None else display.photo_weights(train)

@@ -145,7 +145,11 @@ def _group_norm(channels: int) -> nn.GroupNorm:
 
 
 def _convolution(inputs: int, outputs: int, kernel: int, *, gain: float | None = None) -> nn.Conv2d:
-    """Make a same-size convolution. gain: of the Xavier-uniform weights; None: PyTorch's own initialisation."""
+    """Make a same-size convolution.
+
+    Args:
+        gain: Gain of the Xavier-uniform weights; None: PyTorch's own initialisation.
+    """
     layer = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2)
     if gain is not None:
         nn.init.xavier_uniform_(layer.weight, gain)
@@ -172,7 +176,11 @@ class Attention(nn.Module):
         self.projection = _convolution(channels, channels, 1, gain=0.0 if config.zero_init else 1e-5)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Attend. features: [B,C,H,W], as the result."""
+        """Attend.
+
+        Args:
+            features: [B,C,H,W], the shape of the result.
+        """
         batch, channels, height, width = features.shape
         packed = self.queries_keys_values(self.norm(features)).flatten(2)
         packed = packed.reshape(batch, 3, self.heads, channels // self.heads, height * width).transpose(3, 4)

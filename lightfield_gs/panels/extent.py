@@ -40,7 +40,7 @@ _MANY = 1 << 17  # Gaussians that measure it to a thousandth or two
 def content_extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
     """Return left, right (x/z), top, bottom (y/z), near and far of the content, and its weight: [7].
 
-    The edges are robust, see framing.frame_scene. The weight is the opacity in front of the camera. Nothing here waits
+    The edges are robust, see Rig.frame. The weight is the opacity in front of the camera. Nothing here waits
     for a device.
 
     Args:

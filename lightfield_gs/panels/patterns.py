@@ -161,7 +161,10 @@ def displayed_numbers(panel: Panel, step: int | None = None) -> np.ndarray:
 def numbers(panel: Panel, step: int | None = None) -> np.ndarray:
     """Draw the number of each view, white on black, large and repeated over the panel.
 
-    Views are numbered as in Panel: 0 for the right-most eye, unless invert_views. step: see displayed_numbers.
+    Views are numbered as in Panel: 0 for the right-most eye, unless invert_views.
+
+    Args:
+        step: See displayed_numbers.
     """
     shown_by_view = displayed_numbers(panel, step)
     different, which = np.unique(shown_by_view, return_inverse=True)

@@ -76,8 +76,13 @@ class DirectRender:
 class _SceneArguments(NamedTuple):
     """The first arguments of the operators; all float32, or on the CPU all float64.
 
-    means: [N, 3]. quaternions: [N, 4], wxyz. scales: [N, 3], > 0. opacities: [N], in (0, 1]. sh: [N, K, 3].
-    background: [3].
+    Attributes:
+        means: [N, 3].
+        quaternions: [N, 4], wxyz.
+        scales: [N, 3], > 0.
+        opacities: [N], in (0, 1].
+        sh: [N, K, 3].
+        background: [3].
     """
 
     means: Tensor

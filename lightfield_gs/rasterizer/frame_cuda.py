@@ -93,7 +93,11 @@ class DirectFrame:
         return torch.cuda.current_stream(self.work.device).cuda_stream
 
     def project(self, keep_lists: bool = False) -> None:
-        """Run the stage project. keep_lists: only colours have changed since order and bin, whose lists stay."""
+        """Run the stage project.
+
+        Args:
+            keep_lists: Keep the lists of order and bin, since only colours have changed.
+        """
         _core.cuda.frame_project(self.native, self.scene.native(), keep_lists, self.stream)
 
     def bin(self) -> None:

@@ -120,7 +120,9 @@ def _(*arguments):
 class _DrawnArguments(NamedTuple):
     """The arguments of the backward behind those of the render: its outputs, their gradients, and the request.
 
-    screen_numbers: 0, 2 or 4, of the screen. cameras: whether the gradient of world_to_camera is asked for.
+    Attributes:
+        screen_numbers: 0, 2 or 4, of the screen.
+        cameras: Whether the gradient of world_to_camera is asked for.
     """
 
     image: Tensor

@@ -29,18 +29,19 @@ class ImageArguments(NamedTuple):
 
     All tensors are float32, or on the CPU all float64.
 
-    means: [B, N, 3], scene units.
-    quaternions: [B, N, 4], wxyz, of any length but 0.
-    scales: [B, N, 3], > 0, scene units.
-    opacities: [B, N], in (0, 1].
-    sh: [B, N, K, 3], spherical harmonics, K = 1, 4, 9 or 16.
-    background: [B, V, 3].
-    world_to_camera: [B, V, 4, 4].
-    intrinsics: [B, V, 4], fx, fy, cx and cy in pixels.
-    limits: [B, V, 5], of the projection's Jacobian; see Cameras.limits.
-    width, height: of all images, 1..65536 pixels.
-    antialiased: see images.render.
-    screen: [B, V, N, 2 or 4], whose gradient is asked for; see images.render. No stage reads it.
+    Attributes:
+        means: [B, N, 3], scene units.
+        quaternions: [B, N, 4], wxyz, of any length but 0.
+        scales: [B, N, 3], > 0, scene units.
+        opacities: [B, N], in (0, 1].
+        sh: [B, N, K, 3], spherical harmonics, K = 1, 4, 9 or 16.
+        background: [B, V, 3].
+        world_to_camera: [B, V, 4, 4].
+        intrinsics: [B, V, 4], fx, fy, cx and cy in pixels.
+        limits: [B, V, 5], of the projection's Jacobian; see Cameras.limits.
+        width, height: Size of all images, 1..65536 pixels.
+        antialiased: See images.render.
+        screen: [B, V, N, 2 or 4], whose gradient is asked for; see images.render. No stage reads it.
     """
 
     means: Tensor
@@ -69,7 +70,9 @@ class ImageBuffers(NamedTuple):
 class Aperture(NamedTuple):
     """The camera positions that an image is averaged over, along the camera's x-axis; scene units.
 
-    deviation: standard deviation of the positions. zero_depth: where the average leaves points unmoved.
+    Attributes:
+        deviation: Standard deviation of the positions.
+        zero_depth: Depth at which the average leaves points unmoved.
     """
 
     deviation: float
@@ -136,7 +139,8 @@ class ImageInputs:
     def backward_from_sums(self, sums: Tensor, request: GradientRequest) -> tuple[list[Tensor], Tensor, Tensor]:
         """Return the gradients of fields, cameras and screen, as in ImageGradients; CUDA only.
 
-        sums: of ImageRender.backward_sums.
+        Args:
+            sums: Result of ImageRender.backward_sums.
         """
         with self.scene.guard:
             return project_images_backward(self.scene, self.cameras, sums, request)
@@ -207,7 +211,11 @@ class ImageRender:
         return self.work.splats.splats
 
     def draw(self, out: ImageBuffers | None = None) -> ImageBuffers:
-        """Return the images. out: contiguous memory for some of them; None stands for new memory."""
+        """Return the images.
+
+        Args:
+            out: Contiguous memory for some of them; None stands for new memory.
+        """
         scene, given = self.scene, out or (None, None, None)
         with scene.guard, self.stats.stage("composite"):
             image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self.inputs.shapes))

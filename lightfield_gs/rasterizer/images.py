@@ -28,10 +28,12 @@ from lightfield_gs.scene.gaussians import Gaussians, check_values
 class RenderedImages(NamedTuple):
     """The images of `render`; None where a field was not asked for. It unpacks in this order.
 
-    image: [..., C, H, W, 3], over the background.
-    alpha: [..., C, H, W], 0..1.
-    depth: [..., C, H, W], the expected view-space z of what covers a pixel, in scene units; 0 where nothing does.
-    radii: [..., C, N], of the splats in pixels, without gradients; 0 where a Gaussian is not drawn.
+    Attributes:
+        image: [..., C, H, W, 3], over the background.
+        alpha: [..., C, H, W], 0..1.
+        depth: [..., C, H, W], the expected view-space z of the Gaussians that cover a pixel, in scene units; 0 where
+            none does.
+        radii: [..., C, N], of the splats in pixels, without gradients; 0 where a Gaussian is not drawn.
     """
 
     image: Tensor
@@ -157,9 +159,12 @@ def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tenso
 def splat_radii(splats: Tensor) -> Tensor:
     """Return half the longest extent of the region that each splat covers, [...] in pixels; 0 where it is not drawn.
 
-    The region is where its alpha is 1/255 or more. splats: [..., SPLAT_FIELDS], in conditional form
-    (csrc/math/projection.h): in units of log2 the inverse covariance is [[1/S, -c0/S], [-c0/S, tau + c0^2/S]], so the
-    covariance is [[S + c0^2/tau, c0/tau], [c0/tau, 1/tau]].
+    The region is where its alpha is 1/255 or more.
+
+    Args:
+        splats: [..., SPLAT_FIELDS], in conditional form (csrc/math/projection.h). In units of log2 the inverse
+            covariance is [[1/S, -c0/S], [-c0/S, tau + c0^2/S]], so the covariance is [[S + c0^2/tau, c0/tau], [c0/tau,
+            1/tau]].
     """
     log2_opacity, square, tau, c0 = (splats[..., k] for k in _core.SPLAT_SHAPE_INDICES)
     down = 1 / tau

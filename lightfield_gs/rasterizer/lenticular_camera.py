@@ -21,18 +21,23 @@ class NativeCamera(NamedTuple):
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens of a panel, in the numbers of csrc/scene/lens.h. Raises InputError for values that no lens has.
+    """The lens of a panel, in the numbers of csrc/scene/lens.h.
 
-    width_px, height_px, views: 1..65536.
-    phases: the phase of the first sub-pixel, and its growth from one sub-pixel to the next and from one row to the
-        next; whole numbers of 2^-64 lens widths, modulo 2^64.
-    line_number: width of a lens along a row, sub-pixels, > 0.
-    slant_tan, phase: as of a Panel, phase in sub-pixels.
-    bgr: blue is the left-most sub-pixel.
-    continuous: cameras stand at x itself in place of floor(x) + 1/2.
-    offset_start, offset_step: the camera of view coordinate x stands at offset_start + offset_step * x, scene units.
-    cell_phases, cell_channels: of a panel with sub-pixel cells, by row mod 4, column mod 4 and index within the pixel:
-        the phases of its sub-pixels beyond those of stripes, and their image channels. (): stripes.
+    Attributes:
+        width_px, height_px, views: 1..65536.
+        phases: The phase of the first sub-pixel, and its growth from one sub-pixel to the next and from one row to the
+            next; whole numbers of 2^-64 lens widths, modulo 2^64.
+        line_number: Width of a lens along a row, sub-pixels, > 0.
+        slant_tan, phase: As of a Panel, phase in sub-pixels.
+        bgr: Whether blue is the left-most sub-pixel.
+        continuous: Whether cameras stand at x itself in place of floor(x) + 1/2.
+        offset_start, offset_step: The camera of view coordinate x stands at offset_start + offset_step * x, scene
+            units.
+        cell_phases, cell_channels: Sub-pixel cells by row mod 4, column mod 4 and index within the pixel: the phases of
+            the sub-pixels beyond those of stripes, and their image channels. (): stripes.
+
+    Raises:
+        InputError: no lens has these values.
     """
 
     width_px: int
@@ -111,12 +116,13 @@ class CameraNumbers(NamedTuple):
 class LenticularCamera:
     """A rig's cameras behind a lens.
 
-    world_to_camera: of the centre camera, 16 numbers by rows.
-    intrinsics: fx, fy, cx and cy in pixels of the panel.
-    limits: of the projection's Jacobian, five numbers, see Cameras.limits.
-    zero_depth: of the plane without parallax, scene units.
-    aperture: standard deviation of the camera offsets that each sub-pixel's colour is averaged over, scene units; 0:
-        pinholes.
+    Attributes:
+        world_to_camera: 16 numbers of the centre camera, by rows.
+        intrinsics: fx, fy, cx and cy in pixels of the panel.
+        limits: Five numbers of the projection's Jacobian, see Cameras.limits.
+        zero_depth: Depth of the plane without parallax, scene units.
+        aperture: Standard deviation of the camera offsets that each sub-pixel's colour is averaged over, scene units;
+            0: pinholes.
     """
 
     world_to_camera: tuple[float, ...]
@@ -127,7 +133,11 @@ class LenticularCamera:
     aperture: float = 0.0
 
     def native(self, antialiased: bool = False) -> NativeCamera:
-        """Return the camera for the native code. antialiased: see encoding.encode."""
+        """Return the camera for the native code.
+
+        Args:
+            antialiased: See encoding.encode.
+        """
         lens = self.lens.native()
         rig = _core.Rig(
             world_to_camera=self.world_to_camera,

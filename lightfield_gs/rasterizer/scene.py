@@ -96,10 +96,12 @@ class SceneTensors:
 
 
 class RenderState(NamedTuple):
-    """What a render leaves to its backward.
+    """The state that a render leaves to its backward.
 
-    splats: [I, N, SPLAT_FIELDS]. colours: [I, N, order + 1, COLOUR_STRIDE]. lists: the splats of each tile as bytes, in
-    a layout of the device's own.
+    Attributes:
+        splats: [I, N, SPLAT_FIELDS].
+        colours: [I, N, order + 1, COLOUR_STRIDE].
+        lists: The splats of each tile as bytes, in a layout of the device's own.
     """
 
     splats: Tensor
@@ -172,10 +174,11 @@ class Splats:
 
 
 class GradientRequest(NamedTuple):
-    """The gradients of ordinary images that are asked for, beside those of the five fields and of the background.
+    """The requested gradients of ordinary images, beside those of the five fields and of the background.
 
-    screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.
-    cameras: whether that of world_to_camera is asked for.
+    Attributes:
+        screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.
+        cameras: Whether the gradient of world_to_camera is asked for.
     """
 
     screen_numbers: int = 0
@@ -190,8 +193,11 @@ class GradientRequest(NamedTuple):
 class ImageGradients(NamedTuple):
     """Gradients of ordinary images.
 
-    fields: of the five fields. background_parts: [I * parts, 3]. cameras: [I, 4, 4], or [0, 4, 4]. screen: of the
-    projected means, [I, N, screen_numbers].
+    Attributes:
+        fields: Gradients of the five fields.
+        background_parts: [I * parts, 3].
+        cameras: [I, 4, 4], or [0, 4, 4].
+        screen: Gradients of the projected means, [I, N, screen_numbers].
     """
 
     fields: list[Tensor]

@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass
 class Stats:
-    """What a render did: milliseconds per stage, counts, bytes of work memory.
+    """Record of a render: milliseconds per stage, counts, bytes of work memory.
 
-    device: where the work is done. At both ends of a stage the host waits for a CUDA device: else the work of one stage
-    would be timed in another. None: nothing waits, and times of a device's stages mean nothing.
+    Attributes:
+        device: Device of the work. At both ends of a stage the host waits for a CUDA device: else the work of one stage
+            would be timed in another. None: nothing waits, and times of a device's stages mean nothing.
     """
 
     device: torch.device | None = None
@@ -83,7 +84,12 @@ class Stats:
         self.work_bytes += counters.scratch_bytes
 
     def report(self, gaussians: int, subpixels: int) -> dict[str, Any]:
-        """Return the stats of `encode`. gaussians: how many there are. Evaluations are not counted on CUDA."""
+        """Return the stats of `encode`; evaluations are not counted on CUDA.
+
+        Args:
+            gaussians: Number of Gaussians in the scene.
+            subpixels: Number of sub-pixels of the panel.
+        """
         on_cuda = self.device is not None and self.device.type == "cuda"
         found: dict[str, Any] = {
             "stages_ms": dict(self.stages_ms),

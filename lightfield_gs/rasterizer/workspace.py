@@ -55,10 +55,18 @@ class Workspace(Protocol):
         """
 
     def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
-        """Composite I images into `out`. background: [I, 3]."""
+        """Composite I images into `out`.
+
+        Args:
+            background: [I, 3].
+        """
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
-        """Composite the light-field image into `out` [H, W, 3]. background: [3]."""
+        """Composite the light-field image into `out` [H, W, 3].
+
+        Args:
+            background: [3].
+        """
 
     def images_backward(
         self,

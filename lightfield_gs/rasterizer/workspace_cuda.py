@@ -239,8 +239,13 @@ class CudaWorkspace:
 def project_images_backward(
     scene: SceneTensors, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
 ) -> tuple[list[Tensor], Tensor, Tensor]:
-    """The second half of CudaWorkspace.dense_backward, which needs nothing of the forward: gradients of fields, cameras
-    and places as ImageGradients has them. sums: [I, N, SPLAT_SUMS]."""
+    """Return gradients of fields, cameras and screen as in ImageGradients, from sums over pixels.
+
+    It is the second half of the backward of images, and needs no result of the forward.
+
+    Args:
+        sums: [I, N, SPLAT_SUMS].
+    """
     cuda, images = _core.cuda, sums.shape[0]
     out, native = scene.gradients(zero=False)
     views = scene.new(images, cuda.camera_blocks(scene.count), 3, 4) if request.cameras else None

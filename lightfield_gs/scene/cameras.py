@@ -35,7 +35,8 @@ class Cameras:
         world_to_camera: [..., C, 4, 4], [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
         focal_px: [..., C, 2] (fx, fy), pixels, > 0.
         principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
-        width_px, height_px: image size, 1..65536 pixels.
+        width_px: width of the images, 1..65536 pixels.
+        height_px: height of the images, 1..65536 pixels.
         jacobian_limits: [..., C, 5] (low_x, high_x, low_y, high_y, offset), limits of X/Z and Y/Z in the projection's
             Jacobian. They hold at the centre of a rig; the camera is `offset` to the right of it. None: the camera's
             frustum and 15 % of the image beyond each edge (Kerbl et al.).

@@ -35,11 +35,18 @@ def cast(
     display: int = _ANY_DISPLAY,
     timeout_s: float = _TIMEOUT_S,
 ) -> None:
-    """Has Bridge show a quilt, a picture or a video, in a loop, in place of what this program had it show before.
+    """Have Bridge show a quilt, a picture or a video in a loop, in place of the last one that this program showed.
 
-    columns, rows: of views; aspect: of a view, width / height; display: which one by Bridge's own count, -1 the first;
-    timeout_s: for each answer. Bridge reads the file itself, so that it must stay where it is, and Bridge must run on
-    this computer. Raises InputError where the file is not there, Bridge does not answer, or answers with an error.
+    Bridge reads the file itself: the file must stay where it is, and Bridge must run on this computer.
+
+    Args:
+        columns, rows: Numbers of views along and down the quilt.
+        aspect: Width / height of a view.
+        display: Number of the display by Bridge's own count; -1 is the first.
+        timeout_s: Longest wait for each answer.
+
+    Raises:
+        InputError: the file is not there, or Bridge does not answer, or answers with an error.
     """
     path = checked_path(path)
     if not path.is_file():

@@ -34,8 +34,13 @@ _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own decoder
 def av_library(purpose: str) -> ModuleType:
     """Import PyAV, an optional extra, which brings FFmpeg's libraries along.
 
-    The wheels of PyAV hold x264 and x265, which are under the GPL; only videos need them. Raises InputError where it
-    is not installed. purpose: what needs it, for the message.
+    The wheels of PyAV hold x264 and x265, which are under the GPL; only videos need them.
+
+    Args:
+        purpose: The feature that needs it, for the message.
+
+    Raises:
+        InputError: PyAV is not installed.
     """
     try:
         import av

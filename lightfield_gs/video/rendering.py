@@ -22,7 +22,8 @@ from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
-from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.scene.gaussians import Gaussians
 
 _EYE_WIDTH_PX = 1920
@@ -117,7 +118,11 @@ class EyeRenderer:
 
 
 class FrameRenderer(Protocol):
-    """Renders a frame. size_px: (width, height)."""
+    """Renders a frame.
+
+    Attributes:
+        size_px: Width and height.
+    """
 
     size_px: tuple[int, int]
 
@@ -125,7 +130,7 @@ class FrameRenderer(Protocol):
 
 
 class Sink(AbstractContextManager, Protocol):
-    """A FrameFolder or a VideoFile. fetch: returns a frame on the host in the form that `put` takes."""
+    """A FrameFolder or a VideoFile."""
 
     missing: list[int]
 

@@ -16,6 +16,7 @@ from PIL import Image
 
 from lightfield_gs import cli
 from lightfield_gs.base.paths import config_path
+from lightfield_gs.batch import manifest
 from lightfield_gs.io.images import read_image
 
 pytestmark = pytest.mark.not_sanitized  # what draws is in other processes, and the same as that of `encode`
@@ -129,14 +130,16 @@ def workers_of(running: subprocess.Popen) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux's ps for the processes")
-def test_a_batch_that_is_killed_goes_on(folder, capsys):
+def test_a_batch_that_is_killed_goes_on(folder, capsys, monkeypatch):
     Path("in").mkdir()
     shutil.copy(config_path("panels", "toy-8v"), "p.yaml")  # of a size that takes time
     for number in range(COUNT):
         shutil.copy("s.ply", f"in/{number:03d}.ply")
     running = start("in -o out --compression small")
     wait_for(running, 3)
-    assert "another batch is at work in out" in complaint(capsys, f"batch in -o out {ONE}")
+    with monkeypatch.context() as patch:
+        patch.setattr(manifest, "_PATIENCE_S", 0.0)  # the first batch may be over in less
+        assert "another batch is at work in out" in complaint(capsys, f"batch in -o out {ONE}")
     os.kill(workers_of(running)[0], signal.SIGKILL)  # which the batch survives
     wait_for(running, 16)
     running.kill()

@@ -14,7 +14,6 @@ from PIL import Image
 
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
@@ -56,7 +55,7 @@ def test_encode_is_the_library_call(folder, capsys):
 
     run(capsys, "encode s.ply -o o.exr --panel p.yaml --save-rig r.yaml --background 0,0.5,1 --views continuous")
     gaussians = Gaussians.load("s.ply")
-    rig = frame_scene(gaussians, PANEL)
+    rig = Rig.frame(gaussians, PANEL)
     assert Rig.from_yaml("r.yaml").to_dict() == rig.to_dict()
     expected = encode(gaussians, PANEL, rig, views="continuous", background=(0, 0.5, 1), output="float32").numpy()
     assert np.array_equal(read_image("o.exr"), expected)
@@ -205,7 +204,7 @@ def test_preview_of_an_upright_panel_fills_a_screen_and_takes_no_longer():
         Panel(**{**PANEL.to_dict(), "width_px": w, "height_px": h}) for w, h in ((900, 1600), (1600, 900))
     )
     for panel, size, sheet in ((upright, (509, 905), (320, 569)), (lying, (905, 509), (480, 270))):
-        frames = look_around(scene(), panel, frame_scene(scene(), panel))
+        frames = look_around(scene(), panel, Rig.frame(scene(), panel))
         assert len(frames) == 24 and {frame.shape for frame in frames} == {(size[1], size[0], 3)}
         columns = 6 if panel is upright else 4
         shown = contact_sheet(frames)

@@ -9,8 +9,8 @@ import torch
 from command_line import PANEL, complaint, run
 
 from lightfield_gs import Look, cli, depth_report
+from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.io.images import read_info
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -20,7 +20,7 @@ OPTIONS = "--focus 0.4,0.6 --depth-amount 0.5 --cone 20 --zoom 1.2 --pan -0.1,0.
 def expected_rig() -> Rig:
     gaussians = Gaussians.load("s.ply")
     look = Look(focus=(0.4, 0.6), depth_amount=0.5, cone_deg=20, zoom=1.2, pan=(-0.1, 0.05))
-    return look.applied(frame_scene(gaussians, PANEL), PANEL, gaussians)
+    return look.applied(Rig.frame(gaussians, PANEL), PANEL, gaussians)
 
 
 def test_encode_looks_so_and_everything_it_writes_says_so(folder, capsys):
@@ -75,10 +75,10 @@ def test_the_depth_report_is_that_of_the_library(folder, capsys):
     code = cli.main("encode s.ply -o o.png --panel p.yaml --depth-report".split())
     output = capsys.readouterr()
     gaussians = Gaussians.load("s.ply")
-    report = depth_report(gaussians, PANEL, frame_scene(gaussians, PANEL))
+    report = depth_report(gaussians, PANEL, Rig.frame(gaussians, PANEL))
     assert code == 0 and output.out.splitlines()[-6:] == report.lines()
     # A cloud of scattered Gaussians has gaps all over
-    assert output.err.splitlines() == [f"note: {words}" for words in report.warnings()] and output.err
+    assert output.err.splitlines() == [f"note: {as_options(words)}" for words in report.warnings()] and output.err
 
 
 def test_what_was_steered_gets_notes_unasked(folder, capsys):

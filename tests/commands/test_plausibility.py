@@ -11,7 +11,6 @@ from command_line import PANEL, run, scene
 from lightfield_gs import cli
 from lightfield_gs.app.panel import implausible_units
 from lightfield_gs.io.images import read_image, write_image
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.rig import Rig
 
 
@@ -47,7 +46,7 @@ def test_commands_doubt_the_units_of_a_panel(folder, capsys):
 
 @pytest.mark.parametrize("ratio", [0.5, 1, 1.5, 2])
 def test_a_rig_of_a_panel_of_another_size_is_doubted(folder, capsys, ratio):
-    rig = frame_scene(scene(), PANEL)
+    rig = Rig.frame(scene(), PANEL)
     scaled = replace(
         rig,
         focal_px=tuple(ratio * part for part in rig.focal_px),
@@ -60,7 +59,7 @@ def test_a_rig_of_a_panel_of_another_size_is_doubted(folder, capsys, ratio):
 
 
 def test_cameras_of_a_panel_of_another_size_are_doubted(folder, capsys):
-    cameras = frame_scene(scene(), PANEL).cameras(PANEL)
+    cameras = Rig.frame(scene(), PANEL).cameras(PANEL)
     for ratio in (1, 2):
         (folder / "c.json").write_text(
             json.dumps(
@@ -79,7 +78,7 @@ def test_cameras_of_a_panel_of_another_size_are_doubted(folder, capsys):
 def test_cameras_in_the_order_of_a_quilt_are_doubted(folder, capsys, invert):
     panel = replace(PANEL, invert_views=invert)
     panel.to_yaml("p.yaml")
-    cameras = frame_scene(scene(), panel).cameras(panel)
+    cameras = Rig.frame(scene(), panel).cameras(panel)
     for step in (1, -1):
         fields = ("world_to_camera", "focal_px", "principal_point_px")
         (folder / "c.json").write_text(json.dumps({name: getattr(cameras, name).tolist()[::step] for name in fields}))

@@ -18,7 +18,7 @@ from rgbd_scene import view
 
 from lightfield_gs import Gaussians, cli, encode, render
 from lightfield_gs.io.images import read_image, read_info, write_image
-from lightfield_gs.panels.framing import frame_scene
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.show.preview import to_integers
 from lightfield_gs.video.camera_path import orbit, turntable
 from lightfield_gs.video.frame_folder import frame_name
@@ -66,7 +66,7 @@ def test_frames_are_those_of_encode(folder, capsys):
     assert out.startswith("frames: 6 frames of 96 x 60, native, PNG, 3 a second\n")
     assert (frame("frames", 0) == read_image("o.png", as_stored=True)).all()
     gaussians = Gaussians.load("s.ply")
-    rig = frame_scene(gaussians, PANEL)
+    rig = Rig.frame(gaussians, PANEL)
     for number, degrees in ((1, 60), (5, 300)):
         expected = orbit(rig, PANEL, degrees)
         assert (frame("frames", number) == encode(gaussians, PANEL, expected).numpy()).all()
@@ -108,7 +108,7 @@ def test_a_lossless_video_has_the_same_frames(folder, capsys):
 
 def test_a_path(folder, capsys):
     gaussians = Gaussians.load("s.ply")
-    rigs = turntable(frame_scene(gaussians, PANEL), PANEL, 3, 90)
+    rigs = turntable(Rig.frame(gaussians, PANEL), PANEL, 3, 90)
     keyframes = [{"time": 2 * number, "rig": rig.to_dict()} for number, rig in enumerate(rigs)]
     Path("path.json").write_text(json.dumps({"keyframes": keyframes}))
     out = run(capsys, "video s.ply -o frames --panel p.yaml --path path.json --fps 1")
@@ -121,7 +121,7 @@ def test_a_quilt_has_the_left_most_camera_at_the_bottom_left(folder, capsys):
     out = run(capsys, "video s.ply -o frames --kind quilt --quilt 4x3 --quilt-size 400x186 --panel p.yaml --frames 2")
     assert out.startswith("frames: 2 frames of 400 x 186, quilt of 4 x 3 views")
     gaussians = Gaussians.load("s.ply")
-    rig = frame_scene(gaussians, PANEL)
+    rig = Rig.frame(gaussians, PANEL)
     scale = 100 / 96, 62 / 60
     rig.focal_px = tuple(np.multiply(rig.focal_px, scale))
     rig.principal_point_px = tuple(np.multiply(rig.principal_point_px, scale))

@@ -35,7 +35,8 @@ def test_a_batch_is_what_encode_is(tmp_path, monkeypatch, capsys):
     Rig(np.eye(4), (1000.0, 1000.0), (1e6, 0.0), 1.3).to_yaml("far.yaml")
     assert cli.main("batch in -o far --panel toy-8v --devices cuda:0 --processes 1 --rig far.yaml".split()) == 0
     lines = [json.loads(line) for line in Path("far/batch.jsonl").read_text().splitlines()]
-    assert all("is all background" in "".join(line["said"]) for line in lines if "item" in line)
+    ended = [line for line in lines if line.get("status") == "done"]
+    assert len(ended) == 6 and all("is all background" in "".join(line["said"]) for line in ended)
 
 
 @pytest.mark.parametrize("detail", [None, 1, "auto"])

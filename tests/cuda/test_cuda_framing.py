@@ -8,7 +8,7 @@ from subject_cases import PANEL, UPRIGHT, blobs, directions, floaters, joined, r
 
 from lightfield_gs import _core
 from lightfield_gs.panels import framing
-from lightfield_gs.panels.framing import frame_scene
+from lightfield_gs.panels.rig import Rig
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -27,7 +27,7 @@ SCENES = {
 def test_a_scene_is_framed_as_on_the_cpu(name, pose):
     rigs, notes = [], ([], [])
     for device, said in zip(("cpu", "cuda"), notes):
-        rigs.append(frame_scene(SCENES[name].to(device), PANEL, pose, notes=said))
+        rigs.append(Rig.frame(SCENES[name].to(device), PANEL, pose, notes=said))
     assert notes[0] == notes[1]
     assert np.allclose(rigs[0].world_to_camera, rigs[1].world_to_camera, atol=1e-3)
     assert rigs[1].focal_px == pytest.approx(rigs[0].focal_px, rel=0.01)

@@ -11,7 +11,6 @@ from lightfield_gs import Gaussians, InputError, Panel, Rig, cli, encode, prune,
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.bench.scenes import benchmark_rig, cloud
 from lightfield_gs.encoding.pruning import contributions
-from lightfield_gs.panels.framing import frame_scene
 
 STOP = 1e-4  # transmittance at which samples end
 
@@ -89,4 +88,4 @@ def test_the_command_is_the_library_call(tmp_path, monkeypatch, capsys):
     ):
         assert cli.main(line.split()) == 2 and words in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["less.ply", "panel.yaml", "r.yaml", "scene.ply"]
-    assert np.allclose(fan.world_to_camera, frame_scene(stored, shown).world_to_camera)
+    assert np.allclose(fan.world_to_camera, Rig.frame(stored, shown).world_to_camera)

@@ -11,8 +11,8 @@ from lightfield_gs import InputError, Panel, QuiltLayout, encode, interlace, qui
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.encoding.weave_sampling import TorchPasses
 from lightfield_gs.io.images import read_image, write_image
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.quilt import QUILT_PRESETS, panel_quilt, stated_layout, with_suffix
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.view_sets.view_set import QuiltViews, open_views
 
 SIZE = PANEL.height_px, PANEL.width_px
@@ -193,7 +193,7 @@ def test_a_view_map_takes_the_place_of_the_lens():
 def test_the_weave_of_a_quilt_is_what_classic_draws(inverted, width):
     panel = replace(PANEL, invert_views=inverted)
     gaussians, layout = scene(), panel_quilt(panel)
-    rig = frame_scene(gaussians, panel)
+    rig = Rig.frame(gaussians, panel)
     image = quilt(gaussians, layout, rig, panel, view_filter=width).numpy()
     got = weave(QuiltViews(image, layout, "quilt"), panel)
     difference = (got.int() - encode(gaussians, panel, rig, "classic", view_filter=width).int()).abs()

@@ -15,7 +15,6 @@ from lightfield_gs import Cameras, Encoder, PhotoEncoder, Quality, SortedPlan, f
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.classic import interlace
 from lightfield_gs.encoding.encode import encode
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
@@ -212,7 +211,7 @@ def entries() -> dict:
         "Cameras": (Cameras, cameras),
         "Panel": (Panel, vars(PANEL)),
         "Rig": (Rig, dict(world_to_camera=np.eye(4), focal_px=(24, 24), principal_point_px=(12, 8), zero_depth=2.0)),
-        "frame_scene": (frame_scene, dict(gaussians=scene(), panel=PANEL, world_to_camera=np.eye(4))),
+        "Rig.frame": (Rig.frame, dict(gaussians=scene(), panel=PANEL, world_to_camera=np.eye(4))),
         "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 3])),
         "Rig.cameras_at": (RIG.cameras_at, dict(panel=PANEL, x=[0.5, 3.5])),
         "Quality": (Quality, vars(Quality())),

@@ -10,12 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import lightfield_gs
 from installs.record import case, fields_of
 from installs.scenes import PANELS, arc, panel, rig, scene, view_map
-from lightfield_gs import Encoder, Gaussians, Quality, SortedPlan, encode, interlace, prune, render
+from lightfield_gs import Encoder, Gaussians, Quality, Rig, SortedPlan, encode, interlace, prune, render
 
-frame_scene = getattr(lightfield_gs, "frame_scene", None) or vars(lightfield_gs.Rig)["frame"]  # its name before
 Found = Iterator[tuple[str, Any]]
 _COLOUR = (0.1, 0.4, 0.8)
 
@@ -228,7 +226,7 @@ def framing(device: torch.device) -> Found:
     gaussians = scene(500, 0, 2, device)
     for name, up in product(("stripes", "inverted"), ("-y", "z", "x")):
         notes: list[str] = []
-        yield f"{name}, {up}", frame_scene(gaussians, panel(name), up=up, notes=notes).to_dict()
+        yield f"{name}, {up}", Rig.frame(gaussians, panel(name), up=up, notes=notes).to_dict()
         yield f"{name}, {up}: notes", notes
-    yield "from a camera", frame_scene(gaussians, panel(), np.eye(4)).to_dict()
-    yield "portrait", frame_scene(gaussians, panel(width_px=60, height_px=140)).to_dict()
+    yield "from a camera", Rig.frame(gaussians, panel(), np.eye(4)).to_dict()
+    yield "portrait", Rig.frame(gaussians, panel(width_px=60, height_px=140)).to_dict()

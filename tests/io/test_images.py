@@ -15,7 +15,7 @@ from lightfield_gs import Panel, encode
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io import images
 from lightfield_gs.io.images import read_image, read_info, write_image
-from lightfield_gs.panels.framing import frame_scene
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.load import load_photo, plain_background_mask
 from lightfield_gs.show.preview import to_integers
 
@@ -89,7 +89,7 @@ def test_a_description_of_another_kind_is_no_metadata(tmp_path):
 def test_png_of_a_light_field_is_small_unless_told_otherwise(tmp_path):
     """Here of many small Gaussians that differ from view to view; of plain objects on 8K panels a seventh is left."""
     panel = Panel(width_px=600, height_px=300, views=24, line_number=9.85, slant_tan=1 / 6, cone_deg=30)
-    image = encode(scene := random_scene(300, dtype=torch.float32), panel, frame_scene(scene, panel)).numpy()
+    image = encode(scene := random_scene(300, dtype=torch.float32), panel, Rig.frame(scene, panel)).numpy()
     sizes = []
     for compression in ("fast", "small"):
         write_image(tmp_path / "a.png", image, compression=compression)

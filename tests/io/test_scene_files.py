@@ -17,7 +17,6 @@ from lightfield_gs.encoding.encode import encode
 from lightfield_gs.io.npy import open_array
 from lightfield_gs.io.ply_file import read_elements, read_header
 from lightfield_gs.io.scenes.files import read_scene
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
 from lightfield_gs.scene.gaussians import Gaussians
@@ -61,7 +60,7 @@ def test_infinite_logits_and_logs_are_drawn_for_what_they_mean(tmp_path):
     assert read_scene(tmp_path / "a.ply").notes == []
     assert (loaded.opacities[1::3] == 1).all() and (loaded.opacities[2::3] < 1e-37).all()
     assert (loaded.scales[1::2, 0] < 1e-37).all() and (loaded.scales[::2, 0] > 0.01).all()
-    rig = frame_scene(loaded, PANEL)
+    rig = Rig.frame(loaded, PANEL)
     at = tuple(index.ravel() for index in np.indices((PANEL.height_px, PANEL.width_px, 3)))
     right, margin = subpixel_colours(loaded.to(torch.float64), PANEL, rig, *at, return_margin=True)
     drawn = encode(loaded, PANEL, rig, output="float32").numpy().ravel()

@@ -29,7 +29,6 @@ from lightfield_gs import (
 )
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
-from lightfield_gs.panels.framing import frame_scene
 
 PANEL, RIG = CASES["panel 2 x 1"].view()
 SCENE = CASES["single"].scene().to(dtype=torch.float32)
@@ -103,7 +102,7 @@ CALLS = {
     ),
     "Panel.load": (Panel.load, dict(source="65in-8k-96v")),
     "Rig": (Rig, dict(RIG.to_dict(), cone_deg=20.0)),
-    "frame_scene": (frame_scene, dict(gaussians=SCENE, panel=PANEL, world_to_camera=np.eye(4))),
+    "Rig.frame": (Rig.frame, dict(gaussians=SCENE, panel=PANEL, world_to_camera=np.eye(4))),
     "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 1])),
     "PhotoEncoder": (PhotoEncoder, dict(net=NET, panel=PANEL, views="integer", background=(1, 1, 1), output="uint8")),
     "PhotoEncoder.__call__": (PhotoEncoder(NET, PANEL), dict(rgba=np.ones((9, 7, 4), np.float32), stats=None)),
@@ -289,7 +288,7 @@ def test_numbers_that_are_none_are_named_with_their_index(how, field, bad):
     scene.fields()[field].view(40, -1)[17, -1] = bad
     calls = {
         "render": lambda: render(scene, CAMERAS.to(torch.float32)).image,
-        "frame": lambda: frame_scene(scene, PANEL),
+        "frame": lambda: Rig.frame(scene, PANEL),
         "save": lambda: scene.save("/nowhere/a.ply"),
         "high": lambda: encode(scene, PANEL, RIG, quality="high"),
         "fast": lambda: encode(scene, PANEL, RIG, quality="fast"),

@@ -8,7 +8,6 @@ import torch
 from panel_cases import plain_panel
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
@@ -149,7 +148,7 @@ BOX = RNG.uniform(-1, 1, (4000, 3)) * [0.4, 0.5, 0.3] + [3, -2, 7]
 
 @pytest.mark.parametrize("panel", [PANEL, Panel(**{**PANEL.to_dict(), "width_px": 100})])
 def test_framing_fits_the_panel(panel):
-    rig = frame_scene(scene(BOX.tolist()), panel)
+    rig = Rig.frame(scene(BOX.tolist()), panel)
     pixels = np.array([project(rig, panel, point) for point in BOX])
     low, high = np.percentile(pixels, 1, 0), np.percentile(pixels, 99, 0)
     filled = (high - low) / [panel.width_px, panel.height_px]
@@ -160,7 +159,7 @@ def test_framing_fits_the_panel(panel):
 
 def test_framing_puts_the_zero_plane_at_the_harmonic_mean():
     points = [[0, y, z] for y in (-0.5, 0.5) for z in (1.0, 4.0)] * 50
-    rig = frame_scene(scene(points), PANEL, np.eye(4))
+    rig = Rig.frame(scene(points), PANEL, np.eye(4))
     assert rig.zero_depth == pytest.approx(2 / (1 / 1 + 1 / 4))
     assert np.array_equal(rig.world_to_camera, np.eye(4))
 
@@ -168,8 +167,8 @@ def test_framing_puts_the_zero_plane_at_the_harmonic_mean():
 def test_framing_ignores_stray_and_invisible_gaussians():
     stray = np.concatenate([BOX, [[300, 300, -900]] * 10, RNG.uniform(-50, 50, (4000, 3))])
     opacities = np.concatenate([np.full(4010, 0.9), np.full(4000, 0.05)])
-    with_stray = frame_scene(scene(stray.tolist(), opacities=opacities), PANEL)
-    without = frame_scene(scene(BOX.tolist()), PANEL)
+    with_stray = Rig.frame(scene(stray.tolist(), opacities=opacities), PANEL)
+    without = Rig.frame(scene(BOX.tolist()), PANEL)
     sizes = [np.ptp([project(rig, PANEL, point) for point in BOX], axis=0) for rig in (with_stray, without)]
     assert (sizes[0] > 0.7 * sizes[1]).all()  # at most 15 % of room on each side for the strays
     assert with_stray.zero_depth == pytest.approx(without.zero_depth, rel=0.2)
@@ -180,7 +179,7 @@ def test_framing_is_the_same_without_what_is_never_drawn():
     places = np.concatenate([RNG.uniform(-1, 1, (500, 3)), RNG.uniform(-6, 6, (60, 3)), RNG.uniform(-6, 6, (4000, 3))])
     opacities = np.concatenate([np.full(500, 0.9), RNG.uniform(0.07, 0.1, 60), np.full(4000, 0.003)])
     frames = [
-        frame_scene(scene((places[:count] + [0, 0, 7]).tolist(), opacities=opacities[:count]), PANEL)
+        Rig.frame(scene((places[:count] + [0, 0, 7]).tolist(), opacities=opacities[:count]), PANEL)
         for count in (560, 4560)
     ]
     assert frames[0].to_dict() == frames[1].to_dict()
@@ -191,7 +190,7 @@ def test_framing_keeps_small_parts(count, strays):
     """A thin stalk, a two-hundredth of the scene or less than a thousandth, high on top of a box is shown whole, also
     below strays that are fewer."""
     stalk = RNG.uniform(-1, 1, (count, 3)) * [0.01, 0.05, 0.01] + [3, -2.8, 7]
-    rig = frame_scene(scene(BOX.tolist() + stalk.tolist() + [[3, -40, 7]] * strays), PANEL)
+    rig = Rig.frame(scene(BOX.tolist() + stalk.tolist() + [[3, -40, 7]] * strays), PANEL)
     rows = [project(rig, PANEL, point)[1] for point in stalk]
     assert 0 < min(rows) < 30
 
@@ -200,17 +199,17 @@ def test_framing_natural_field_of_view():
     """A flat scene is seen under the angle that the panel subtends, here 2 atan(240 * 0.5 / 2 / 150) = 43.6 degrees."""
     panel = Panel(**{**PANEL.to_dict(), "pixel_pitch_mm": 0.5, "viewing_distance_mm": 150})
     flat = (BOX * [1, 1, 0]).tolist()
-    rig = frame_scene(scene(flat, scales=1e-6), panel)
+    rig = Rig.frame(scene(flat, scales=1e-6), panel)
     assert math.degrees(2 * math.atan(120 / rig.focal_px[1])) == pytest.approx(43.6, abs=1)
 
 
 def test_framing_extremes():
-    assert frame_scene(scene([[0, 0, 0]]), PANEL).zero_depth > 0
-    assert frame_scene(scene(BOX.tolist(), opacities=0.01), PANEL).zero_depth > 0
+    assert Rig.frame(scene([[0, 0, 0]]), PANEL).zero_depth > 0
+    assert Rig.frame(scene(BOX.tolist(), opacities=0.01), PANEL).zero_depth > 0
     with pytest.raises(InputError, match="in front"):
-        frame_scene(scene([[0, 0, -1]]), PANEL, np.eye(4))
+        Rig.frame(scene([[0, 0, -1]]), PANEL, np.eye(4))
     with pytest.raises(InputError, match="no Gaussians"):
-        frame_scene(Gaussians(*(torch.zeros(0, *tail) for tail in ((3,), (4,), (3,), (), (1, 3)))), PANEL)
+        Rig.frame(Gaussians(*(torch.zeros(0, *tail) for tail in ((3,), (4,), (3,), (), (1, 3)))), PANEL)
     batch = Gaussians(*(tensor[None] for tensor in scene([[0, 0, 1]]).fields().values()))
     with pytest.raises(InputError, match="batch"):
-        frame_scene(batch, PANEL)
+        Rig.frame(batch, PANEL)

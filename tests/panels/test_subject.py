@@ -9,7 +9,6 @@ from subject_cases import PANEL, UPRIGHT, blobs, directions, floaters, joined, r
 
 from lightfield_gs import Gaussians, InputError, Panel, Rig
 from lightfield_gs.panels import framing, visibility
-from lightfield_gs.panels.framing import frame_scene
 
 
 def place(rig: Rig) -> np.ndarray:
@@ -23,8 +22,8 @@ def height_px(rig: Rig, height: float, distance: float) -> float:
 @pytest.mark.parametrize("near, far", [(3, 20), (10, 100), (50, 51)])
 def test_three_percent_of_floaters_do_not_shrink_the_subject(near, far):
     scene, notes = thing(), []
-    alone = frame_scene(scene, PANEL)
-    rig = frame_scene(joined(scene, floaters(45, near, far)), PANEL, notes=notes)
+    alone = Rig.frame(scene, PANEL)
+    rig = Rig.frame(joined(scene, floaters(45, near, far)), PANEL, notes=notes)
     assert height_px(rig, 1.2, rig.zero_depth) > 0.9 * height_px(alone, 1.2, alone.zero_depth)
     assert rig.zero_depth == pytest.approx(alone.zero_depth, rel=0.05)
     assert len(notes) == 1 and "2.9% of the scene lies far around" in notes[0]
@@ -34,7 +33,7 @@ def test_three_percent_of_floaters_do_not_shrink_the_subject(near, far):
 def test_an_object_in_a_sky_is_framed_from_inside_the_sky(share):
     scene, notes = thing(), []
     count = int(len(scene.means) * share / (1 - share))
-    rig = frame_scene(joined(scene, blobs(100 * directions(count, 4), 5.0)), PANEL, notes=notes)
+    rig = Rig.frame(joined(scene, blobs(100 * directions(count, 4), 5.0)), PANEL, notes=notes)
     assert 1 < np.linalg.norm(place(rig)) < 10 and abs(rig.zero_depth + place(rig)[2]) < 0.2
     assert height_px(rig, 1.2, rig.zero_depth) > 0.8 * PANEL.height_px and notes
 
@@ -56,7 +55,7 @@ def turned_room() -> np.ndarray:
 )
 def test_an_object_in_a_room_is_framed_from_inside_the_room(walls, centre):
     notes = []
-    rig = frame_scene(joined(walls, thing(centre, 500)), PANEL, notes=notes)
+    rig = Rig.frame(joined(walls, thing(centre, 500)), PANEL, notes=notes)
     from_object = place(rig) - centre
     assert 0.4 < -from_object[2] < 3 and rig.zero_depth == pytest.approx(-from_object[2], abs=0.3)
     assert place(rig)[2] > -3 and np.abs(from_object[:2]).max() < 0.3
@@ -67,7 +66,7 @@ def test_what_is_closed_and_empty_is_said_to_be():
     """A room, or a box: nobody knows."""
     for scene in (room(), blobs(directions(4000, 5), 0.05)):
         notes = []
-        frame_scene(scene, PANEL, notes=notes)
+        Rig.frame(scene, PANEL, notes=notes)
         assert len(notes) == 1 and "shell" in notes[0] and "outside" in notes[0]
 
 
@@ -78,7 +77,7 @@ def test_a_small_dense_part_of_a_wide_capture_is_framed_from_within():
     around = blobs(around[around[:, 1] < 0.5])
     around.scales *= around.means.norm(dim=1, keepdim=True)
     notes = []
-    rig = frame_scene(joined(thing(count=3000), around), PANEL, notes=notes)
+    rig = Rig.frame(joined(thing(count=3000), around), PANEL, notes=notes)
     assert np.linalg.norm(place(rig)) < 10 and "surrounds its densest part" in notes[0]
 
 
@@ -100,7 +99,7 @@ def pole() -> Gaussians:
 )
 def test_objects_are_framed_whole_without_a_word(scene):
     notes = []
-    rig = frame_scene(scene, PANEL, notes=notes)
+    rig = Rig.frame(scene, PANEL, notes=notes)
     assert notes == []
     matrix = torch.from_numpy(rig.world_to_camera).float()
     seen = scene.means @ matrix[:3, :3].T + matrix[:3, 3]
@@ -115,7 +114,7 @@ def test_a_camera_inside_a_scene_takes_ninety_degrees_at_most(panel, place):
     cloud = blobs(np.random.default_rng(14).uniform(-1, 1, (3000, 3)))
     pose = np.eye(4)
     pose[:3, 3] = -np.array(place)
-    rig = frame_scene(cloud, panel, pose)
+    rig = Rig.frame(cloud, panel, pose)
     for focal, centre, size in zip(rig.focal_px, rig.principal_point_px, (panel.width_px, panel.height_px)):
         assert math.degrees(math.atan(centre / focal) + math.atan((size - centre) / focal)) <= 90.001
     assert np.array_equal(rig.world_to_camera, pose)
@@ -126,7 +125,7 @@ def test_with_a_pose_the_zero_plane_lies_in_the_subject():
     random = np.random.default_rng(15)
     wall = blobs(random.uniform(-1, 1, (3000, 3)) * [30, 20, 0] + [0, 0, 60], 0.6)
     scene = joined(thing((0, 0, 3)), wall)
-    assert frame_scene(scene, PANEL, UPRIGHT).zero_depth == pytest.approx(3, abs=0.3)
+    assert Rig.frame(scene, PANEL, UPRIGHT).zero_depth == pytest.approx(3, abs=0.3)
     given = framing.frame_from_camera(scene, PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0))
     assert given.zero_depth == pytest.approx(3, abs=0.3) and given.focal_px == (80, 80)
     with pytest.raises(InputError, match="in front"):
@@ -146,7 +145,7 @@ def test_what_hides_the_content_counts():
 def test_a_photo_keeps_its_whole_view_however_wide():
     wide = blobs(np.stack([np.linspace(-3, 3, 400), np.zeros(400), np.ones(400)], 1))
     rig = framing.frame_photo(wide, PANEL)
-    assert rig.focal_px[0] < 30 and frame_scene(wide, PANEL, UPRIGHT).focal_px[0] == pytest.approx(80)
+    assert rig.focal_px[0] < 30 and Rig.frame(wide, PANEL, UPRIGHT).focal_px[0] == pytest.approx(80)
 
 
 @pytest.mark.parametrize("width", [640, 648, 1021])
@@ -162,7 +161,7 @@ def test_some_of_a_photos_many_gaussians_show_how_far_all_reach(width):
     gaussians = Gaussians(means, turns, scales, opacities, torch.zeros(count, 1, 3))
     rig, whole = (
         framing.frame_photo(gaussians, PANEL),
-        framing.fit_rig(framing.content_extent(gaussians).tolist(), PANEL, np.eye(4)),
+        framing.frame_extent(framing.content_extent(gaussians).tolist(), PANEL),
     )
     assert rig.focal_px == pytest.approx(whole.focal_px, rel=4e-3) and rig.focal_px != whole.focal_px
     assert rig.principal_point_px == pytest.approx(whole.principal_point_px, abs=4e-3 * PANEL.height_px)

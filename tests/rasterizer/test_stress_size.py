@@ -84,11 +84,11 @@ def test_a_panel_of_16k():
 NO_MORE_THREADS = """
 import resource
 import torch
-from lightfield_gs import Panel, encode, frame_scene
+from lightfield_gs import Panel, Rig, encode
 from lightfield_gs.bench.scenes import sheet
 panel = Panel(30, 4096, 5, line_number=9.0, slant_tan=0.2)
 scene = sheet(16)
-rig = frame_scene(scene, panel)
+rig = Rig.frame(scene, panel)
 expected = encode(scene, panel, rig, threads=1)
 status = dict(line.split(":\\t", 1) for line in open("/proc/self/status") if ":\\t" in line)
 used = 1024 * int(status["VmSize"].split()[0])

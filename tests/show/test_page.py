@@ -17,7 +17,6 @@ from PIL import Image
 from lightfield_gs import encode, render
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.comfort import depth_report
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import panel_quilt
 from lightfield_gs.panels.rig import Rig
@@ -35,7 +34,7 @@ CELLS = replace(
 
 def stage(panel: Panel = PANEL) -> Stage:
     gaussians = scene()
-    return Stage(gaussians, panel, frame_scene(gaussians, panel), name="s.ply")
+    return Stage(gaussians, panel, Rig.frame(gaussians, panel), name="s.ply")
 
 
 @contextmanager
@@ -62,7 +61,7 @@ def get(server: Server, path: str, method: str = "GET", body: str | None = None,
 
 def test_orbit_goes_around_what_lies_in_the_panel():
     gaussians = scene()
-    rig = frame_scene(gaussians, PANEL)
+    rig = Rig.frame(gaussians, PANEL)
     turned = orbited(rig, 30, 20)
 
     def centre(rig):

@@ -18,7 +18,7 @@ from test_page import serving
 
 from lightfield_gs import encode
 from lightfield_gs.io.images import write_image
-from lightfield_gs.panels.framing import frame_scene
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.show.page.routes import exports, shown_routes, steering_routes
 from lightfield_gs.show.page.stage import Controls, Stage
 from lightfield_gs.show.preview import write_preview
@@ -50,7 +50,7 @@ def pixels(page: Browser, pane: str) -> np.ndarray:
 @pytest.fixture
 def stage() -> Stage:
     gaussians = scene()
-    return Stage(gaussians, PANEL, frame_scene(gaussians, PANEL), name="s.ply")
+    return Stage(gaussians, PANEL, Rig.frame(gaussians, PANEL), name="s.ply")
 
 
 def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):

@@ -8,7 +8,6 @@ import torch
 from command_line import PANEL, scene
 
 from lightfield_gs import Gaussians, InputError, Rig, encode
-from lightfield_gs.panels.framing import frame_scene
 from lightfield_gs.scene.axes import upright_rotation
 from lightfield_gs.video.camera_path import orbit, pivot_point, turntable
 
@@ -18,7 +17,7 @@ def place(rig: Rig) -> np.ndarray:
 
 
 def tilted_rig() -> Rig:
-    rig = frame_scene(scene(), PANEL)
+    rig = Rig.frame(scene(), PANEL)
     angle = 0.3
     tilt = np.eye(4)
     tilt[1:3, 1:3] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
@@ -52,7 +51,7 @@ def test_the_middle_of_the_panel_stays_and_the_height_above_it():
 def test_going_round_is_the_scene_turned_the_other_way():
     """One and the same picture, of a scene with view-dependent colours, but for rounding."""
     gaussians = scene()
-    rig = frame_scene(gaussians, PANEL)
+    rig = Rig.frame(gaussians, PANEL)
     point = torch.from_numpy(
         rig.world_to_camera[:3, :3].T @ (pivot_point(rig, PANEL) - rig.world_to_camera[:3, 3])
     ).float()
@@ -95,6 +94,6 @@ def test_an_axis_without_a_direction_is_refused(up):
 
 def test_the_axis_of_an_upright_camera_is_what_is_up():
     for up in ("z", "y", "-y"):
-        rig = frame_scene(scene(), PANEL, up=up)
+        rig = Rig.frame(scene(), PANEL, up=up)
         one, other = orbit(rig, PANEL, 25), orbit(rig, PANEL, 25, -upright_rotation(up)[1])
         np.testing.assert_allclose(one.world_to_camera, other.world_to_camera, atol=1e-12)

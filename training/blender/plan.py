@@ -78,11 +78,15 @@ def make_plan(
     size_px: int = 256,
     focal: float = FOCAL,
 ) -> dict[str, Any]:
-    """The plan as JSON-like values; the first frame is the centre camera of the first direction.
+    """Return the plan as JSON-like values; the first frame is the centre camera of the first direction.
 
-    rig: its cone_deg and zero_depth (in diagonals of the object) replace the panel's cone and OBJECT_DISTANCE.
-    columns, rows: cameras along the fan and fans above each other, row_step_deg apart, about elevation_deg. focal:
-    length in units of size_px. Raises InputError for numbers that make no views, or in which the object would be cut.
+    Args:
+        rig: Its cone_deg and zero_depth (in diagonals of the object) replace the panel's cone and OBJECT_DISTANCE.
+        columns, rows: Cameras along the fan, and fans above each other, row_step_deg apart, about elevation_deg.
+        focal: Focal length in units of size_px.
+
+    Raises:
+        InputError: the numbers make no views, or the object would be cut.
     """
     distance = OBJECT_DISTANCE if rig is None else rig.zero_depth
     cone_deg = cone_margin * (panel.cone_deg if rig is None or rig.cone_deg is None else rig.cone_deg)

@@ -42,7 +42,12 @@ class Border:
 
 @dataclass(frozen=True)
 class Background:
-    """colour: of the background, 0..255. exact: whether it has exactly this colour."""
+    """A background of about one colour.
+
+    Attributes:
+        colour: 0..255.
+        exact: Whether the background has exactly this colour.
+    """
 
     colour: tuple[int, int, int]
     exact: bool
@@ -168,9 +173,11 @@ def _hole_side(rgb: np.ndarray) -> int:
 
 
 def _holes(off: np.ndarray, outside: np.ndarray, side: int) -> np.ndarray:
-    """Enclosed patches of the background's colour [H,W], as large as a square of `side` pixels, with a sharp edge.
+    """Return enclosed patches [H,W] of the background's colour, as large as a square of `side` pixels, with a sharp
+    edge.
 
-    off: how many levels each pixel differs from the background.
+    Args:
+        off: Difference of each pixel from the background, in levels.
     """
     enclosed = (off == 0) & ~outside
     components = Components(enclosed, diagonal=False)

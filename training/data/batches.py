@@ -19,9 +19,13 @@ from training.data.transfer import on_device
 class Batch:
     """B examples of V views each; view 0 is the source view itself.
 
-    source: [B,4,S,S] premultiplied RGBA, 0..1. source_intrinsics: [B,4] (fx, fy, cx, cy) in pixels.
-    targets: [B,V,4,T,T]. intrinsics: [B,V,4]. world_to_camera: [B,V,4,4], the world being the source camera's axes.
-    backgrounds: [B,V,3], plain colours 0..1.
+    Attributes:
+        source: [B,4,S,S] premultiplied RGBA, 0..1.
+        source_intrinsics: [B,4] (fx, fy, cx, cy) in pixels.
+        targets: [B,V,4,T,T].
+        intrinsics: [B,V,4].
+        world_to_camera: [B,V,4,4], the world being the source camera's axes.
+        backgrounds: [B,V,3], plain colours 0..1.
     """
 
     source: Tensor
@@ -33,10 +37,12 @@ class Batch:
 
 
 def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) -> Batch:
-    """The batch that a plan describes, on the device of the views: stored views first, then procedural objects.
+    """Return the batch of a plan, on the device of the views: stored views first, then procedural objects.
 
-    compiled: by a few kernels that torch.compile makes for these sizes, in place of hundreds of operations.
-    The host waits for nothing, but where a block of procedural objects begins (see training/data/procedural.py).
+    The host waits only where a block of procedural objects begins (see training/data/procedural.py).
+
+    Args:
+        compiled: Use a few kernels that torch.compile makes for these sizes, in place of hundreds of operations.
     """
     plan = on_device(plan, views.device)
     stored = dataclasses.replace(plan, procedural=None, photo=None)  # what else it has must not be compiled for

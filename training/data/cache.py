@@ -36,9 +36,13 @@ _CHUNK = 8  # objects that a process takes at a time
 class CachedObject:
     """One object of V views, all of one size; lengths in pixels.
 
-    rectangles: [V,5], (offset, left, top, width, height) of the stored part of each view; the offset counts pixels from
-    the start of the set. squares: [V,3], (left, top, side) of object_square. camera_to_world: [V,4,4] float64.
-    intrinsics: [V,4] float64, (fx, fy, cx, cy). cutout: what said which pixels are object, for people.
+    Attributes:
+        cutout: How the object's pixels were found, in words.
+        rectangles: [V,5], (offset, left, top, width, height) of the stored part of each view; the offset counts pixels
+            from the start of the set.
+        squares: [V,3], (left, top, side) of object_square.
+        camera_to_world: [V,4,4] float64.
+        intrinsics: [V,4] float64, (fx, fy, cx, cy).
     """
 
     name: str
@@ -55,8 +59,9 @@ class CachedObject:
 class CachedSet:
     """All objects of one folder, root.
 
-    pixels: [P] int32, the stored parts of all views by rows; the four bytes of a pixel are its premultiplied R, G, B
-    and alpha.
+    Attributes:
+        pixels: [P] int32, the stored parts of all views by rows; the four bytes of a pixel are its premultiplied R, G,
+            B and alpha.
     """
 
     root: Path
@@ -76,9 +81,12 @@ def _files(base: Path) -> tuple[Path, Path]:
 
 
 def fingerprint(objects: list[Path], background: Choice = "auto") -> str:
-    """16 hexadecimal digits that change when any file of the objects is added, removed, moved, resized or rewritten.
+    """Return 16 hexadecimal digits that change when any file of the objects is added, removed, moved, resized or
+    rewritten.
 
-    objects: as find_objects names them. background: as find_cutout takes it.
+    Args:
+        objects: As find_objects names them.
+        background: As find_cutout takes it.
     """
     digest = hashlib.sha256(f"{_VERSION};{MARGIN};{background}".encode())
     for name in objects:
@@ -116,9 +124,13 @@ def _decode_object(name: Path, background: Choice) -> tuple[dict, list[np.ndarra
 
 
 def square_of_view(path: Path, alpha: np.ndarray) -> list[int]:
-    """Left, top and side, pixels, of the square round the object of a view, alpha uint8 [H,W].
+    """Return left, top and side in pixels of the square round the object of a view, alpha uint8 [H,W].
 
-    path: of its image, for the message. Raises InputError where nothing is opaque enough.
+    Args:
+        path: Path of the view's image, for the message.
+
+    Raises:
+        InputError: nothing is opaque enough.
     """
     try:
         square = object_square(torch.from_numpy(alpha) / 255)
@@ -150,11 +162,16 @@ def _build(names: list[Path], base: Path, workers: int | None, background: Choic
 
 
 def load_set(root: Path, cache_dir: Path, workers: int | None = None, background: Choice = "auto") -> CachedSet:
-    """Open a folder of objects (their split "train" where they have any), decoding it into cache_dir when that has not
-    been done.
+    """Open a folder of objects, decoding it into cache_dir if necessary.
 
-    workers: processes that decode; None: one per core. background: as find_cutout takes it. Raises InputError for the
-    first object that cannot be used (`python -m training.data.validate` lists them all).
+    Of a folder with splits it opens the split "train".
+
+    Args:
+        workers: Number of processes that decode; None: one per core.
+        background: As find_cutout takes it.
+
+    Raises:
+        InputError: an object cannot be used; the message names the first. `python -m training.data.validate` lists all.
     """
     root = Path(root).resolve()
     names = find_objects(root, "train")

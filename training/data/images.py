@@ -18,7 +18,11 @@ from training.data.background import Background, Choice, find_background, premul
 
 @dataclass(frozen=True)
 class Cutout:
-    """What says which pixels of an object's views are object. background: where that is what says it."""
+    """The source of the mask of an object's views.
+
+    Attributes:
+        background: The background, if the mask comes from it.
+    """
 
     by: Literal["masks", "alpha", "background", "nothing"]
     background: Background | None = None
@@ -66,10 +70,14 @@ def find_cutout(views: ObjectImages, background: Choice = "auto") -> Cutout:
 
 
 def read_view(views: ObjectImages, index: int, cutout: Cutout | None = None) -> np.ndarray:
-    """One view of an object as premultiplied uint8 [H,W,4], free of lens distortion.
+    """Return one view of an object as premultiplied uint8 [H,W,4], free of lens distortion.
 
-    cutout: as find_cutout finds it; None: finds it. Raises InputError for unreadable images and masks, images whose
-    size is not that of the intrinsics, and images that show no object.
+    Args:
+        cutout: As find_cutout finds it; None finds it.
+
+    Raises:
+        InputError: an image or mask is unreadable, an image's size differs from the intrinsics' size, or an image shows
+            no object.
     """
     return _straightened(views, index, _cut_out(views, index, cutout or find_cutout(views)))
 

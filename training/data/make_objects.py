@@ -44,10 +44,13 @@ _photographs: Photographs | None = None  # of a process that draws
 def make_objects(
     output: Path, count: int, photographs: Path | None = None, seed: int = 0, device: str = "auto"
 ) -> None:
-    """Makes the folder `output` with so many objects; complete or not at all.
+    """Make the folder `output` with so many objects; it is complete or absent.
 
-    photographs: folder of their skins; None: they are as in make_small. Raises InputError where the folder exists and
-    is not empty, cannot be written, or for photographs that will not do.
+    Args:
+        photographs: Folder of the photographs for skins; None: they are as in make_small.
+
+    Raises:
+        InputError: the folder exists and is not empty, or cannot be written, or the photographs cannot be used.
     """
     output = check_new_folder(output)
     on_gpu = choose_device(device) == "cuda"

@@ -19,10 +19,13 @@ MAKE_SMALL = "python -m training.data.make_small --output data/small"
 
 
 def find_objects(root: Path, split: str | None = None) -> list[Path]:
-    """All objects at or below root, sorted.
+    """Return all objects at or below root, sorted.
 
-    split: "train", "val" or "test": of objects that come in splits only that one; None: all. Raises InputError when
-    there is no object.
+    Args:
+        split: "train", "val" or "test": of objects that come in splits only this one; None: all.
+
+    Raises:
+        InputError: there is no object.
     """
     root = Path(root)
     if not root.is_dir():

@@ -15,12 +15,15 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class PhotoPlan:
-    """Faults of B input pictures; float32 [B] unless said.
+    """Faults of B input pictures; float32 [B] unless stated.
 
-    blur: standard deviation of the lens's softness, pixels. noise: standard deviation, of 1. outline: how far the
-    cut-out's outline lies outside the object's, pixels, negative inside. softness: standard deviation of the outline,
-    pixels, 0 where the outline is left alone. backgrounds: [B,3], of the photos, shining through at altered outlines.
-    seeds: int64 [B].
+    Attributes:
+        blur: Standard deviation of the lens's softness, pixels.
+        noise: Standard deviation, of 1.
+        outline: Distance of the cut-out's outline from the object's, pixels, negative inside.
+        softness: Standard deviation of the outline, pixels, 0 where the outline is left alone.
+        backgrounds: [B,3], backgrounds of the photos, which shine through at altered outlines.
+        seeds: int64 [B].
     """
 
     blur: Tensor

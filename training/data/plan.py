@@ -130,9 +130,11 @@ def made_up(count: int, share: float) -> np.ndarray:
 class BatchPlanner:
     """Turns (step, number of objects, image size) into a BatchPlan; depends on these and the sampler's seed alone.
 
-    views: whose first objects are the sampler's. partners: for each of those the number of the object whose views its
-    targets are; None: its own. procedural: share of the examples, 0..1, that show procedural objects in place of what
-    the sampler drew. photographs: their skins.
+    Args:
+        views: Stored views, whose first objects are the sampler's.
+        partners: For each of these objects the number of the object whose views are its targets; None: its own.
+        procedural: Fraction of the examples, 0..1, that show procedural objects in place of the sampler's.
+        photographs: Skins of the procedural objects.
     """
 
     def __init__(
@@ -154,10 +156,13 @@ class BatchPlanner:
     def plan(
         self, step: int, start: int, count: int, source_px: int, target_px: int = 0, share: slice = slice(None)
     ) -> BatchPlan:
-        """The plan of a step. start: examples before it, count: examples in it.
+        """Return the plan of a step.
 
-        source_px, target_px: side of the input pictures and of the targets (0: the same).
-        share: the examples that are wanted; whatever it is, example i of the step is the same.
+        Args:
+            start: Number of examples before the step.
+            count: Number of examples in the step.
+            source_px, target_px: Side of the input pictures and of the targets (0: the same).
+            share: The wanted examples; whatever it is, example i of the step is the same.
         """
         sizes, made = (source_px, target_px or source_px), made_up(count, self.procedural)
         new, old = (np.arange(count)[share][chosen[share]] for chosen in (made, ~made))

@@ -52,21 +52,30 @@ class ProceduralBlock:
 
 @dataclass(frozen=True)
 class ProceduralExamples:
-    """The objects of one step. chosen: which ones of the block they are."""
+    """The objects of one step.
+
+    Attributes:
+        chosen: Their numbers in the block.
+    """
 
     block: ProceduralBlock
     chosen: slice
 
     def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor, ...]:
-        """The fields of a Batch, on a device. compiled: see make_batch."""
+        """Return the fields of a Batch, on a device.
+
+        Args:
+            compiled: See make_batch.
+        """
         return tuple(values[self.chosen] for values in self.block.drawn(device, compiled))
 
 
 @torch.no_grad()
 def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], as in Batch.
+    """Return input pictures [B,4,S,S], their intrinsics [B,4], targets [B,V,4,T,T] and their intrinsics [B,V,4].
 
-    compiled: see make_batch; of what has the same shapes in all blocks.
+    Args:
+        compiled: See make_batch; it compiles the operations whose shapes are the same in all blocks.
     """
     surfels = _visible(_surfels(plan), plan, compiled)
     gaussians = _drawn(surfels, plan)

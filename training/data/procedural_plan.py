@@ -37,14 +37,21 @@ _FURTHER = 400  # the last of them, for relief and skin
 class ProceduralPlan:
     """B objects of P parts, before I = 1 + V cameras: the input picture, then the targets, the first the source too.
 
-    ends: int64 [B,P], cells of a part and all before it. shapes, cells, looks: [B,P,F] in the order of
-    superquadrics.SHAPE, CELLS and LOOK. reliefs, skins: [B,P,F] in the order of RELIEF and SKIN, of no account without
-    photographs. profiles: [R,6], for each row of cells of each part profile_points in its
-    middle and their change over the row. sections: [C,4], likewise section_points for each column.
-    light: [B,5], the direction that light comes from (unit), share of light that comes from all round, exponent of
-    highlights. world_to_camera: [B,V,4,4], the world being the source camera's axes. sides: [B,I] and shifts: [B,I,2],
-    of the crops, in units of the squares round the object. backgrounds: [B,V,3]. surfels: of an object, at most.
-    source_px, target_px: side of the input pictures and of the targets. Floats are float32.
+    Floats are float32.
+
+    Attributes:
+        ends: int64 [B,P], number of cells of a part and all before it.
+        shapes, cells, looks: [B,P,F] in the order of superquadrics.SHAPE, CELLS and LOOK.
+        reliefs, skins: [B,P,F] in the order of RELIEF and SKIN, unused without photographs.
+        profiles: [R,6], for each row of cells of each part profile_points in its middle and their change over the row.
+        sections: [C,4], likewise section_points for each column.
+        light: [B,5], the direction that light comes from (unit), the fraction of light that comes from all round, the
+            exponent of highlights.
+        world_to_camera: [B,V,4,4], the world being the source camera's axes.
+        sides, shifts: [B,I] and [B,I,2] of the crops, in units of the squares round the object.
+        backgrounds: [B,V,3].
+        surfels: Largest number of an object's surfels.
+        source_px, target_px: Side of the input pictures and of the targets.
     """
 
     ends: Tensor
@@ -77,10 +84,11 @@ def rotation(axis: int, radians: np.ndarray) -> np.ndarray:
 
 
 def orbit(azimuth: np.ndarray, elevation: np.ndarray, tilt: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """World-to-camera matrices [...,4,4] of cameras turned about the object's middle, in the source's axes.
+    """Return world-to-camera matrices [...,4,4] of cameras turned about the object's middle, in the source's axes.
 
-    azimuth, elevation: radians from the source camera, about the object's upright axis, which leans towards the source
-    camera by tilt and sidewards by roll.
+    Args:
+        azimuth, elevation: Radians from the source camera, about the object's upright axis.
+        tilt, roll: Lean of this axis towards the source camera and sidewards, radians.
     """
     turned = rotation(0, tilt + elevation) @ rotation(1, azimuth) @ rotation(0, -tilt)
     turned = rotation(2, roll) @ turned @ rotation(2, -roll)
@@ -162,9 +170,13 @@ def _placed(u: Numbers, groups: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _parts(u: Numbers, further: Numbers | None) -> dict[str, np.ndarray]:
-    """The numbers of SHAPE but rows, columns and start, and the group of each part; [B,P,...], in the object's axes.
+    """Return the numbers of SHAPE but rows, columns and start, and the group of each part; [B,P,...], in the object's
+    axes.
 
-    Places without a part have `exists` false. further: numbers that make parts irregular; None: they are regular.
+    Entries without a part have `exists` false.
+
+    Args:
+        further: Numbers that make parts irregular; None: they are regular.
     """
     groups = _groups(u)
     groups |= regular(groups) if further is None else irregular(further, groups)
@@ -221,9 +233,11 @@ def _tessellated(parts: dict[str, np.ndarray], surfels: int) -> tuple[np.ndarray
 
 
 def _curve(points: Callable[[dict[str, Tensor], Tensor], Tensor], parts: dict[str, Tensor], counts: Tensor) -> Tensor:
-    """Points [N,...] in the middles of the cells along the curves of all parts, and their changes over the cells.
+    """Return points [N,...] in the middles of the cells along the curves of all parts, and their changes over the
+    cells.
 
-    counts: cells of each part, N in all.
+    Args:
+        counts: Number of cells of each part, N in all.
     """
     of_part = torch.repeat_interleave(counts)
     number = torch.arange(len(of_part)) - (counts.cumsum(0) - counts)[of_part]
@@ -269,11 +283,14 @@ def draw_objects(
     backgrounds: np.ndarray,
     photographs: Photographs | None = None,
 ) -> ProceduralPlan:
-    """The plan of B objects from uniform numbers, rows [B,NUMBERS] in [0, 1).
+    """Return the plan of B objects from uniform numbers, rows [B,NUMBERS] in [0, 1).
 
-    cone_deg: largest azimuth and elevation of the targets about the source. sizes: source_px and target_px. framing:
-    sides and shifts, backgrounds: as in the plan. photographs: skins of most parts, which then are irregular too; None:
-    neither.
+    Args:
+        cone_deg: Largest azimuth and elevation of the targets about the source.
+        sizes: source_px and target_px.
+        framing: sides and shifts, as in the plan.
+        backgrounds: As in the plan.
+        photographs: Skins of most parts, which then are irregular too; None: neither.
     """
     u = Numbers(rows)
     further = None if photographs is None else Numbers(rows[:, -_FURTHER:])

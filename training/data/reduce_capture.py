@@ -29,10 +29,14 @@ LONGEST_PX, QUALITY = 564, 88
 
 
 def reduce_capture(source: Path, output: Path, longest_px: int = LONGEST_PX, quality: int = QUALITY) -> None:
-    """Makes the folder `output` of a capture with a COLMAP model; complete or not at all.
+    """Make the folder `output` of a capture with a COLMAP model; it is complete or absent.
 
-    longest_px: of a photograph's longer side. quality: of JPEG, 1..95. Raises InputError where `output` exists and is
-    not empty, where `source` is no such capture, or where a file cannot be read or written.
+    Args:
+        longest_px: Longer side of a photograph.
+        quality: Quality of JPEG, 1..95.
+
+    Raises:
+        InputError: `output` exists and is not empty, `source` is no such capture, or a file cannot be read or written.
     """
     output = check_new_folder(output)
     capture, folder = read_capture(source), model_folder(Path(source))

@@ -45,8 +45,11 @@ def irregular(u: Numbers, groups: dict[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 def draw_relief(u: Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
-    """[B,P,F] in the order of RELIEF. parts: as procedural_plan has them, `relief` being the height over the smallest
-    half axis; copies of a part have a relief of their own."""
+    """Return the reliefs [B,P,F] in the order of RELIEF; copies of a part have a relief of their own.
+
+    Args:
+        parts: As in procedural_plan, `relief` being the height over the smallest half axis.
+    """
     shape = parts["relief"].shape
     length = parts["half"].mean(-1) * u.between(0.8, 2.5, *shape[1:])
     directions = u.between(-1, 1, *shape[1:], 3, 3)

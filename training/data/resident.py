@@ -39,9 +39,10 @@ class ResidentViews:
         return self._pixels.device
 
     def windows(self, rectangles: Tensor, height_px: int, width_px: int) -> Tensor:
-        """The stored parts of N views at the top left of equal windows, zero beyond them: uint8 [N,H,W,4].
+        """Return the stored parts of N views at the top left of equal windows, zero beyond them: uint8 [N,H,W,4].
 
-        rectangles: int64 [N,5], rows of self.rectangles on the device; none larger than the windows.
+        Args:
+            rectangles: int64 [N,5], rows of self.rectangles on the device; none is larger than the windows.
         """
         offset, _, _, width, height = rectangles[:, :, None, None].unbind(1)
         rows = torch.arange(height_px, device=self.device)[:, None]

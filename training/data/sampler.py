@@ -27,10 +27,13 @@ class Choice:
 
 
 def angles_from_source(camera_to_world: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Azimuth and elevation [V,2] in degrees of each viewing direction, in the axes of the source camera.
+    """Return azimuth and elevation [V,2] in degrees of each viewing direction, in the axes of the source camera.
 
-    camera_to_world: [V,4,4], OpenCV axes; source: [4,4], likewise. Azimuth is positive to the right, elevation positive
-    downwards.
+    Azimuth is positive to the right, elevation positive downwards.
+
+    Args:
+        camera_to_world: [V,4,4], OpenCV axes.
+        source: [4,4], likewise.
     """
     directions = camera_to_world[:, :3, 2] @ source[:3, :3]
     azimuth = np.arctan2(directions[:, 0], directions[:, 2])
@@ -103,9 +106,10 @@ class ViewSampler:
         return np.random.default_rng((self.seed, step, stream))
 
     def draw(self, step: int, start: int, count: int, wanted: np.ndarray | None = None) -> list[Choice]:
-        """The `count` examples of a step, or of these the ones with numbers `wanted`; each is the same whatever is.
+        """Return the `count` examples of a step, or those with numbers `wanted`; each is the same whatever is wanted.
 
-        start: examples drawn by all steps before it.
+        Args:
+            start: Number of examples drawn by all steps before it.
         """
         numbers = np.arange(count) if wanted is None else wanted
         sources, targets = self.rng(step).random(count), self.rng(step, 2).random((count, self.targets))

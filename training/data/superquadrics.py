@@ -99,8 +99,12 @@ def _lobed(part: dict[str, Tensor], x: Tensor, y: Tensor) -> Tensor:
 
 
 def profile_points(part: dict[str, Tensor], s: Tensor) -> Tensor:
-    """[..., 3]: radius of the section, shift along x and height z, scene units but for the radius, at shares s of the
-    profile, 0..1. part: numbers of SHAPE that broadcast with s [...]."""
+    """Return [..., 3]: radius of the section, shift along x and height z; scene units but for the radius.
+
+    Args:
+        part: Numbers of SHAPE that broadcast with s.
+        s: [...], fractions of the profile, 0..1.
+    """
     across, up, length = _profile(part)
     start = torch.where(part["hole"] > 0, 0, across)  # a solid's profile begins on the axis
     radius, z = _superellipse(start + s * length, across, up, part["profile"])

@@ -95,9 +95,12 @@ def _cut_pieces(path: Path) -> list[Tensor]:
 
 
 def draw_skin(u: Numbers, group: np.ndarray, groups: int, photographs: Photographs) -> np.ndarray:
-    """[B,P,F] in the order of SKIN; all parts of a group wear the same. group: [B,P], each less than `groups`.
+    """Return the skins [B,P,F] in the order of SKIN; all parts of a group wear the same.
 
     Most grey pieces are tinted: few things are grey.
+
+    Args:
+        group: [B,P], each less than `groups`.
     """
     turn = u.chosen([0.0, 0.5, 1.0, 1.5], [0.25] * 4, groups) * np.pi
     turn = np.where(u(groups) < 0.4, u.between(0, 2 * np.pi, groups), turn)
@@ -119,10 +122,14 @@ def draw_skin(u: Numbers, group: np.ndarray, groups: int, photographs: Photograp
 
 
 def worn(skin: Tensor, pieces: Tensor, local: Tensor, facing: Tensor, base: Tensor, second: Tensor) -> Tensor:
-    """Colours [B,N,3] where skins [B,N,F] (order of SKIN) lie on points `local` [B,N,3] of parts.
+    """Return colours [B,N,3] where skins [B,N,F] (order of SKIN) lie on points `local` [B,N,3] of parts.
 
-    facing: [B,N,3], outward normals in the same axes. base, second: [B,N,3], the part's own two colours. pieces: of
-    Photographs. A colour is the bilinear mean of four pixels.
+    A colour is the bilinear mean of four pixels.
+
+    Args:
+        pieces: Pieces of Photographs.
+        facing: [B,N,3], outward normals in the same axes.
+        base, second: [B,N,3], the part's own two colours.
     """
     numbers, axis = named(skin, SKIN), facing.abs().argmax(-1, keepdim=True)
     x, y = (local.gather(-1, (axis + step) % 3).squeeze(-1) for step in (1, 2))

@@ -36,11 +36,15 @@ _FADED = 0.02  # share of an object: more is no noise of its outline
 
 @dataclass
 class Examined:
-    """An object, as find_objects names it, and what was found of it.
+    """An object, as find_objects names it, and the findings on it.
 
-    views, cutout: None where they cannot be had. problems: lines. filled: for each view that can be read the share of
-    the picture that is object. cut: how many of these the picture's border cuts. faded: before a background of about
-    one colour, the share of the object in each view that went with it though its colour is another.
+    Attributes:
+        views, cutout: None if they cannot be found.
+        problems: Lines.
+        filled: Fraction of the picture that the object covers, for each readable view.
+        cut: Number of these views whose object the border cuts.
+        faded: Before a background of about one colour, the fraction of the object in each view that went with the
+            background though its colour differs.
     """
 
     path: Path
@@ -132,7 +136,8 @@ def examine(path: Path, background: Choice = "auto") -> Examined:
 def problems(objects: Iterable[Path], background: Choice = "auto") -> Iterator[str]:
     """Yield a line with the first fault of each object that cannot be read, and of each image of the others.
 
-    objects: as find_objects names them.
+    Args:
+        objects: As find_objects names them.
     """
     for path in objects:
         yield from examine(path, background).problems

@@ -105,7 +105,11 @@ class ConeOptions:
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """The folder of a run, and what goes there; see `lightfield_gs.fit`. run: the folder. None: beside the scene."""
+    """The folder of a run, and the files that go there; see `lightfield_gs.fit`.
+
+    Attributes:
+        run: The folder; None: beside the scene.
+    """
 
     run: Path | None = None
     fresh: bool = False
@@ -118,7 +122,12 @@ class ReportOptions:
 
 @dataclass(frozen=True, slots=True)
 class FitOptions:
-    """A capture that becomes a scene. output: the scene; device: where it is fitted; the others: see there."""
+    """A capture that becomes a scene.
+
+    Attributes:
+        output: File of the scene.
+        device: Device of the fit.
+    """
 
     output: Path
     capture: CaptureOptions

@@ -10,7 +10,11 @@ from lightfield_gs.panels.panel import DEFAULT_PANEL
 
 
 def add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
-    """Add the options of the panel, and of the distance it is seen from. purpose: what that distance is for."""
+    """Add the options of the panel and of its viewing distance.
+
+    Args:
+        purpose: What the distance is used for, for the help.
+    """
     add(
         "--panel",
         default=DEFAULT_PANEL,

@@ -88,7 +88,11 @@ def background(text: str) -> tuple[float, ...]:
 
 
 def within(low: float, high: float, unit: str = ""):
-    """Return the parser of a number in low..high, both included. unit: of both, for the error."""
+    """Return the parser of a number in low..high, both included.
+
+    Args:
+        unit: Unit of both limits, for the error.
+    """
 
     def parse(text: str) -> float:
         value = numbers(1)(text)[0]

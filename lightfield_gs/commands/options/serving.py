@@ -19,7 +19,12 @@ _HOST = "127.0.0.1"
 
 @dataclass(frozen=True, slots=True)
 class ServingOptions:
-    """Where a page is served. port: 0 for any that is free; no_open: whether to leave the browser closed."""
+    """The address at which a page is served.
+
+    Attributes:
+        port: 0 for any free port.
+        no_open: Whether to leave the browser closed.
+    """
 
     port: int = 0
     host: str = _HOST

@@ -232,7 +232,8 @@ def _note_other_names(found: dict[str, str], count: int) -> None:
 def _files_below(folder: Path, above: tuple[str, ...] = ()) -> Iterator[Path]:
     """Yield visible files in and below a folder.
 
-    above: real paths of the folders above it, where circular links end.
+    Args:
+        above: Real paths of the folders above it, where circular links end.
     """
     real = os.path.realpath(folder)
     if real in above:

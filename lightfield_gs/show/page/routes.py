@@ -34,9 +34,12 @@ T = TypeVar("T")
 
 
 def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path], None]]) -> dict[str, Route]:
-    """All addresses of `lightfield-gs view`. exports: by the name of a file, what writes it.
+    """Return all addresses of `lightfield-gs view`.
 
-    What the panel shows is changed by /rest alone, for which only the program's own page has the token.
+    Only /rest changes the picture on the panel, and only the program's own page has its token.
+
+    Args:
+        exports: Functions that write a file, by its name.
     """
     token = secrets.token_urlsafe()
     steering = _Steering(stage, exports)
@@ -102,8 +105,12 @@ class _Steering:
 def panel_routes(
     panel: Panel, native: Callable[[], tuple[int, np.ndarray]], version: Callable[[int], int]
 ) -> dict[str, Route]:
-    """The addresses of the panel's own page. native: the picture now, uint8 [H, W, 3], and its version; version: of
-    that picture, once it is another than the number given, or after a while."""
+    """Return the addresses of the panel's own page.
+
+    Args:
+        native: Returns the current picture, uint8 [H, W, 3], and its version.
+        version: Returns the picture's version once it differs from the given number, or after a while.
+    """
 
     def state(query: Query) -> Answer:
         after = int(number(query, "after", -1, 1 << 53))
@@ -124,7 +131,11 @@ def panel_routes(
 
 
 class _Packed:
-    """The panel's picture as a PNG, packed once for all who read it. native: see panel_routes."""
+    """The panel's picture as a PNG, packed once for all who read it.
+
+    Args:
+        native: See panel_routes.
+    """
 
     def __init__(self, native: Callable[[], tuple[int, np.ndarray]]):
         self._native, self._turn = native, threading.Lock()

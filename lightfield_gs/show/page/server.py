@@ -65,9 +65,11 @@ Query = Mapping[str, str]
 class Route:
     """An address.
 
-    make: the answer to a query. token: where it is given, the address is for POST alone, with the query as body and
-    this token in a header; else for GET and HEAD, and make changes nothing. place: which place in memory the answer
-    takes.
+    Attributes:
+        make: Makes the answer to a query.
+        token: If given, the address is for POST alone, with the query as body and this token in a header. Else it is
+            for GET and HEAD, and make changes nothing.
+        place: The place in memory that the answer takes.
     """
 
     make: Callable[[Query], Answer]
@@ -77,8 +79,12 @@ class Route:
 
 @dataclass(frozen=True)
 class Reservation:
-    """is_large: whether the answer is a picture at rest or a file. key: answers with one key are the same bytes, which
-    are counted once."""
+    """Memory reserved for an answer.
+
+    Attributes:
+        is_large: Whether the answer is a picture at rest or a file.
+        key: Answers with one key are the same bytes, which are counted once.
+    """
 
     is_large: bool
     key: Hashable = field(default_factory=object)
@@ -91,7 +97,8 @@ class Busy(Exception):
 class PendingAnswers:
     """Answers on their way, from before they are made until they are sent: few, for slow readers hold them in memory.
 
-    most: so many of different keys at a time.
+    Args:
+        most: Largest number of different keys at a time.
     """
 
     def __init__(self, most: int):
@@ -134,13 +141,19 @@ def page_file(name: str) -> Route:
 
 
 class Server(ThreadingHTTPServer):
-    """Answers the addresses in `routes`, and no others. host: an address of this machine, or a name of it; port 0: any
-    that is free.
+    """Server of the addresses in `routes`, and no others.
 
-    is_local: whether this machine alone reaches it. is_name_of_itself: whether that is so though the host is the
-    machine's name in its network, which many a system leads to 127.0.0.1.
+    Args:
+        port: 0 for any free port.
+        host: An address or a name of this machine.
 
-    Raises InputError where it cannot listen there.
+    Attributes:
+        is_local: Whether this machine alone reaches it.
+        is_name_of_itself: Whether it is local though the host is the machine's name in its network. Many systems lead
+            this name to 127.0.0.1.
+
+    Raises:
+        InputError: it cannot listen there.
     """
 
     daemon_threads = True
@@ -220,7 +233,11 @@ class Server(ThreadingHTTPServer):
             traceback.print_exc()
 
     def run(self, open_path: str | None = None) -> None:
-        """Serves until Ctrl-C. open_path: the page that the browser is told to open."""
+        """Serve until Ctrl-C.
+
+        Args:
+            open_path: The page that the browser is told to open.
+        """
         if open_path is not None:
             webbrowser.open(self.url + open_path)
         try:

@@ -24,7 +24,8 @@ from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.look import CONES_DEG, MOST_AMOUNT, MOST_PAN, ZOOMS, Look
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.preview import contact_sheet, to_integers
@@ -47,10 +48,11 @@ _RANGES = {
 class Controls:
     """The state of the page.
 
-    yaw_deg, pitch_deg: how far the camera has gone to the right and up around the middle of what is shown, degrees.
-    focus, depth_amount, cone_deg, zoom, pan_x, pan_y: see Look; focus is a depth here. None: as in the rig.
-    eye: place of the eye across the viewing zone, -0.5 (left border) .. 0.5 (right border).
-    quality: how much error is allowed for less time.
+    Attributes:
+        yaw_deg, pitch_deg: Angles that the camera has gone to the right and up around the middle of the scene, degrees.
+        focus, depth_amount, cone_deg, zoom, pan_x, pan_y: See Look; focus is a depth here. None: as in the rig.
+        eye: Position of the eye across the viewing zone, -0.5 (left border) .. 0.5 (right border).
+        quality: Largest error allowed for less time.
     """
 
     yaw_deg: float = 0.0
@@ -107,10 +109,13 @@ def number(query: Mapping[str, str], name: str, low: float, high: float) -> floa
 
 
 def orbited(rig: Rig, yaw_deg: float, pitch_deg: float) -> Rig:
-    """The rig, its cameras gone around the point in the zero plane that lies on the axis of the centre camera.
+    """Return the rig with its cameras turned around the point of the zero plane on the centre camera's axis.
 
-    yaw_deg: to the right, about the camera's vertical axis; pitch_deg: up, about its horizontal axis. The horizon stays
-    level: both count from the rig as it is, so that no turn adds to another.
+    The horizon stays level. Both angles count from the given rig, so that no turn adds to another.
+
+    Args:
+        yaw_deg: To the right, about the camera's vertical axis.
+        pitch_deg: Up, about its horizontal axis.
     """
     yaw, pitch = math.radians(yaw_deg), math.radians(pitch_deg)
     about_y = np.array([[math.cos(yaw), 0, math.sin(yaw)], [0, 1, 0], [-math.sin(yaw), 0, math.cos(yaw)]])
@@ -129,7 +134,13 @@ _STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be plac
 
 @dataclass
 class Picture:
-    """pixels: uint8 [h, w, 3]; description: what they are; stages_ms: what they took, in order."""
+    """A picture of the page.
+
+    Attributes:
+        pixels: uint8 [h, w, 3].
+        description: Words on the pixels.
+        stages_ms: Times of the stages, in order.
+    """
 
     pixels: np.ndarray
     description: str
@@ -137,10 +148,15 @@ class Picture:
 
 
 class Stage:
-    """Draws what the page shows. One thread at a time may draw what moves, and one what rests.
+    """Draws the pictures of the page. One thread at a time may draw moving pictures, and one pictures at rest.
 
-    gaussians: one scene, on the device that draws. rig: how it was framed. background: three numbers in 0..1.
-    antialiased, view_filter: see `encode`. name: of the input, for the title and for metadata.
+    Args:
+        gaussians: One scene, on the device that draws.
+        rig: Cameras that frame the scene.
+        background: Three numbers in 0..1.
+        antialiased: See `encode`.
+        name: Name of the input, for the title and for metadata.
+        view_filter: See `encode`.
     """
 
     def __init__(
@@ -164,10 +180,11 @@ class Stage:
     # What is shown
 
     def eye(self, controls: Controls, width_px: int, still: bool) -> Picture:
-        """What an eye at controls.eye sees, at the viewing distance.
+        """Draw the picture that an eye at controls.eye sees, at the viewing distance.
 
-        still: the native picture through the lenses, one sample a lens, where the panel says where its eyes are; else
-        the one view that such an eye would see through perfect lenses, width_px wide.
+        Args:
+            still: Draw the native picture through the lenses, one sample a lens, if the panel knows where its eyes are.
+                Else draw the one view that such an eye would see through perfect lenses, width_px wide.
         """
         if still and not missing_geometry(self.panel):
             native, stages = self.native(controls)
@@ -192,9 +209,12 @@ class Stage:
         return Picture(contact_sheet(views), f"{_SHEET_VIEWS} views from left to right", stages)
 
     def crop(self, controls: Controls, centre: tuple[float, float], size_px: tuple[int, int], still: bool) -> Picture:
-        """Native pixels one to one: size_px (width, height) of them around a place, given in shares of the panel.
+        """Draw native pixels one to one, around a point of the panel.
 
-        still: cut out of the native picture. Else these pixels alone are drawn, as a panel of their own.
+        Args:
+            centre: The point in fractions of the panel.
+            size_px: Width and height.
+            still: Cut the pixels out of the native picture. Else draw these pixels alone, as a panel of their own.
         """
         left, top, width, height = self._box(centre, size_px)
         description = f"native pixels {left}..{left + width - 1} x {top}..{top + height - 1}"
