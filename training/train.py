@@ -42,10 +42,10 @@ def parse(parser: ArgumentParser, arguments: list[str] | None) -> tuple[Training
     try:
         options = instantiate(parser.parse_args(arguments))
     except argparse.ArgumentError as error:
-        said = " ".join(str(error).split())
-        if "arms." in said:
-            said += ": a configuration of several arms is for python -m training.compare"
-        raise InputError(said) from None
+        message = " ".join(str(error).split())
+        if "arms." in message:
+            message += ": a configuration of several arms is for python -m training.compare"
+        raise InputError(message) from None
     fields = {field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)}
     return TrainingConfig(**fields), options
 

@@ -61,27 +61,33 @@ def settings() -> dict[str, Setting]:
     """Exact first, the other names, each knob alone at the values that the names give it, names without one knob; then
     pruned scenes, drawn exactly, by a name and roughly."""
     found = {name: Setting(quality) for name, quality in _qualities().items()}
-    drawn = {"": EXACT, "fast, ": QUALITIES["fast"], **{f"{_knobs(rough)}, ": rough for rough in map(_rough, CUTS)}}
+    drawn = {
+        "": EXACT,
+        "fast, ": QUALITIES["fast"],
+        **{f"{_knobs(approximate)}, ": approximate for approximate in map(_approximate, CUTS)},
+    }
     for cut in PRUNED:
         found |= {f"{name}pruned {_value(cut)}": Setting(quality, cut) for name, quality in drawn.items()}
     return found
 
 
-def _rough(opacity_cut: float) -> Quality:
+def _approximate(opacity_cut: float) -> Quality:
     return Quality(opacity_cut=opacity_cut, evaluation_error=QUALITIES["fast"].evaluation_error)
 
 
-def _knobs(rough: Quality) -> str:
-    return f"opacity_cut {_value(rough.opacity_cut)}, evaluation_error {_value(rough.evaluation_error)}"
+def _knobs(approximate: Quality) -> str:
+    return f"opacity_cut {_value(approximate.opacity_cut)}, evaluation_error {_value(approximate.evaluation_error)}"
 
 
 def _qualities() -> dict[str, Quality]:
     found = dict(QUALITIES)
     for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
-    for rough in map(_rough, CUTS):  # what of Gaussians does not overlap much bears more than the names take
-        found[_knobs(rough)] = rough
-        found[f"{_knobs(rough)}, lattice_error {_value(LATTICE)}"] = replace(rough, lattice_error=LATTICE)
+    for approximate in map(
+        _approximate, CUTS
+    ):  # what of Gaussians does not overlap much bears more than the names take
+        found[_knobs(approximate)] = approximate
+        found[f"{_knobs(approximate)}, lattice_error {_value(LATTICE)}"] = replace(approximate, lattice_error=LATTICE)
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)

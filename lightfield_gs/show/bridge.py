@@ -109,9 +109,9 @@ class _Bridge:
         """The answer to a request. Raises InputError."""
         answer = self._answer(what, body)
         status = answer.get("status")
-        said = status.get("value") if isinstance(status, dict) else None
-        if must_succeed and said != "Completion":
-            raise InputError(f"Looking Glass Bridge refuses {what}: {str(said)[:100]}{_message(answer)}")
+        outcome = status.get("value") if isinstance(status, dict) else None
+        if must_succeed and outcome != "Completion":
+            raise InputError(f"Looking Glass Bridge refuses {what}: {str(outcome)[:100]}{_message(answer)}")
         payload = answer.get("payload")
         return {**answer, "payload": payload if isinstance(payload, dict) else {}}
 

@@ -162,8 +162,8 @@ def _part_outline(frame: np.ndarray, background: np.ndarray) -> None:
         own = np.where((distance < nearest)[:, None], frame[y, x, :3], own)
         nearest = np.minimum(nearest, distance)
     step, size = own - background, np.linalg.norm(own - background, axis=1)
-    share = ((colours - background) * step).sum(1) / np.maximum(size, 1) ** 2
-    alpha = np.where(size > _PARTED_LEVELS, np.clip(share, 1 / 255, 1), 1)[:, None]
+    fraction = ((colours - background) * step).sum(1) / np.maximum(size, 1) ** 2
+    alpha = np.where(size > _PARTED_LEVELS, np.clip(fraction, 1 / 255, 1), 1)[:, None]
     mixed = np.clip(colours - (1 - alpha) * background, 0, 255 * alpha)
     frame[rows, columns] = np.rint(np.concatenate([mixed, 255 * alpha], 1)).astype(np.uint8)
 

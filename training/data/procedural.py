@@ -199,8 +199,8 @@ def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor,
     veins = (phase[..., 0] + 2 * (phase[..., 1] + 2 * third).sin()).sin()
     facing = (surfels["normal"] * F.normalize(waves[..., 0, :], dim=-1)).sum(-1)
     values = torch.stack([torch.full_like(first, -10), gradient, first, first * second * third, veins, facing], -1)
-    share = torch.sigmoid(look["contrast"] * (values * look["weights"]).sum(-1))
-    colours = torch.lerp(look["base"], look["second"], share[..., None])
+    weight = torch.sigmoid(look["contrast"] * (values * look["weights"]).sum(-1))
+    colours = torch.lerp(look["base"], look["second"], weight[..., None])
     if plan.photographs is not None:
         skin = _gathered(plan.skins, surfels["part"])
         matrix = _gathered(plan.cells, surfels["part"])[..., : CELLS["matrix"]].unflatten(-1, (3, 3))

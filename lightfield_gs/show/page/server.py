@@ -366,7 +366,7 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def _body(self) -> bytes:
-        """The body of a request. Raises InputError where its length is not said, or is too large."""
+        """Return the body of a request. Raises InputError where its length is missing, or too large."""
         length = self.headers.get("Content-Length", "")
         if self.headers.get("Transfer-Encoding") or not length.isdecimal() or int(length) > _LONGEST_QUERY:
             raise InputError(f"expected a body of 0..{_LONGEST_QUERY} bytes, and its Content-Length")
