@@ -117,7 +117,7 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
         index, others = _most_central(_directions(capture.centres, middle), half)
         chosen_by = f"it has the most others within {half:g} degrees, {others}, seen from the middle of the capture"
     else:
-        index = capture.index_of(centre, "centre photograph")
+        index = capture.find_index(centre, "centre photograph")
     near = np.flatnonzero(_angles(_directions(capture.centres, middle), index) <= half)
     depth, how = _zero_depth(capture, index, near, middle)
     axis = capture.world_to_camera[index, 2, :3]

@@ -109,7 +109,7 @@ class Capture:
             InputError: for unknown names, and where nothing is left to fit to.
         """
         if names is not None:
-            test = sorted({self.index_of(name, "test photograph") for name in names})
+            test = sorted({self.find_index(name, "test photograph") for name in names})
         elif test_every == "own" and self.held_out:
             test = sorted(self.names.index(name) for name in self.held_out)
             assume(
@@ -126,7 +126,7 @@ class Capture:
             raise InputError(f"expected photographs to fit to, but all {len(self.names)} are held out to test")
         return train, test
 
-    def index_of(self, name: str, what: str = "photograph") -> int:
+    def find_index(self, name: str, what: str = "photograph") -> int:
         """Return the index of a photograph by its name or its file name.
 
         Args:
