@@ -159,7 +159,7 @@ struct Render {
     int64_t skipped = 0;
     Update<T> job;
     job.gradients = {kCount, 1, g_means.data(), g_quaternions.data(), g_scales.data(), g_opacities.data(), g_sh.data()};
-    job.fields = parameters_in(values), job.first = parameters_in(first_moments),
+    job.parameters = parameters_in(values), job.first = parameters_in(first_moments),
     job.second = parameters_in(second_moments);
     std::vector<T> drawn_scales(scales), drawn_opacities(opacities);
     job.scales = drawn_scales.data(), job.opacities = drawn_opacities.data();
