@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,8 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import options
 from lightfield_gs.bench.light_field import SCENES
-from lightfield_gs.bench.pareto import Subject
+from lightfield_gs.bench.pareto import Subject, scene_subjects
 from lightfield_gs.bench.report import aligned
-from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import missing_geometry
@@ -100,11 +98,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     found: list[dict[str, Any]] = []
     torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
     options.check_scenes(scenes, degrees)
-    for scene in scenes:
-        for degree in degrees:
-            gaussians = load_scene(scene, degree).to(args.device)
-            for cone in cones:
-                rig = benchmark_rig(scene, gaussians, panel, cone)
-                options.progress(f"{Path(scene).name}, {rig.cone_deg:g} degrees: {EYES} eyes")
-                found += rows(Subject(Path(scene).name, gaussians, panel, rig))
+    for subject in scene_subjects(scenes, degrees, panel, cones, args.device):
+        options.progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: {EYES} eyes")
+        found += rows(subject)
     return {"rows": found}, table(found)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -116,6 +116,21 @@ def subjects(
 def _of_scene(scene: str, panel: Panel, cone: Any, device: str) -> Subject:
     gaussians = load_scene(scene).to(device)
     return Subject(Path(scene).name, gaussians, panel, benchmark_rig(scene, gaussians, panel, cone))
+
+
+def scene_subjects(
+    scenes: Sequence[str],
+    sh_degrees: Sequence[int | None],
+    panel: Panel,
+    cones: Sequence[str | float | None],
+    device: str,
+) -> Iterator[Subject]:
+    """Yield every scene with every degree of harmonics, in every cone; a scene is loaded once for all its cones."""
+    for scene in scenes:
+        for degree in sh_degrees:
+            gaussians = load_scene(scene, degree).to(device)
+            for cone in cones:
+                yield Subject(Path(scene).name, gaussians, panel, benchmark_rig(scene, gaussians, panel, cone))
 
 
 def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:

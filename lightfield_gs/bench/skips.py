@@ -10,16 +10,15 @@ import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from lightfield_gs.bench import options
-from lightfield_gs.bench.pareto import Subject, drawing
+from lightfield_gs.bench.pareto import Subject, drawing, scene_subjects
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
-from lightfield_gs.bench.scenes import benchmark_rig, load_scene, with_harmonics
+from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import draw_direct, encode
 from lightfield_gs.encoding.encoder import Encoder
@@ -291,12 +290,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     cones, count = options.cones(args.cone), options.one_thread_count(args.threads)
     degrees, found = options.sh_degrees(args.sh_degree), []
     options.check_scenes(scenes, degrees)
-    for scene in scenes:
-        for degree in degrees:
-            gaussians = load_scene(scene, degree).to(args.device)
-            for cone in cones:
-                rig = benchmark_rig(scene, gaussians, panel, cone)
-                subject = Subject(Path(scene).name, gaussians, panel, rig)
-                options.progress(f"{subject.name}, {rig.cone_deg:g} degrees: with and without every skip by turns")
-                found += rows(subject, args.repeats, count)
+    for subject in scene_subjects(scenes, degrees, panel, cones, args.device):
+        options.progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: with and without every skip by turns")
+        found += rows(subject, args.repeats, count)
     return {"rows": found}, table(found)
