@@ -3,7 +3,7 @@
 #pragma once
 
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/halves.cuh"
 #include "cuda/frame/direct_frame.h"
 #include "math/projection.h"

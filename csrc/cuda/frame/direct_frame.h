@@ -9,7 +9,6 @@
 #include <cstdint>
 
 #include "base/config.h"
-#include "cuda/common/short_list.h"
 #include "cuda/stages/stages.h"
 #include "math/lattice_plan.h"
 

@@ -7,10 +7,9 @@
 // Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
 // moves those of its 32 Gaussians together, through shared memory.
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/compensated.cuh"
-#include "cuda/stages/projected.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/stages/stages.h"
 #include "math/gradient_sums.h"
 #include "math/harmonics.h"
@@ -90,7 +89,7 @@ __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const floa
                                                       int64_t i, Gradients so_far) {
   const int64_t n = gaussians.count;
   const Camera<float> camera = cameras.camera<float>(image);
-  const Shape<float> shape = load_shape(gaussians.slice(image / cameras.per_scene * n), i);
+  const Shape<float> shape = load_shape<float>(gaussians.slice(image / cameras.per_scene * n), i);
   const Camera<double> exact = cameras.camera<double>(image);
   const Shape<double> wide = widened(shape);
   Splat<double> gradient = splat_gradient<double>(projected<kCompensated>(cameras, image, camera, shape),
@@ -264,7 +263,7 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
   const bool real = i < n;
   const Gaussians<const float> own = gaussians.slice(scene * n);
   const Gaussians<float> g_own = out.slice(scene * n);
-  const Shape<float> shape = load_shape(own, real ? i : 0);
+  const Shape<float> shape = load_shape<float>(own, real ? i : 0);
   Gradients g;
 
   // Harmonics of those of which something is said, and room for their gradients

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 
 namespace lfgs::cuda {
 namespace {

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "base/config.h"
 #include "math/gradient_sums.h"
@@ -12,6 +13,10 @@
 namespace lfgs::cuda {
 
 using Stream = void*;  // cudaStream_t
+
+// The architectures that this build was compiled for, ascending, as CMake numbers them (75, 90, 120). "native" gives
+// the architecture of the machine that compiled it.
+std::vector<int> architectures();
 
 // The size of the tiles that have lists on the device: pixels across and down.
 struct TileSize {

@@ -7,7 +7,7 @@
 // once, and the middles of cells. Where the middles show that interpolation is as good as asked for, the block
 // interpolates the tile's sub-pixels. Tiles that are refused are left to the kernel chosen. Some rows of tiles go
 // first, as probes: where lattices fit in few of their tiles, the rows between do not try.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/frame/lattice/lattice_errors.cuh"
 #include "cuda/frame/lattice/lattice_interpolate.cuh"
 #include "cuda/frame/lattice/lattice_rows.cuh"

@@ -5,7 +5,7 @@
 
 #include <type_traits>
 
-#include "cuda/common/compensated.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
 #include "cuda/frame/lens_optics.cuh"

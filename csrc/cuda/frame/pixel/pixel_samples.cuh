@@ -3,7 +3,7 @@
 // functions below, r is a row of the lane, p one of its two pixels there, and k a place in the pixel.
 #pragma once
 
-#include "cuda/common/compensated.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lens_optics.cuh"
 #include "cuda/frame/pixel/pixel_fit.cuh"
