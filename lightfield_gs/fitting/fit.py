@@ -13,11 +13,10 @@ import numpy as np
 import torch
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.checks import checked_path, expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.fitting import checkpoint, memory
 from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.cone import Display, place_display, rig_path

@@ -10,7 +10,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, real_number
-from lightfield_gs.base.cuda import device_guard
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.native import optional_address, run_stage, select_stages
 

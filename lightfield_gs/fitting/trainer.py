@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.density import DensityStatistics, morton_order, refine_adaptive, refine_mcmc, reset_opacities
 from lightfield_gs.fitting.distributed import ALONE, Group

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
