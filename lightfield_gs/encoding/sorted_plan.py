@@ -28,9 +28,9 @@ class SortedPlan:
     Sub-pixels are coded (view, tile, column, row, channel) and sorted. The list of a (view, tile) holds 16 bits for
     each of its sub-pixels. It is padded to a multiple of BLOCK (the paper's (-1, -1)).
 
-    A view has 1/N of the sub-pixels, so tiles grow with N. Their height is that of a square that holds one block of a
-    view's sub-pixels, a power of two; on the CPU it is always 16 rows, a band. Their width makes them hold 224
-    sub-pixels, seven of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
+    A view has 1/N of the sub-pixels, so tiles grow with N. A tile is as high as a square with one block of a view's
+    sub-pixels, a power of two; on the CPU it always has 16 rows, a band. Its width is chosen for 224 sub-pixels, seven
+    of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
 
     shown: indices of the views that some sub-pixel shows, int64 [V], ascending.
     hidden: whether some sub-pixel shows no view (-1 in the map).

@@ -28,17 +28,18 @@ class PanelDepth:
 
     Attributes:
         depth: View-space z, scene units.
-        edge_px: Displacement in the outermost views against the centre view, s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2)
-            (1 - 1/N), pixels of the panel; to the right in one, to the left in the other.
+        edge_px: Displacement in the outermost views against the centre view, pixels of the panel: to the right in one
+            view, to the left in the other. It is s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2) (1 - 1/N).
         edge_mm: The same in mm.
         eyes_px: Displacement of the right eye's image against the left eye's, to the right, both at the viewing
             distance L, pixels. An eye at x sees the view whose camera has s = Z0 tan(cone/2) x / (L tan(panel's
             cone/2)).
         eyes_mm: The same in mm.
-        behind_mm: Distance behind the panel at which the eyes see the content, L d/(e - d), with d = eyes_mm and e
-            between the eyes; None where it is infinite or the eyes diverge.
-        angle_deg: Convergence of the eyes on the panel less that on the content, 2 atan(e/2L) - 2 atan((e - d)/2L).
-        blur_lenses: Lenses that a point is spread over, 1 within the sharp range (see DepthReport).
+        behind_mm: Distance behind the panel at which the eyes see the content; None where it is infinite or the eyes
+            diverge. It is L d/(e - d), with d = eyes_mm and e between the eyes.
+        angle_deg: Convergence of the eyes on the panel minus their convergence on the content, 2 atan(e/2L) - 2 atan((e
+            - d)/2L).
+        blur_lenses: Number of lenses over which a point is blurred, 1 within the sharp range (see DepthReport).
     """
 
     depth: float
@@ -59,7 +60,7 @@ class DepthReport:
     the larger angle. A lens shows one sample of a direction; lenses are P_e/3 pixels apart. A plane keeps its detail
     while it moves by at most one sample a step: 2 fx tan(cone/2) |1 - Z0/Z| a <= P_e/3 (the bandwidth of a display:
     Zwicker et al., "Antialiasing for automultiscopic 3D displays", 2006). For a viewer far off this depth reaches D =
-    lens/(2 tan(panel's cone/2) a) mm to the front and to the back; for a viewer at L it reaches L D/(L +- D). A point
+    lens/(2 tan(panel's cone/2) a) mm to the front and to the back. For a viewer at L it reaches L D/(L +- D). A point
     beyond moves by several lenses a step: it is blurred over them, or seen several times.
 
     Attributes:
