@@ -41,9 +41,9 @@ class DensityStatistics:
     Attributes:
         seen: [N] uint8, 1 if a Gaussian was drawn since the round before the last. Regularisers skip the others: they
             would melt Gaussians that no photograph of some rounds shows.
-        gradients: [N], for adaptive density, sums over images of the norm of the gradient of an image's own loss by the
-            projected mean, in halves of the image.
-        drawn: [N], for adaptive density, the number of these images.
+        gradients: [N], for adaptive density. For each image the loss of this image has a gradient by the projected
+            mean, in halves of the image; its norms are summed.
+        drawn: [N], the number of these images.
     """
 
     def __init__(self, count: int, settings: FitSettings, device: torch.device | str):
