@@ -32,8 +32,8 @@ class ModelConfig:
         near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
         base_depth: depth of the untrained first layer ("delta" only).
         photo_focal: focal length assumed for photos, in units of the side of the square round the object.
-        symmetric: average the predictions of the picture and of its mirror image, so that a mirrored picture gives
-            mirrored Gaussians, for twice the work of the U-Net.
+        symmetric: average the predictions of the picture and of its mirror image, for twice the work of the U-Net. A
+            mirrored picture then gives mirrored Gaussians.
         unet: the backbone.
     """
 

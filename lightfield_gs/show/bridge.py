@@ -1,8 +1,8 @@
 """Quilts to a Looking Glass display, through Looking Glass Bridge and its local HTTP interface.
 
-Sources: Looking Glass documentation, "Web Application Integration"; the requests of its library Bridge.js
-(github.com/Looking-Glass/bridge.js): each is a PUT of a JSON object to the address of its name, and each answer holds
-`status`, whose value is "Completion" where all is well, and `payload`.
+Sources: Looking Glass documentation, "Web Application Integration", and its library Bridge.js
+(github.com/Looking-Glass/bridge.js). A request is a PUT of a JSON object to the address of the request's name. An
+answer holds `status`, which is "Completion" on success, and `payload`.
 """
 
 from __future__ import annotations

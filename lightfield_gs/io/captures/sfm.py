@@ -40,8 +40,8 @@ Progress = Callable[[str], None]
 _ENOUGH = 0.9  # fraction of posed photographs that ends the tries
 # Range of focal lengths, of the longer side: 9 mm to 144 mm on 35 mm film
 _SHORTEST, _LONGEST = 0.25, 4.0
-# Directions within _NARROW_DEG hardly determine a focal length; then it must be within a factor _LARGEST_CHANGE of
-# COLMAP's guess, which is relative to the longer side
+# Directions within _NARROW_DEG hardly determine a focal length. Then it must be within a factor _LARGEST_CHANGE of
+# COLMAP's guess, _GUESS of the longer side
 _NARROW_DEG, _GUESS = 10.0, 1.2
 _LARGEST_CHANGE = 2.0  # factor of the last refinement: beyond, the photographs do not determine the focal length
 

@@ -1,4 +1,4 @@
-"""Checks and launches that the native stages of fitting share."""
+"""Checks and launches of native stages, on the CPU and on CUDA."""
 
 from __future__ import annotations
 
