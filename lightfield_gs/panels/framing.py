@@ -1,8 +1,8 @@
 """Rigs of photos, of given cameras, and of the camera that a file of Gaussians brings along.
 
-A stored framing is a line of the header, "lightfield-gs rig: {"rig": {...}, "width_px": ..., "height_px": ...}", in the
-file's own axes, with the size of the panel that it was made for. SHARP (Mescheder et al., 2025) writes elements of
-numbers beside the vertices: extrinsic (16, world to camera, by rows), intrinsic (9, by rows), image_size (2).
+A stored framing is a line of the header: "lightfield-gs rig: {"rig": {...}, "width_px": ..., "height_px": ...}". The
+rig is in the file's own axes; the size is the panel's. SHARP (Mescheder et al., 2025) writes elements of numbers beside
+the vertices: extrinsic (16, world to camera, by rows), intrinsic (9, by rows), image_size (2).
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class Rig(RigGeometry):
-    """The centre camera of the fan; the cameras of the views stand beside it on its x-axis, with its rotation.
+    """The cameras of the views: a fan on the x-axis of its centre camera, all with the same rotation.
 
     Rig.frame makes a rig that shows a scene on a panel.
 
@@ -47,18 +47,18 @@ class Rig(RigGeometry):
     ) -> Rig:
         """Return a rig that shows a scene on the panel: the whole scene, or its subject.
 
-        Content is the area that the visible Gaussians cover, without the outermost 0.01 % of their opacity on each
-        side, and without up to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's
-        height, or of its width where that is met first; the panel takes 90 degrees at most. The zero plane is at the
-        harmonic mean of near and far, the depths beyond which 5 % of the opacity lies.
+        The content is the area that the visible Gaussians cover. The outermost 0.01 % of their opacity on each side is
+        left out, or 0.1 % or 1 % where it lies far out. The content is centred. It fills 92 % of the panel's height, or
+        of its width if that is the limit; the panel takes 90 degrees at most. The zero plane is at the harmonic mean of
+        near and far; 5 % of the opacity lies beyond each of them.
 
-        The content is only the subject (lightfield_gs.panels.subject) in three cases: a gap surrounds the densest part
-        of the scene; the scene surrounds a small dense part; or a hull that is closed on all sides has something in it.
+        In three cases the content is only the subject (lightfield_gs.panels.subject). A gap surrounds the densest part
+        of the scene. The scene surrounds a small dense part. A hull that is closed on all sides has something in it.
 
         A new camera looks at the content from in front. The content's height takes the angle that the panel subtends
-        for its viewer, kept within 20..50 degrees, or 30 when unknown; the camera goes nearer where something is in
-        between. With a given camera and nothing visible near the harmonic mean, the zero plane is at the depth in the
-        middle of the picture.
+        for its viewer, kept within 20..50 degrees, or 30 if unknown. The camera goes nearer if something is in between.
+        If a given camera sees nothing near the harmonic mean, the zero plane is at the depth in the middle of the
+        picture.
 
         Args:
             gaussians: One set.

@@ -80,8 +80,8 @@ class RigGeometry:
     def jacobian_limits(self, panel: Panel) -> tuple[float, float, float, float]:
         """Return (lo_x, hi_x, lo_y, hi_y), the limits of X/Z and Y/Z in the projection's Jacobian, centre camera.
 
-        They are the panel's frustum and 15 % of the image beyond each edge, widened in x by the fan's largest offset
-        over zero_depth, so that all views share one set of limits.
+        They are the panel's frustum and 15 % of the image beyond each edge. In x the fan's largest offset over
+        zero_depth widens them, so that all views share one set of limits.
         """
         (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
         width, height = panel.width_px, panel.height_px

@@ -32,8 +32,8 @@ class SubjectConstants:
     in_gap: float = 0.02  # largest weight in a gap, as a fraction of the weight inside it
     # extent of the scene in inner radii from which on the whole would show its subject too small
     small_ratio: float = 4.0
-    # fraction of the second moment of directions along one axis from which on the rest is part of the subject, such
-    # as the end of a pole
+    # fraction of the second moment of directions along one axis. From it on the rest is part of the subject, such as
+    # the end of a pole
     one_sided: float = 0.85
 
     # A dense place that the scene surrounds
