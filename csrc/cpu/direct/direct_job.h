@@ -15,9 +15,10 @@ namespace lfgs {
 
 constexpr double kMostRootError = 4e-5;  // relative; alpha errs by less than 0.74 of it, which keeps 80 dB at 8 bits
 
-// S(s)^(-1/2) as a parabola over the rig, r0 + r1 s + r2 s^2 for s in [-1, 1]: it saves every sample a division. With S
-// = S0 (1 + a1 s + a2 s^2) it is a power series up to s^4. The nearest polynomials of lower order, 3/4 s and s^2 - 1/8,
-// replace s^3 and s^4 (Chebyshev's economization).
+// S(s)^(-1/2) as a parabola over the rig, which saves every sample a division.
+//   S^(-1/2) ~ r0 + r1 s + r2 s^2   for s in [-1, 1].
+// With S = S0 (1 + a1 s + a2 s^2) it is a power series up to s^4. The nearest polynomials of lower order, 3/4 s and
+// s^2 - 1/8, replace s^3 and s^4 (Chebyshev's economization).
 template <class T>
 struct InverseRoot {
   T r0 = 0, r1 = 0, r2 = 0;

@@ -1,6 +1,6 @@
-// Projection for the lens sensor on the device, a Gaussian at a time: what project_direct and frame_project have in
-// common. It reads a Gaussian, and writes its splat, its colour polynomial and where asked its depth. Arithmetic is in
-// float, but for where the mean is seen, and for the shapes of compensated splats.
+// Projection of one Gaussian for a panel on the device; the common part of project_direct and frame_project. It reads a
+// Gaussian, and writes its splat, its colour polynomial and, if asked, its depth. Arithmetic is in float. The position
+// of the mean and the shapes of compensated splats are in double.
 #pragma once
 
 #include <string>

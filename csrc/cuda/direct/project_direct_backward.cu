@@ -1,4 +1,4 @@
-// Backward pass of stage project for the lens sensor on the device: reads the sums of all intersections, writes the
+// Backward pass of stage project for a panel on the device: reads the sums of all intersections, writes the
 // gradients of the Gaussians. A thread has a Gaussian, and adds up its intersections in their order, so that the bits
 // are always the same.
 #include "cuda/common/launch.h"

@@ -1,4 +1,4 @@
-// What the kernels that composite a light-field frame share: reading its lists and splats, handing out tiles, and
+// Common parts of the kernels that composite a light-field frame: reading lists and splats, handing out tiles, and
 // storing pixels.
 #pragma once
 

@@ -1,6 +1,6 @@
-// The sheet over a photo, and the surface on which it lies. For the surface a thread has a pixel, of a layer or of a
-// plane; for the sheet a thread has a texel, and a block a piece of a row. Three floats a texel go through shared
-// memory, so that a warp writes consecutive addresses.
+// The sheet over a photo, and the surface on which it lies. In the kernels of the surface a thread has a pixel of a
+// layer or of a plane. In the kernels of the sheet a thread has a texel, and a block a piece of a row. Three floats a
+// texel go through shared memory, so that a warp writes consecutive addresses.
 #include "cuda/common/launch.h"
 #include "cuda/photo/photo.h"
 
