@@ -22,10 +22,9 @@ from lightfield_gs.app.photo_depth import (
     has_depth,
     is_depth_inside,
 )
-from lightfield_gs.base.cli_messages import note, say
+from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import FITS, Detail
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
 if TYPE_CHECKING:

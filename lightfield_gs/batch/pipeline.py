@@ -51,11 +51,11 @@ class Pipeline:
     """Runs tasks. All callbacks are called from several threads.
 
     Args:
-        make: makes the task of an item.
+        make: function that makes the task of an item.
         readers, writers: numbers of threads.
         began: called with an item's number before it is read.
-        done: called with an item's number and record: "status" ("done", "failed", or the task's), "reason" and "trace"
-            of a failure, "seconds" of each part, and the lines that it printed as "said".
+        done: called with an item's number and record. The record has "status" ("done", "failed", or the task's),
+            "reason" and "trace" of a failure, "seconds" of each part, and as "said" the printed lines.
         broken: called with the number of an item after which the device is unusable, and the reason; must not return.
     """
 

@@ -1,7 +1,7 @@
-"""How long a light-field image takes, where the time goes, and how right it is.
+"""Measure the time of a light-field image, of its stages, and its error.
 
-A row for every scene, cone and method. Times are those of `encode` to 8 bits, from Gaussians in memory to the image in
-memory; errors are those of the very image that was timed, against the float64 oracle rounded to 8 bits likewise.
+A row for every scene, cone and method. `encode` to 8 bits is timed from Gaussians in memory to the image in memory. The
+error compares the timed image with the float64 oracle, also rounded to 8 bits.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ class ExtentConstants:
 
     haze: float = 0.1  # fraction of the usual opacity below which a Gaussian is haze and does not count as content
     least_weight: float = 1e-6  # weight of a Gaussian at least, so that bounds exist even where all opacities are 0
-    # fractions of the opacity outside the bounds on each side: the last one, for thin ends of objects have a
-    # thousandth of the opacity; an earlier one where the rest lies far out, as stray Gaussians of captures do
+    # fractions of the opacity outside the bounds on each side. The last one is usual, for thin ends of objects have a
+    # thousandth of the opacity. An earlier one applies where the rest lies far out, as stray Gaussians of captures do
     tails: tuple[float, float, float] = (0.01, 0.001, 0.0001)
     far: float = 0.4  # distance of a side that is far out, in extents of the content without the first tail
     margin: float = 0.15  # margin of the bounds where the rest lies far out, in the same extents
@@ -54,8 +54,8 @@ class SubjectConstants:
     in_gap: float = 0.02  # largest weight in a gap, as a fraction of the weight inside it
     # extent of the scene in inner radii from which on the whole would show its subject too small
     small_ratio: float = 4.0
-    # fraction of the second moment of directions along one axis from which on the rest is part of the subject, such
-    # as the end of a pole
+    # fraction of the second moment of directions along one axis. From it on the rest is part of the subject, such as
+    # the end of a pole
     one_sided: float = 0.85
 
     # A dense place that the scene surrounds

@@ -1,9 +1,9 @@
 """The rig behind a panel's views: its cameras, an off-axis fan (Shi et al. 2025), and rigs that files bring along.
 
-The plane z = zero_depth is the same in all views. A stored framing is a line in the header of a file of Gaussians,
-"lightfield-gs rig: {"rig": {...}, "width_px": ..., "height_px": ...}". It is in the file's own axes, with the size of
-the panel that it was made for. SHARP (Mescheder et al., 2025) writes elements of numbers beside the vertices: extrinsic
-(16, world to camera, by rows), intrinsic (9, by rows), image_size (2).
+The plane z = zero_depth is the same in all views. A stored framing is a line in the header of a file of Gaussians:
+"lightfield-gs rig: {"rig": {...}, "width_px": ..., "height_px": ...}". The rig is in the file's own axes; the size is
+the panel's. SHARP (Mescheder et al., 2025) writes elements of numbers beside the vertices: extrinsic (16, world to
+camera, by rows), intrinsic (9, by rows), image_size (2).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _WAY_OUT = "give up=, camera= or rig=, which go before it"
 
 @dataclass(eq=False)
 class Rig:
-    """The centre camera of the fan; the cameras of the views stand beside it on its x-axis, with its rotation.
+    """The cameras of the views: a fan on the x-axis of its centre camera, all with the same rotation.
 
     Rig.frame makes a rig that shows a scene on a panel.
 
@@ -82,18 +82,18 @@ class Rig:
     ) -> Rig:
         """Return a rig that shows a scene on the panel: the whole scene, or its subject.
 
-        Content is the area that the visible Gaussians cover, without the outermost 0.01 % of their opacity on each
-        side, and without up to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's
-        height, or of its width where that is met first; the panel takes 90 degrees at most. The zero plane is at the
-        harmonic mean of near and far, the depths beyond which 5 % of the opacity lies.
+        The content is the area that the visible Gaussians cover. The outermost 0.01 % of their opacity on each side is
+        left out, or 0.1 % or 1 % where it lies far out. The content is centred. It fills 92 % of the panel's height, or
+        of its width if that is the limit; the panel takes 90 degrees at most. The zero plane is at the harmonic mean of
+        near and far; 5 % of the opacity lies beyond each of them.
 
-        The content is only the subject (lightfield_gs.panels.content) in three cases: a gap surrounds the densest part
-        of the scene; the scene surrounds a small dense part; or a hull that is closed on all sides has something in it.
+        In three cases the content is only the subject (lightfield_gs.panels.content). A gap surrounds the densest part
+        of the scene. The scene surrounds a small dense part. A hull that is closed on all sides has something in it.
 
         A new camera looks at the content from in front. The content's height takes the angle that the panel subtends
-        for its viewer, kept within 20..50 degrees, or 30 when unknown; the camera goes nearer where something is in
-        between. With a given camera and nothing visible near the harmonic mean, the zero plane is at the depth in the
-        middle of the picture.
+        for its viewer, kept within 20..50 degrees, or 30 if unknown. The camera goes nearer if something is in between.
+        If a given camera sees nothing near the harmonic mean, the zero plane is at the depth in the middle of the
+        picture.
 
         Args:
             gaussians: One set.
@@ -171,8 +171,8 @@ class Rig:
     def jacobian_limits(self, panel: Panel) -> tuple[float, float, float, float]:
         """Return (lo_x, hi_x, lo_y, hi_y), the limits of X/Z and Y/Z in the projection's Jacobian, centre camera.
 
-        They are the panel's frustum and 15 % of the image beyond each edge, widened in x by the fan's largest offset
-        over zero_depth, so that all views share one set of limits.
+        They are the panel's frustum and 15 % of the image beyond each edge. In x the fan's largest offset over
+        zero_depth widens them, so that all views share one set of limits.
         """
         (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
         width, height = panel.width_px, panel.height_px

@@ -147,9 +147,9 @@ def degree_zero(gaussians: Gaussians) -> Gaussians:
 def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, float]) -> float:
     """Return the view-space z, scene units, of the nearest opaque surface that the centre camera sees at a point.
 
-    It is the nearest depth by which a quarter of a small square around the point (1 % of the panel's shorter side) is
-    opaque, alpha 0.5 or more, if only the Gaussians up to it are drawn. Neither the background nor haze in front moves
-    it, as they would a mean depth.
+    The Gaussians up to this depth make a quarter of a small square around the point opaque (alpha 0.5 or more). The
+    square's side is 1 % of the panel's shorter side. Background and haze would move a mean depth, but do not move this
+    one.
 
     Args:
         gaussians: One set, in the rig's coordinates.

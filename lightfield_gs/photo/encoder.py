@@ -11,7 +11,7 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
@@ -35,13 +35,13 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 
 class PhotoEncoder:
-    """Draw the object in a photo for a panel: SplatterNet.predict, frame_photo and `encode`, without detours.
+    """Draw the object in a photo for a panel: SplatterNet.predict, frame_photo and `encode` in one faster call.
 
     On CUDA the U-Net runs in bfloat16. Crop, network and framing are CUDA graphs, captured for the first photo of each
-    size, and the host waits for the device once a photo, for the position of the object.
+    size. The host waits for the device once a photo, for the position of the object.
 
     Args:
-        net: On the device to work on; its weights are copied when the encoder is made.
+        net: The network, on the device to work on. The encoder copies its weights when it is made.
         panel: See `encode`.
         views: See `encode`.
         background: See `encode`.

@@ -42,14 +42,14 @@ def write_preview(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> list[Path]:
-    """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
+    """Write previews of an encoded light field into `folder`, made if absent, and return their paths.
 
-    views.png: twelve views from the left-most to the right-most camera, row by row; of upright panels in two rows, so
+    views.png: twelve views from the left-most to the right-most camera, row by row; upright panels get two rows, so
     that the sheet fills a screen.
     look-around.webp: a camera that goes from left to right and back.
     look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
-    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
-    only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
+    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, for eyes 63 mm apart at the viewing distance. If
+    the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
     Views are rendered at a reduced size; antialiased, view_filter: see `encode`. Raises InputError.
     """
     folder = make_folder(folder)

@@ -14,7 +14,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from lightfield_gs.base.arrays import Colour, to_bytes
-from lightfield_gs.base.cuda import to_numpy
+from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
