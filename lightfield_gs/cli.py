@@ -14,9 +14,15 @@ import time
 from collections.abc import Sequence
 from typing import NoReturn, cast
 
-from lightfield_gs.base.cli_messages import PatientStream, open_closed_streams, print_assumptions, report_error
+from lightfield_gs.base.cli_messages import (
+    FOLDER_GONE,
+    PatientStream,
+    has_working_folder,
+    open_closed_streams,
+    print_assumptions,
+    report_error,
+)
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
 from lightfield_gs.commands.options.parser import Parser, join_values
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import AUTO, EncodeOptions
-from lightfield_gs.base.cli_messages import as_options
-from lightfield_gs.base.cuda import HostCopies
-from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.base.cli_messages import Stopwatch, as_options
+from lightfield_gs.base.device import HostCopies
 from lightfield_gs.batch.items import Item
 from lightfield_gs.batch.manifest import Known, facts
 from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record

@@ -14,11 +14,10 @@ from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.provenance import package_versions, scene_facts, software
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within

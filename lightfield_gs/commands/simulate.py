@@ -11,9 +11,8 @@ from typing import cast
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import at_distance, load_panel, parse_panel, stored_panel, why_no_eye
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import Stopwatch, note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
 from lightfield_gs.commands.options.parser import numbers, read_options, within
 from lightfield_gs.io.atomic import check_outputs

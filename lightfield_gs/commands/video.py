@@ -8,10 +8,9 @@ from pathlib import Path
 
 from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.video import VideoOptions, frame_drawer, frame_sink, video_target
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_panel
 from lightfield_gs.commands.options.parser import read_options, threads

@@ -10,10 +10,9 @@ from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import check_scene_options, load_framed
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.cameras import add_camera, add_look
 from lightfield_gs.commands.options.panel import add_panel
 from lightfield_gs.commands.options.parser import read_options

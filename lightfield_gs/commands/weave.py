@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.app.panel import load_panel
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_panel
 from lightfield_gs.commands.options.parser import background, numbers, read_options, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs

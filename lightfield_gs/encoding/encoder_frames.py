@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrame, DirectFrames, known_frames
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera

@@ -21,9 +21,8 @@ from lightfield_gs.fitting.evaluate import ConeAngles
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.pinhole import nearest_rotation
-from lightfield_gs.panels.framing import framing_comment
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, framing_comment
 
 # Photographs within half the cone and this margin count fully. Objects before and behind the zero plane are seen at
 # other angles than the pivot. Views at the cone's edge lie between photographs, too.

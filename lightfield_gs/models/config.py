@@ -9,8 +9,7 @@ from typing import Any
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import config_path
-from lightfield_gs.io.text_files import check_keys, read_mapping
+from lightfield_gs.io.text_files import check_keys, config_path, read_mapping
 from lightfield_gs.models.unet import UNetConfig, check_field_types
 
 INPUT_CHANNELS = {"rgb": 3, "rgb_mask_ray": 6}

@@ -31,8 +31,7 @@ from lightfield_gs.base.options import (
     CellRule,
     SubpixelOrder,
 )
-from lightfield_gs.base.paths import config_path
-from lightfield_gs.io.text_files import read_mapping, write_mapping
+from lightfield_gs.io.text_files import config_path, read_mapping, write_mapping
 from lightfield_gs.panels.cells import PATTERNS, PERIOD, Cell, cell_numbers, checked_cells
 from lightfield_gs.panels.looking_glass import panel_fields
 

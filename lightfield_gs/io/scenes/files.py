@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.checks import checked_path, expect, real_number
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
 from lightfield_gs.io.scenes import ksplat, ply, sog, splat, spz
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
