@@ -24,12 +24,10 @@ from lightfield_gs.app.scene import (
     frame_scene,
     read_source,
 )
-from lightfield_gs.base.cli_messages import note
-from lightfield_gs.base.cuda import to_numpy
-from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.cli_messages import Stopwatch, note
+from lightfield_gs.base.device import choose_device, to_numpy
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import misplaced_options
-from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.base.options import ONLY_FOR
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.png import CompressedImage
@@ -40,7 +38,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lightfield_gs.app.photo import ReadPhoto
-    from lightfield_gs.base.cuda import HostCopies, HostCopy
+    from lightfield_gs.base.device import HostCopies, HostCopy
     from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
 
@@ -231,10 +229,13 @@ def check_options(options: EncodeOptions) -> None:
     check_scene_options(options.scene, options.camera)
     quality = None if options.quality == "exact" else options.quality
     given = {"cameras": options.cameras, "view_map": options.view_map, "memory_budget": options.memory_budget}
-    for name, its in misplaced_options(options.method, **given, quality=quality):
-        if name == "quality":
-            raise InputError(f"--quality {quality} is for --method {its}, not {options.method}; leave out one of them")
-        raise InputError(f"--{name.replace('_', '-')} is for --method {its}, not {options.method}")
+    for name, value in {**given, "quality": quality}.items():
+        if value is not None and options.method != (only := ONLY_FOR[name]):
+            if name == "quality":
+                raise InputError(
+                    f"--quality {quality} is for --method {only}, not {options.method}; leave out one of them"
+                )
+            raise InputError(f"--{name.replace('_', '-')} is for --method {only}, not {options.method}")
     for option, value in (("--cameras", options.cameras), ("--view-map", options.view_map)):
         if value is not None and options.views == "continuous":
             raise InputError(

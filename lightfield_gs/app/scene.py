@@ -11,9 +11,8 @@ from lightfield_gs.app.look import apply_look, report_depth
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import Stopwatch, note
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb

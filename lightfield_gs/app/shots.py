@@ -24,8 +24,8 @@ from lightfield_gs.app.photo import photo_rig
 from lightfield_gs.app.provenance import scene_hash
 from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
+from lightfield_gs.base.cli_messages import Stopwatch
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import scratch_folder, sha256
 from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture

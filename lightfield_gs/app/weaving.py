@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.provenance import package_versions, software
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.cli_messages import note, say
+from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression, Device, Views
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import sha256
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.view_sets.movies import FrameRange

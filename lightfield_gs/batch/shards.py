@@ -95,8 +95,8 @@ def _least_memory(gpus: list[int]) -> int:
 def run_shards(call: Callable[[Any, Shard, Worker], int], options: Any, workers: list[Worker], folder: Path) -> int:
     """Run `call(options, shard, worker)` in a process for each worker, and return the highest exit code.
 
-    A process that dies is started again as long as the manifests in `folder` grow. It first does its items that were
-    in progress, one at a time, and leaves out those that killed it twice.
+    A process that dies is restarted as long as the manifests in `folder` grow. It begins with its unfinished items, one
+    at a time, and leaves out items that killed it twice.
     """
     context = multiprocessing.get_context("spawn")  # a fork would share a device that is in use
     running: dict[Any, tuple[SpawnProcess, int, int]] = {}  # process, number, bytes of the manifests when it began

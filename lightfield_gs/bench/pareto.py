@@ -1,7 +1,7 @@
-"""Run time against error: the named qualities, every knob of Quality by itself, and pruned scenes, on the same scenes.
+"""Measure run time against error: the named qualities, every knob of Quality by itself, and pruned scenes.
 
-All settings are run by turns, the exact one first in every round, so that what else the machine does meets them alike;
-times are the shortest of the rounds. Errors are those of the 8-bit image against the float64 oracle.
+All settings run by turns, the exact one first in every round, so that other load on the machine affects them alike.
+Times are the shortest of the rounds. Errors compare the 8-bit image with the float64 oracle.
 """
 
 from __future__ import annotations
@@ -58,8 +58,9 @@ class Setting(NamedTuple):
 
 
 def settings() -> dict[str, Setting]:
-    """Exact first, the other names, each knob alone at the values that the names give it, names without one knob; then
-    pruned scenes, drawn exactly, by a name and roughly."""
+    """Return the settings: "exact", the other names, each knob alone at its values in the names, names without one
+    knob, and pruned scenes. Pruned scenes are drawn exactly, by a name and approximately.
+    """
     found = {name: Setting(quality) for name, quality in _qualities().items()}
     drawn = {
         "": EXACT,

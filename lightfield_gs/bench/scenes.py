@@ -1,8 +1,8 @@
 """Synthetic scenes and cones for benchmarks: the same Gaussians, bit for bit, wherever they are made.
 
 `sheet:S` is what a single-image network draws: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
-`cloud:N` is its opposite: N Gaussians of any rotation, log-normal in size, on three nested shells, overlapping deeply.
-The centre camera stands at the origin and looks along +z; the zero plane is at depth 2, the focal length the panel's
+`cloud:N` is the opposite: N Gaussians of random rotation and log-normal size on three nested shells, with much overlap.
+The centre camera stands at the origin and looks along +z. The zero plane is at depth 2; the focal length is the panel's
 width in pixels.
 """
 
@@ -16,9 +16,9 @@ from typing import cast
 import numpy as np
 import torch
 
+from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
@@ -118,10 +118,10 @@ def load_scene(name: str, sh_degree: int | None = None) -> Gaussians:
 
 
 def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> float:
-    """The full angle of a cone: the number itself, None (the panel's), or a named one.
+    """Return the full angle of a cone in degrees: `cone` may be a number, a name, or None for the panel's.
 
-    "wide" is 53 degrees. "narrow" is the cone whose outermost views (x = 0 and N) see a point at 4/5 of the zero
-    plane's depth 40 px apart: with the offsets +-Z0 tan(cone/2) of the rig, fx 2 Z0 tan(cone/2) (5/4 - 1)/Z0 = 40 px.
+    "wide" is 53 degrees. In the cone "narrow" the outermost views (x = 0 and N) see a point at 4/5 of the zero plane's
+    depth 40 px apart. The offsets of the rig are +-Z0 tan(cone/2), so fx 2 Z0 tan(cone/2) (5/4 - 1)/Z0 = 40 px.
     """
     if cone == "narrow":
         return 2 * math.degrees(math.atan(2 * NARROW_PX / focal_px))

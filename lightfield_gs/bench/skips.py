@@ -1,7 +1,7 @@
-"""What skipping saves: the time of a light-field image with and without each skip, by turns, and what it counts.
+"""Measure the time that each skip saves: a light-field image with and without the skip, by turns, and its counts.
 
-Where a skip has no switch, the image without it is one that cannot use it, and is otherwise as alike as can be; the
-row's note says what was changed. Where there is none such, the row has no time, and says why.
+A skip without a switch is compared with an image that cannot use it and is otherwise as similar as possible. The row's
+note names the difference. If there is no such image, the row has no time, and says why.
 """
 
 from __future__ import annotations

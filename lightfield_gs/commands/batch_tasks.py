@@ -18,10 +18,9 @@ from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import AUTO, EncodeOptions, PanelOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.video import VideoOptions, video_target
-from lightfield_gs.base.cli_messages import as_options
-from lightfield_gs.base.cuda import HostCopies
+from lightfield_gs.base.cli_messages import Stopwatch, as_options
+from lightfield_gs.base.device import HostCopies
 from lightfield_gs.base.errors import named
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.items import Item, split
 from lightfield_gs.batch.manifest import Known, Record, facts
 from lightfield_gs.batch.run import DRAWN_AHEAD, Task, Worker, now

@@ -173,12 +173,12 @@ def interlace(views: Tensor, panel: Panel) -> Tensor:
     """Take every sub-pixel of a panel from its view: views [N, H, W, 3] -> [H, W, 3], same dtype.
 
     Args:
-        views: as many as the panel has, of its size. View 0 is the right-most eye's, with invert_views the left-most
-            one's. Tiles of a quilt are in the other order.
+        views: as many as the panel has, of its size. View 0 is for the right-most eye, with invert_views for the
+            left-most eye. Tiles of a quilt have the opposite order.
         panel: says which view each sub-pixel shows.
 
     Raises:
-        InputError: for views of another number or size.
+        InputError: number or size of the views differ from the panel's.
     """
     views = to_tensor("views", views)
     expect("panel", panel, Panel)

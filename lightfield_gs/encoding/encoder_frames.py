@@ -4,9 +4,9 @@ On the CPU the input of a frame is copied, and the next frame's compared with th
 per cent of a frame, and misses no change. Project, order and bin take 0.2 % of a frame at 8K, the composite the rest.
 So only two cases count: nothing has changed, or only the background has.
 
-On CUDA a frame is a graph, and stages are spared where torch can tell that their input is unchanged. Order and bin take
-half the time of a frame of a million Gaussians (6 of 11 ms on an H100 at 8K; 0.3 of 2.4 ms for 65,536 Gaussians). A
-change of colours alone does without them.
+On CUDA a frame is a graph, and a stage is skipped if torch can tell that its input is unchanged. For a million
+Gaussians order and bin take half the frame: 6 of 11 ms on an H100 at 8K. For 65,536 Gaussians they take 0.3 of 2.4 ms.
+If only colours change, they are skipped.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrame, DirectFrames, known_frames
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera

@@ -26,13 +26,13 @@ class SortedPlan:
     """The sub-pixels of each view, made once per panel and used for any number of images.
 
     Sub-pixels are coded (view, tile, column, row, channel) and sorted. The list of a (view, tile) holds 16 bits for
-    each of its sub-pixels, and is filled up to a multiple of BLOCK (the paper's (-1, -1)).
+    each of its sub-pixels. It is padded to a multiple of BLOCK (the paper's (-1, -1)).
 
-    A view has 1/N of the sub-pixels, so tiles grow with N. They are as high as a square that holds one block of a
-    view's sub-pixels: a power of two, on the CPU always the 16 rows of a band. They are as wide as it takes to hold 224
-    of them, seven of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
+    A view has 1/N of the sub-pixels, so tiles grow with N. A tile is as high as a square with one block of a view's
+    sub-pixels, a power of two. On the CPU it always has 16 rows, a band. Its width is chosen for 224 sub-pixels, seven
+    of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
 
-    shown: numbers of the views that some sub-pixel shows, int64 [V], ascending.
+    shown: indices of the views that some sub-pixel shows, int64 [V], ascending.
     hidden: whether some sub-pixel shows no view (-1 in the map).
     """
 

@@ -10,9 +10,9 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, real_number
-from lightfield_gs.base.cuda import device_guard
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.native import optional_address, run_stage, select_stages
+from lightfield_gs.base.stages import optional_address, run_stage, select_stages
 
 
 def photo_loss_and_gradient(

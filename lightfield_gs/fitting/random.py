@@ -16,7 +16,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.native import run_stage, select_stages
+from lightfield_gs.base.stages import run_stage, select_stages
 
 
 class Purpose(IntEnum):

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.cuda import device_guard, to_numpy
+from lightfield_gs.base.device import device_guard, to_numpy
 from lightfield_gs.base.options import Compression
 from lightfield_gs.io.png import CompressedImage
 

@@ -23,7 +23,7 @@ Cell = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # (
 
 # Number of the cell of column x and row y by `cell_pattern`, CellPatternMode in a calibration. Published programs
 # disagree on patterns 2 and 4. "unity" is the rule of the Unity plug-in and of older WebXR, checked by eye on a 16-inch
-# display; "webxr" is the rule of newer WebXR.
+# display. "webxr" is the rule of newer WebXR.
 _UNITY = {
     0: lambda x, y: 0 * (x + y),
     1: lambda x, y: (x + y) % 2,

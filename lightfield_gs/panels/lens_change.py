@@ -15,9 +15,8 @@ from pathlib import Path
 
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.text_files import MOST_BYTES, read_json, read_text
+from lightfield_gs.io.text_files import MOST_BYTES, config_path, read_json, read_text
 from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values, find_calibration, replace_values
 from lightfield_gs.panels.panel import Panel
 

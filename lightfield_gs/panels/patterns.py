@@ -1,8 +1,8 @@
 """Test patterns that show how well a profile fits its panel: an eye before the panel sees which view reaches it.
 
-All are uint8 [H, W, 3], drawn for the sub-pixels that show a view by `panel`. `fan` and `depth_ramp` draw labelled
-bands, each under another value of one parameter, or at another depth: the band that looks right has the value on its
-label, which `lightfield-gs calibrate nudge` takes.
+All are uint8 [H, W, 3], for the sub-pixels of a view by `panel`. `fan` draws labelled bands, each with another value of
+one parameter; `depth_ramp` draws them at different depths. The label of the best band is the value for `lightfield-gs
+calibrate nudge`.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ def draw(panel: Panel, shade: Shade, rows: slice | None = None, columns: slice |
 
     Args:
         panel: The panel.
-        shade: Function of views x in [0, N), float64 [part, columns, 3], and of the rows `part` of the panel that they
-            are of; it returns 0..1, or bool.
+        shade: Function of views x in [0, N), float64 [part, columns, 3], and of their rows `part` of the panel. It
+            returns 0..1, or bool.
         rows: Rows to draw; None: all.
         columns: Columns to draw; None: all.
     """
@@ -254,10 +254,10 @@ def fan(panel: Panel, parameter: Fan, span: float | None = None, bands: int | No
 
     Args:
         panel: The panel.
-        parameter: "pitch": rows of the hues of `sweep`, changed by -span..span percent; for an eye at the viewing
-            distance the right one has one colour from left to right. "slope": the same in columns; the right one is
+        parameter: "pitch": rows of the hues of `sweep`, changed by -span..span percent. For an eye at the viewing
+            distance the right row has one colour from left to right. "slope": the same in columns; the right column is
             even from top to bottom. "centre": rows that are white in the middle quarter of the views, moved by lens
-            widths; straight in front the right one is the brightest.
+            widths. Seen from straight in front, the right row is the brightest.
         span: Largest change; None: 0.5 percent for pitch, 2.5 for slope, 0.5 lens widths (all of them) for centre.
         bands: An odd number, 3..99; None: as many as leave space for labels, at most 11.
 
@@ -294,9 +294,9 @@ def _band_shade(parameter: Fan, fraction: np.ndarray) -> np.ndarray:
 def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = None) -> np.ndarray:
     """Draw upright stripes in rows of different depth, each labelled with its disparity: uint8 [H, W, 3].
 
-    The disparity is the distance in pixels by which the stripes of the right-most view lie to the left of those of the
-    left-most: positive in front of the panel, 0 in it, negative behind it. The rows with sharp stripes show the depth
-    that the panel can show.
+    The disparity is how far, in pixels, the stripes of the right-most view lie to the left of the stripes of the
+    left-most view. It is positive in front of the panel, 0 in its plane, negative behind it. The rows with sharp
+    stripes show the depth that the panel can show.
 
     Args:
         panel: The panel.

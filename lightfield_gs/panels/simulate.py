@@ -27,8 +27,8 @@ class Psf:
     """A measured spread of light, with its crosstalk: the brightness of the sub-pixels beside the one behind the lens.
 
     Attributes:
-        offsets: 2..4096 offsets in sub-pixels along a row, ascending: distance to the right of the sub-pixel that, seen
-            by the eye, is exactly behind the lens.
+        offsets: 2..4096 offsets in sub-pixels along a row, ascending. 0 is the sub-pixel that the eye sees exactly
+            behind the lens; its right neighbour is at 1.
         light: Brightness at each offset, >= 0, in any unit; linear between the offsets, 0 beyond them.
 
     Raises:

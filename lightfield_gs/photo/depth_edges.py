@@ -74,8 +74,8 @@ def slopes(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor
 def snap_mixed(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
     """Return the depth map with its smoothed edges made sharp again, [H, W].
 
-    A pixel between two surfaces, with an edge to both sides along its row or column, lies on neither: it takes the
-    depth of the neighbour that is nearer in disparity. Thin things, nearer or farther than both neighbours, stay.
+    A pixel with an edge on both sides along its row or column lies on neither surface. It takes the depth of the
+    neighbour that is nearer in disparity. Thin things, nearer or farther than both neighbours, stay.
     """
     for _ in range(_CONSTANTS.snap_passes):
         depth = _snap_columns(depth, focal_px[0])

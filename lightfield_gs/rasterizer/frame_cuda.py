@@ -17,7 +17,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.cuda import free_memory
+from lightfield_gs.base.device import free_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality

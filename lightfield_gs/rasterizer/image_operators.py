@@ -40,8 +40,8 @@ def render_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
 def render_images(*arguments: Any) -> _Images:
     """Render B scenes before V cameras each (Kerbl et al. 2023): the operator of this name.
 
-    It is differentiable in all tensors but intrinsics and limits. The gradient of screen is that of the projected
-    means, in 1 / pixels; of 4 numbers the last two are sums over pixels of absolute values (Ye et al., "AbsGS", 2024).
+    It is differentiable in all tensors but intrinsics and limits. screen receives the gradient of the projected means,
+    in 1 / pixels. With 4 numbers the last two are sums over pixels of absolute values (Ye et al., "AbsGS", 2024).
 
     Args:
         arguments: of ImageArguments.
@@ -219,9 +219,10 @@ def _is_for_cuda(means: Tensor) -> bool:
     return means.is_cuda
 
 
-# On CUDA a render is two nodes of autograd. Autograd frees the tensors of a node once its backward is done: images,
-# splats and lists are gone when the gradients of the Gaussians are made. With few Gaussians the device waits for the
-# host, so arguments are checked once for both nodes, and scenes without a batch stay so: a view of each is a node too.
+# On CUDA a render is two nodes of autograd. Autograd frees the tensors of a node after its backward pass. So images,
+# splats and lists are freed before the gradients of the Gaussians are computed. With few Gaussians the device waits for
+# the host, so arguments are checked once for both nodes, and scenes without a batch stay so: a view of each is a node
+# too.
 
 
 def _render_in_two_nodes(

@@ -16,7 +16,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import Colour, check_tensor, to_tensor
 from lightfield_gs.base.checks import shown
-from lightfield_gs.base.cuda import device_guard
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 
 

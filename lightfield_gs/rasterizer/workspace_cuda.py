@@ -53,8 +53,8 @@ class CudaWorkspace:
         A splat's intersections are numbered by slots, in the order of the splats; gradients are written there.
 
         Args:
-            lists: the range of intersections of each tile [tiles, 2] int64, the range of slots of each splat [I, N, 2]
-                int32, then slots and splats of the sorted intersections, int32.
+            lists: the range of intersections of each tile, [tiles, 2] int64; the range of slots of each splat, [I, N,
+                2] int32; slots and splats of the sorted intersections, int32.
             unsorted: address of [4, intersections] int32 that only the filling needs: tiles, sorted tiles, slots and
                 their splats.
         """
@@ -177,8 +177,11 @@ class CudaWorkspace:
     def composite_images_backward(
         self, background: Tensor, images: _core.float32.Images, gradients: _core.float32.Images, absolute: bool
     ) -> tuple[Tensor, Tensor]:
-        """The first half of images_backward: sums over the pairs of each splat [I, N, SPLAT_SUMS], from which the
-        gradients of the Gaussians follow, and the gradient of the background in parts [I * parts, 3]."""
+        """Run the first half of images_backward.
+
+        Return sums over the intersections of each splat [I, N, SPLAT_SUMS], and the background's gradient in parts [I *
+        parts, 3]. The gradients of the Gaussians follow from the sums.
+        """
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.intersection_count, cuda.ABSOLUTE_IMAGE_SUMS if absolute else cuda.IMAGE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
