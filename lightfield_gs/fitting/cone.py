@@ -96,7 +96,7 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
 
     The pivot is on the centre camera's axis, at the median depth of the points in the middle third, each way, of its
     photograph: a panel is sharpest there, and the surface of the subject should be. With few such points the axes of
-    the cameras in the cone intersect at the pivot's depth: within the subject, if it is photographed from around.
+    the cameras in the cone intersect at the pivot's depth, within a subject photographed from around.
 
     Args:
         capture: the photographs and cameras.
