@@ -21,16 +21,15 @@ def add_camera(add: Callable[..., argparse.Action]) -> None:
         "--rig",
         type=Path,
         metavar="YAML",
-        help="cameras of the views, in the file's own axes (default: those that "
-        "the file brings along, else framed automatically)",
+        help="cameras of the views, in the file's own axes (default: the cameras stored in the file, else "
+        "automatic framing)",
     )
     add(
         "--camera",
         type=camera_choice,
         metavar="FILE[:INDEX]",
-        help="centre camera of the views, in the file's own "
-        "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
-        "fitted to the panel (default index 0)",
+        help="centre camera of the views, in the file's own axes, from a cameras.json (3D Gaussian splatting), "
+        "a transforms.json (NeRF) or a rig; its picture is fitted to the panel (default index 0)",
     )
     add_up(add)
 
@@ -40,8 +39,8 @@ def add_up(add: Callable[..., argparse.Action]) -> None:
         "--up",
         choices=UP_AXES,
         metavar="AXIS",
-        help="axis that points up in the file, x, y, z, -x, -y or -z, for "
-        "automatic framing; the Gaussians stay as they are (default: what the file says, else -y)",
+        help="axis that points up in the file, x, y, z, -x, -y or -z, for automatic framing; the Gaussians stay "
+        "as they are (default: as stored in the file, else -y)",
     )
 
 
@@ -51,15 +50,15 @@ def add_look(add: Callable[..., argparse.Action]) -> None:
         "--focus",
         type=_focus,
         metavar="DEPTH|X,Y",
-        help="what lies in the panel's plane: a depth before the camera in scene units, or a point of the picture, X "
-        "of its width from the left and Y of its height from the top, 0..1 each: the surface seen there (default: that "
-        "of the rig, or automatic)",
+        help="depth of the panel's plane before the camera, in scene units; or a point of the picture whose "
+        "surface lies in the plane: X of its width from the left, Y of its height from the top, 0..1 each "
+        "(default: the rig's, else automatic)",
     )
     add(
         "--depth-amount",
         type=within(0, 2),
         metavar="FACTOR",
-        help="how deep the scene is, 0 (flat) to 2: factor of all disparities (default 1)",
+        help="factor of all disparities, 0 (flat) to 2 (default 1)",
     )
     add(
         "--cone",
@@ -67,12 +66,17 @@ def add_look(add: Callable[..., argparse.Action]) -> None:
         metavar="DEG",
         help="full angle that the cameras of the views span, in degrees, 0..179 (default: the rig's or the panel's)",
     )
-    add("--zoom", type=within(0.01, 100), metavar="FACTOR", help="size of the picture, about its middle (default 1)")
+    add(
+        "--zoom",
+        type=within(0.01, 100),
+        metavar="FACTOR",
+        help="factor of the picture's size, about its middle (default 1)",
+    )
     add(
         "--pan",
         type=_pan,
         metavar="X,Y",
-        help="moves the picture to the right by X of the panel's width and down by Y of its height (default 0,0)",
+        help="move the picture to the right by X of the panel's width and down by Y of its height (default 0,0)",
     )
 
 
@@ -80,8 +84,8 @@ def add_depth_report(add: Callable[..., argparse.Action]) -> None:
     add(
         "--depth-report",
         action="store_true",
-        help="print how deep the scene is on the panel, in px and mm: disparities, what stands before and behind the "
-        "panel, whether that is comfortable, what is sharp, and what the outermost views show that nobody has seen",
+        help="print the depth of the scene on the panel, in px and mm: disparities, depths before and behind "
+        "the panel, comfort, the range of sharp depths, and the gaps that the outermost views show",
     )
 
 
@@ -102,5 +106,5 @@ def _pan(text: str) -> tuple[float, ...]:
     """Parse "-0.1,0.2" to (-0.1, 0.2)."""
     pan = numbers(2)(text)
     if not all(math.fabs(part) <= 10 for part in pan):
-        raise argparse.ArgumentTypeError(f"expected shares of the panel's width and height, -10..10, got '{text}'")
+        raise argparse.ArgumentTypeError(f"expected fractions of the panel's width and height, -10..10, got '{text}'")
     return pan

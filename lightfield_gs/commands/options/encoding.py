@@ -23,7 +23,7 @@ def add_encoding(add: Add) -> None:
     add_depth_report(add)
     add_views(add)
     add_scene(
-        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)"
+        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; it downloads 176 MB once)"
     )
     add_method(add)
     add_antialiased(add)
@@ -38,7 +38,7 @@ def add_device(add: Add) -> None:
         "--device",
         choices=DEVICES,
         default="auto",
-        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)",
+        help="device of network and rasterizer (default auto: cuda if there is a GPU and this build can use it)",
     )
 
 
@@ -48,16 +48,16 @@ def add_views(add: Add) -> None:
         "--cameras",
         type=Path,
         metavar="JSON",
-        help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
-        "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
-        "the panel)",
+        help="for --method sorted, in place of a rig: one camera for each view, the right-most eye's first, "
+        "with world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px "
+        "[N,2] (pixels of the panel)",
     )
     add(
         "--view-map",
         type=Path,
         metavar="NPY",
-        help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
-        "-1 for the background",
+        help="for --method sorted, in place of the panel's lens: the view of each sub-pixel, int32 [H,W,3], "
+        "0..N-1, or -1 for the background",
     )
 
 
@@ -67,27 +67,27 @@ def add_method(add: Add) -> None:
         "--method",
         choices=METHODS,
         default="direct",
-        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
-        "picture a view, then interlaced (slow; for comparison)",
+        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; "
+        "classic: one image per view, then interlaced (slow; for comparison); default direct",
     )
     add(
         "--memory-budget",
         type=byte_size,
         metavar="SIZE",
-        help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
-        "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)",
+        help="work memory of --method sorted in addition to the image, for example 256MB (B, KB, MB, GB, KiB, "
+        "MiB, GiB). Default: 256MiB, or 1GiB on cuda, plus the sorted sub-pixels, 0.2GB on an 8K panel",
     )
     add(
         "--views",
         choices=VIEWS,
         default="integer",
-        help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)",
+        help="integer: N views; continuous: a viewpoint of its own for every sub-pixel (default integer)",
     )
     add(
         "--quality",
         choices=QUALITY_NAMES,
         default="exact",
-        help="less time for more error, of --method direct (default exact)",
+        help="of --method direct: less time for more error (default exact)",
     )
 
 
@@ -98,7 +98,12 @@ def add_file(add: Add) -> None:
         type=int,
         choices=(8, 16, 32),
         metavar="BITS",
-        help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32",
+        help="8, 16 or 32 (float: .exr, .tif); default 8, for .exr 32",
     )
-    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+    add(
+        "--compression",
+        choices=COMPRESSIONS,
+        default="fast",
+        help="fast: quick to write; small: a small file (default fast)",
+    )
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")

@@ -29,7 +29,7 @@ def add_device_serial(add: Callable[..., argparse.Action]) -> None:
     add(
         "--device-serial",
         metavar="SERIAL",
-        help="which display, where a Looking Glass .json has calibrations of several",
+        help="serial number of the display, if a Looking Glass .json has several calibrations",
     )
 
 
