@@ -17,11 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.app.cameras import read_camera, scene_up
-from lightfield_gs.app.look import apply_look, report_depth
+from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
 from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
+from lightfield_gs.app.panel import scene_hash
 from lightfield_gs.app.photo import photo_rig
-from lightfield_gs.app.provenance import scene_hash
 from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PanelOptions
-from lightfield_gs.app.panel import load_panel
-from lightfield_gs.app.provenance import package_versions
+from lightfield_gs.app.panel import load_panel, package_versions
 from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, note, report_error
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.commands.options.encoding import add_encoding
+from lightfield_gs.commands.options.panel import add_encoding
 from lightfield_gs.commands.options.parser import read_options, whole
 from lightfield_gs.io.atomic import check_folder, remove_left_over
 

@@ -10,7 +10,7 @@ from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
-from lightfield_gs.commands.options.encoding import add_device, add_encoding
+from lightfield_gs.commands.options.panel import add_device, add_encoding
 from lightfield_gs.commands.options.parser import read_options
 
 

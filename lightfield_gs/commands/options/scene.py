@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lightfield_gs.base.options import (
     DEPTH_INVALID,
@@ -18,12 +17,16 @@ from lightfield_gs.base.options import (
 )
 from lightfield_gs.commands.options.parser import background, numbers, within
 
-if TYPE_CHECKING:
-    pass
+Add = Callable[..., argparse.Action]
+_time = within(-1e6, 1e6)
+_depth_range = numbers(2)
+_pixel_aspect = within(0.1, 10)
+_intrinsics = numbers(4)
+_filter_views = within(0, 65536, "views")
 
 
 def add_scene(
-    add: Callable[..., argparse.Action],
+    add: Add,
     cutting: str,
     mask: str = "cut-out of a photo, of its size: bright or opaque on the object",
     of_mask: str = "IMAGE",
@@ -44,7 +47,7 @@ def add_scene(
     add_reading(add)
 
 
-def add_reading(add: Callable[..., argparse.Action]) -> None:
+def add_reading(add: Add) -> None:
     """Add the options of how a file of Gaussians is read."""
     add(
         "--skip-invalid",
@@ -53,14 +56,14 @@ def add_reading(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--time",
-        type=within(-1e6, 1e6),
+        type=_time,
         metavar="T",
         help="the time at which Gaussians that move (Spacetime Gaussians) are drawn, mostly 0..1 of their film "
         "(default: in its middle, which is said)",
     )
 
 
-def add_depth(add: Callable[..., argparse.Action]) -> None:
+def add_depth(add: Add) -> None:
     """Add the options of a photo's depth map, and of the meaning of its numbers."""
     add(
         "--depth",
@@ -81,7 +84,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--depth-range",
-        type=numbers(2),
+        type=_depth_range,
         metavar="NEAR,FAR",
         help="distances, in any unit, at the ends of the file's "
         "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks; FAR,NEAR where the "
@@ -115,7 +118,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--pixel-aspect",
-        type=within(0.1, 10),
+        type=_pixel_aspect,
         metavar="A",
         help="width by height of a pixel of a photo with depths: 2 where photo and map are squeezed to half their "
         "width to lie side by side, 0.5 where to half their height (default 1)",
@@ -129,7 +132,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--intrinsics",
-        type=numbers(4),
+        type=_intrinsics,
         metavar="FX,FY,CX,CY",
         help="in place of --fov: focal lengths and principal "
         "point of the photo, in its pixels, from the outer corner of the first",
@@ -137,7 +140,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     add_fit(add)
 
 
-def add_depth_model(add: Callable[..., argparse.Action]) -> None:
+def add_depth_model(add: Add) -> None:
     add(
         "--depth-model",
         metavar="NAME|FOLDER",
@@ -146,7 +149,7 @@ def add_depth_model(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_fit(add: Callable[..., argparse.Action]) -> None:
+def add_fit(add: Add) -> None:
     add(
         "--fit",
         choices=FITS,
@@ -155,7 +158,7 @@ def add_fit(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_detail(add: Callable[..., argparse.Action]) -> None:
+def add_detail(add: Add) -> None:
     """Add the options of how finely a photo is laid over the network's Gaussians."""
     add(
         "--detail",
@@ -167,7 +170,7 @@ def add_detail(add: Callable[..., argparse.Action]) -> None:
     add("--detail-budget", type=int, metavar="N", help="Gaussians at most for --detail auto (default 1500000)")
 
 
-def add_antialiased(add: Callable[..., argparse.Action]) -> None:
+def add_antialiased(add: Add) -> None:
     add(
         "--antialiased",
         action=argparse.BooleanOptionalAction,
@@ -177,10 +180,10 @@ def add_antialiased(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_view_filter(add: Callable[..., argparse.Action]) -> None:
+def add_view_filter(add: Add) -> None:
     add(
         "--view-filter",
-        type=within(0, 65536, "views"),
+        type=_filter_views,
         default=0.0,
         metavar="VIEWS",
         help="anti-aliasing between views, of a rig: each sub-pixel's picture is averaged over camera positions this "
@@ -189,7 +192,7 @@ def add_view_filter(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_background(add: Callable[..., argparse.Action]) -> None:
+def add_background(add: Add) -> None:
     add(
         "--background",
         type=background,
