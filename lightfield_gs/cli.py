@@ -27,18 +27,18 @@ from lightfield_gs.commands.options.parser import Parser, join_values
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
-    "fit": "photographs of a scene to its Gaussians",
-    "encode": "a photo or a .ply to the image of a panel",
-    "quilt": "a photo or a scene to a Looking Glass quilt of its views",
-    "weave": "a quilt, or a folder of views, to the image of a panel",
-    "prune": "leave out of a scene what hardly shows on a panel",
-    "video": "a scene with moving cameras, or pictures in a row, to frames for a panel",
-    "batch": "many photos, scenes, captures and videos to images, on all GPUs",
-    "simulate": "what an eye sees through the lenses",
-    "view": "a page that shows and steers a scene",
-    "show": "an encoded image on the panel, full screen",
-    "calibrate": "make a profile fit its panel",
-    "info": "say what a file holds",
+    "fit": "fit Gaussians to photographs of a scene",
+    "encode": "encode a photo or a scene as the image of a panel",
+    "quilt": "render the views of a photo or a scene as a Looking Glass quilt",
+    "weave": "interlace a quilt or a folder of views for a panel",
+    "prune": "remove the Gaussians that hardly show on a panel",
+    "video": "encode a scene with moving cameras, or a sequence of pictures",
+    "batch": "encode many photos, scenes, captures and videos on all GPUs",
+    "simulate": "simulate the picture that an eye sees through the lenses",
+    "view": "open a page that shows and steers a scene",
+    "show": "show an encoded image on the panel, full screen",
+    "calibrate": "calibrate the profile of a panel",
+    "info": "describe the contents of a file",
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice

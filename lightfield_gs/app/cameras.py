@@ -14,7 +14,7 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, render_comments
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, framing_comment, photo_camera, stored_framing, stored_size
 from lightfield_gs.scene.axes import DEFAULT_UP, Up, find_up
 
 if TYPE_CHECKING:
@@ -129,8 +129,6 @@ def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussian
 
 def _own_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
     """Return the rig of the cameras that the scene's file brings along, and a line on it."""
-    from lightfield_gs.panels.framing import photo_camera, stored_framing
-
     with named(path):
         if (stored := stored_framing(file.comments, panel)) is not None:
             return stored[0].relative_to(gaussians.origin), [f"camera: {stored[1]} ({_OTHERS})"]
@@ -150,10 +148,10 @@ def _look_from(
     panel: Panel,
     gaussians: Gaussians,
 ) -> Rig:
-    from lightfield_gs.panels import framing
+    from lightfield_gs.panels.framing import focus_on_scene
 
-    pose = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin).world_to_camera
-    return framing.frame_from_camera(gaussians, panel, pose, focal_px, principal_point_px)
+    rig = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin)
+    return focus_on_scene(rig, gaussians, panel)
 
 
 def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
@@ -185,8 +183,6 @@ def fit_and_cameras(file: SceneFile) -> list[tuple[str, str]]:
 
 
 def _cameras_in(file: SceneFile) -> list[tuple[str, str]]:
-    from lightfield_gs.panels.framing import photo_camera, stored_size
-
     try:
         if (size := stored_size(file.comments)) is not None:
             return [("camera", f"a framing stored for {size[0]} x {size[1]}")]
@@ -208,8 +204,6 @@ def scene_comments(
         file: the file that the scene is from.
         rig: the cameras, in the coordinates of the file.
     """
-    from lightfield_gs.panels.framing import framing_comment
-
     known = render_comments(file.comments if file is not None else (), antialiased)
     if file is not None and (up or find_up(file.comments)):
         known.append(f"Vertical Axis: {scene_up(up, file).axis}")

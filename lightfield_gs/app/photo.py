@@ -116,10 +116,11 @@ def photo_rig(photo: PhotoPlacement, panel: Panel, gaussians: Gaussians) -> Rig:
 
     The scale of estimated depths means little: there the panel's plane goes through the subject. Raises InputError.
     """
-    from lightfield_gs.panels import framing
+    from lightfield_gs.panels.framing import focus_on_subject
+    from lightfield_gs.panels.rig import frame_photo
 
-    rig = framing.frame_photo(gaussians, panel) if photo.placed is None else photo.placed.rig
-    return framing.focus_on_subject(rig, gaussians, panel) if photo.options.is_estimated else rig
+    rig = frame_photo(gaussians, panel) if photo.placed is None else photo.placed.rig
+    return focus_on_subject(rig, gaussians, panel) if photo.options.is_estimated else rig
 
 
 def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:

@@ -249,13 +249,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--gaussians",
         type=whole_numbers(1, 100_000_000),
         metavar="N",
-        help=f"how many, several with commas (default: {_listed(COUNTS['cuda'])}, on the CPU {_listed(COUNTS['cpu'])})",
+        help=f"number of Gaussians, several with commas (default: {_listed(COUNTS['cuda'])}, on the CPU "
+        f"{_listed(COUNTS['cpu'])})",
     )
     parser.add_argument(
         "--size",
         type=whole_numbers(16, 16_384, "x", 2),
         metavar="WxH",
-        help=f"of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
+        help=f"size of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
         f"{_listed(SIZES_PX['cpu'], 'x')})",
     )
     options.add_repeats(parser)

@@ -339,14 +339,14 @@ def add_arguments(
         "--memory-budget",
         type=byte_size,
         metavar="SIZE",
-        help="of the method sorted, for example 256MB, as `encode` takes it",
+        help="work memory of the method sorted, for example 256MB, as in `encode`",
     )
     parser.add_argument(
         "--oracle-samples",
         type=int,
         metavar="N",
-        help=f"random sub-pixels that the oracle judges the image by (default: {ORACLE_SAMPLES}; near 80 dB one in "
-        "1,500 is off by 1/255, so that these leave an uncertainty of 1 dB)",
+        help=f"number of random sub-pixels that the oracle checks (default: {ORACLE_SAMPLES}). Near 80 dB one in "
+        "1,500 is off by 1/255, so the default has an uncertainty of 1 dB",
     )
     options.add_repeats(parser)
     options.add_machine(parser)

@@ -156,8 +156,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_photo(parser, EXAMPLE)
     parser.add_argument(
         "--model",
-        help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml (default: the "
-        "checkpoint inside)",
+        help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml "
+        "(default: the checkpoint in the package)",
     )
     add_detail(parser.add_argument)
     options.add_panel(parser)

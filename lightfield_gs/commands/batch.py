@@ -31,44 +31,53 @@ EXIT_SOME_FAILED = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs batch`."""
     parser.description = (
-        "Encodes all photos and scenes of a folder or a list, fits captures and encodes their scenes, and makes "
-        "videos, in one to four processes for each GPU. DIR/batch.jsonl tells what was done; the same command goes on "
-        "where it was stopped, however that was, does what failed again, and leaves alone what was done. Options of "
-        "`encode` are for all."
+        "Encode all photos and scenes of a folder or a list, fit captures and encode their scenes, and "
+        "make videos, in one to four processes for each GPU. DIR/batch.jsonl records the results. After "
+        "any stop the same command goes on: it leaves finished items alone, and retries failed ones. "
+        "Options of `encode` apply to all items."
     )
     add = parser.add_argument
     add(
         "input",
         type=Path,
         metavar="FOLDER|LIST",
-        help="a folder, with those in it, or a text file with a path on each line, or with JSON objects: input, and "
-        "where wanted output, command (encode, fit, video), fit_options, and options by their names",
+        help="a folder of inputs; or a text file with a path or a JSON object on each line. Keys of an object: "
+        "input, and optionally output, command (encode, fit, video), fit_options, and options by their "
+        "names",
     )
     add("-o", "--output", type=Path, required=True, metavar="DIR", help="the folder of images and of batch.jsonl")
     add(
         "--format",
         choices=("png", "tif", "exr"),
         default="png",
-        help="of the images, named as their inputs (default png)",
+        help="format of the images, which are named as their inputs (default png)",
     )
     add(
         "--processes",
         type=whole(1, 4096),
         metavar="N",
-        help="how many (default: 1 to 4 a GPU, one for 8 of its cores, or without one for 4)",
+        help="number of processes (default: 1 to 4 a GPU, one for 8 of its cores; without a GPU one for 4 cores)",
     )
-    add("--devices", metavar="cuda:0,...|cpu", help="where they work (default: all GPUs, or the CPU without one)")
+    add(
+        "--devices",
+        metavar="cuda:0,...|cpu",
+        help="devices of the processes (default: all GPUs, or the CPU without one)",
+    )
     add(
         "--shard",
         type=_shard,
         metavar="I/N",
-        help="in one process, every N-th item from the I-th on: for GNU parallel, Slurm and Ray, which place the N "
-        "processes on GPUs and machines; all must see the files under the same paths",
+        help="take every N-th item from the I-th on, in one process: for GNU parallel, Slurm and Ray, which "
+        "place the N processes on GPUs and machines. All must see the files under the same paths",
     )
     add("--fit-options", metavar="TEXT", help="options of `fit`, for captures, in quotation marks")
     add("--video-options", metavar="TEXT", help="options of `video`, for videos, in quotation marks")
-    add("--overwrite", action="store_true", help="do again what was done")
-    add("--check", action="store_true", help="read all inputs and images that were done, and do again what has changed")
+    add("--overwrite", action="store_true", help="repeat finished items")
+    add(
+        "--check",
+        action="store_true",
+        help="read all inputs and images of finished items, and repeat items that have changed",
+    )
     add_encoding(add)
 
 

@@ -55,9 +55,10 @@ class NudgeOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs calibrate nudge`."""
     parser.epilog = (
-        "Pitch, slope and centre are the words of Looking Glass, line number, slant and phase those of a .yaml: either "
-        "may be given for either. What the middle of the panel shows stays, unless the centre or the phase is moved. "
-        "`calibrate pattern` pitch, slope and centre have the very changes written on them."
+        "Pitch, slope and centre are the words of Looking Glass; line number, slant and phase are the "
+        "words of a .yaml. Profiles of both kinds take both. The content in the middle of the panel stays, "
+        "unless the centre or the phase is moved. `calibrate pattern` pitch, slope and centre label their "
+        "bands with the values for this command."
     )
     add = parser.add_argument
     add("profile", metavar="PROFILE", help="name, .yaml or Looking Glass visual.json")

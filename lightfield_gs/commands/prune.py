@@ -46,21 +46,19 @@ class PruneOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs prune`."""
     parser.description = (
-        "Writes a scene without the Gaussians that contribute least to its image on a panel, from all "
-        "viewpoints of the panel: it is drawn faster from then on."
+        "Write a scene without the Gaussians that contribute least to its image on a panel, from all "
+        "viewpoints of the panel. The scene is then faster to draw."
     )
     add = parser.add_argument
     add("input", type=Path, metavar="INPUT", help="a file of Gaussians: .ply, .spz, .sog, .splat, .ksplat")
-    add(
-        "-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene without them: .ply, .spz or .splat"
-    )
+    add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the pruned scene: .ply, .spz or .splat")
     add_reading(add)
     add(
         "--contribution-cut",
         type=within(0, 1),
         default=3e-4,
-        metavar="SHARE",
-        help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)",
+        metavar="FRACTION",
+        help="0..1, allowed mean error of colours in 0..1 (default 3e-4: 50 dB and more)",
     )
     add_antialiased(add)
     add_view_filter(add)
@@ -71,9 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--save-rig",
         type=Path,
         metavar="YAML",
-        help="write the rig that was used: automatic framing may see a pruned scene otherwise",
+        help="write the rig of the unpruned scene; automatic framing of a pruned scene may differ",
     )
-    add("--device", choices=DEVICES, default="auto", help="where the scene is drawn (default auto)")
+    add("--device", choices=DEVICES, default="auto", help="device that draws the scene (default auto)")
 
 
 def run(args: argparse.Namespace) -> None:

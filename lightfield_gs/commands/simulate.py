@@ -48,37 +48,39 @@ class SimulateOptions:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs simulate`."""
-    parser.description = "The picture that an eye sees of an encoded image through the lenses, one sample a lens."
+    parser.description = (
+        "Simulate the picture that an eye sees of an encoded image through the lenses, one sample a lens."
+    )
     add = parser.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
     add_device_serial(add)
-    add_viewing_distance(add, "distance from which the panel shows one view all over, in place of the panel's own")
+    add_viewing_distance(add, "distance at which an eye sees one view all over the panel, in place of the panel's own")
     add(
         "--eye",
         type=numbers(3),
         metavar="X,Y,Z",
-        help="place of the eye in mm from the panel's centre: right, up, towards the viewer",
+        help="position of the eye in mm from the panel's centre: right, up, towards the viewer",
     )
     add(
         "--eyes",
         type=numbers(3),
         metavar="FROM,TO,COUNT",
-        help="in place of --eye: COUNT eyes side by side at the viewing distance, from FROM to TO mm right of the "
-        "panel's middle; their pictures in rows of four",
+        help="in place of --eye: COUNT eyes side by side at the viewing distance, from FROM to TO mm right of "
+        "the panel's middle; the result has rows of four pictures",
     )
     add(
         "--spread",
         type=within(0.01, 1000, "sub-pixels"),
         metavar="SUBPIXELS",
-        help="width of what a lens lights, in sub-pixels; more is crosstalk (default 1)",
+        help="width that a lens lights, in sub-pixels; more is crosstalk (default 1)",
     )
     add(
         "--psf",
         type=Path,
         metavar="FILE",
-        help="in place of --spread: how brightly the eye sees the sub-pixels beside the right one, as measured; a line "
-        "each: sub-pixels to the right, light (any unit)",
+        help="in place of --spread: measured brightness of the sub-pixels beside the right one. Each line has a "
+        "distance to the right in sub-pixels, and the light (any unit)",
     )
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
 

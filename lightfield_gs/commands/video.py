@@ -21,8 +21,8 @@ from lightfield_gs.io.atomic import check_outputs
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs video`."""
     parser.description = (
-        "Frames for a slanted-lenticular panel: of a scene that the cameras go round, or of pictures in a row. Where "
-        "it is stopped, a folder of frames is taken up again by the same command."
+        "Encode frames for a slanted-lenticular panel: of a scene that the cameras go round, or of a "
+        "sequence of pictures. The same command continues a stopped folder of frames."
     )
     add = parser.add_argument
     add(
@@ -48,9 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_depth_report(add)
     cut_outs = "cut-out of a photo; of a sequence, a folder or a video of cut-outs"
     add_scene(add, "cut the object out of photos with rembg, as `encode` does", cut_outs, "PATH")
-    add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
-    add("--views", choices=VIEWS, default="integer", help="of native pictures, as `encode` has it (default integer)")
-    add("--quality", choices=QUALITY_NAMES, default="exact", help="less time for more error, of native pictures")
+    add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
+    add("--views", choices=VIEWS, default="integer", help="of native pictures, as in `encode` (default integer)")
+    add(
+        "--quality",
+        choices=QUALITY_NAMES,
+        default="exact",
+        help="of native pictures: less time for more error (default exact)",
+    )
     add_antialiased(add)
     add_view_filter(add)
     add_background(add)

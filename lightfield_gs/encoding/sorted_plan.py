@@ -29,7 +29,7 @@ class SortedPlan:
     each of its sub-pixels. It is padded to a multiple of BLOCK (the paper's (-1, -1)).
 
     A view has 1/N of the sub-pixels, so tiles grow with N. A tile is as high as a square with one block of a view's
-    sub-pixels, a power of two; on the CPU it always has 16 rows, a band. Its width is chosen for 224 sub-pixels, seven
+    sub-pixels, a power of two. On the CPU it always has 16 rows, a band. Its width is chosen for 224 sub-pixels, seven
     of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
 
     shown: indices of the views that some sub-pixel shows, int64 [V], ascending.

@@ -53,8 +53,8 @@ class Viewpoint:
         eye_mm: Position of the camera, (x, y, z) from the panel's middle: right, up, towards the viewer.
         photos: [H, W, 3], sRGB codes, uint8, uint16 or float32 in 0..1. Three photographs show the grey bars with the
             shifts 0, 1, 2 in this order; or one shows the bars in red, green and blue.
-        corners_px: Upper left, upper right, lower right and lower left corner of the panel's picture area, x right and
-            y down from the photograph's upper left corner. None: find them, which needs dark surroundings.
+        corners_px: Corners of the panel's picture area: upper left, upper right, lower right, lower left. x is right
+            and y down from the photograph's upper left corner. None: find them, which needs dark surroundings.
         name: For messages.
     """
 

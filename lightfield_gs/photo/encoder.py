@@ -20,11 +20,11 @@ from lightfield_gs.models import crop
 from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
-from lightfield_gs.panels import framing
+from lightfield_gs.panels.content import photo_extent
 from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, frame_extent, frame_photo
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
@@ -122,7 +122,7 @@ class PhotoEncoder:
         with stats.stage("network"):
             self.gaussians = self.net.visible_gaussians(cropped, fine, level)
         with stats.stage("framing"):
-            self.rig = self._looked(framing.frame_photo(self.gaussians, self.panel), self.gaussians)
+            self.rig = self._looked(frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
             return encode(
                 self.gaussians,
@@ -175,7 +175,7 @@ class _Capture:
             lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level), warm_up=True
         )
         self._framing, self.numbers = capture_graph(
-            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]), warm_up=True
+            lambda: torch.cat([self.checks, photo_extent(self.gaussians)]), warm_up=True
         )
 
     def takes(self, photo: Tensor) -> bool:
@@ -198,7 +198,7 @@ class _Capture:
         values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)
         crop.check_object(has_object)
-        return framing.frame_extent(extent, panel)
+        return frame_extent(extent, panel)
 
     def _cropped(self) -> tuple[Tensor, Tensor | None, Tensor]:
         size = self.net.config.image_size_px

@@ -19,7 +19,6 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.comfort import EYE_SEPARATION_MM
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -87,7 +86,7 @@ def look_around(
     view_filter: float = 0.0,
 ) -> list[np.ndarray]:
     """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
-    small_panel, small_rig = reduced(panel, rig, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
+    small_panel, small_rig = rig.reduced(panel, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
     is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
     positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
     if panel.invert_views:

@@ -28,7 +28,7 @@ def add_encoding(add: Add) -> None:
     add_depth_report(add)
     add_views(add)
     add_scene(
-        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)"
+        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; it downloads 176 MB once)"
     )
     add_method(add)
     add_antialiased(add)
@@ -57,7 +57,7 @@ def add_device_serial(add: Add) -> None:
     add(
         "--device-serial",
         metavar="SERIAL",
-        help="which display, where a Looking Glass .json has calibrations of several",
+        help="serial number of the display, if a Looking Glass .json has several calibrations",
     )
 
 
@@ -71,16 +71,15 @@ def add_camera(add: Add) -> None:
         "--rig",
         type=Path,
         metavar="YAML",
-        help="cameras of the views, in the file's own axes (default: those that "
-        "the file brings along, else framed automatically)",
+        help="cameras of the views, in the file's own axes (default: the cameras stored in the file, else "
+        "automatic framing)",
     )
     add(
         "--camera",
         type=camera_choice,
         metavar="FILE[:INDEX]",
-        help="centre camera of the views, in the file's own "
-        "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
-        "fitted to the panel (default index 0)",
+        help="centre camera of the views, in the file's own axes, from a cameras.json (3D Gaussian splatting), "
+        "a transforms.json (NeRF) or a rig; its picture is fitted to the panel (default index 0)",
     )
     add_up(add)
 
@@ -90,8 +89,8 @@ def add_up(add: Add) -> None:
         "--up",
         choices=UP_AXES,
         metavar="AXIS",
-        help="axis that points up in the file, x, y, z, -x, -y or -z, for "
-        "automatic framing; the Gaussians stay as they are (default: what the file says, else -y)",
+        help="axis that points up in the file, x, y, z, -x, -y or -z, for automatic framing; the Gaussians stay "
+        "as they are (default: as stored in the file, else -y)",
     )
 
 
@@ -101,15 +100,15 @@ def add_look(add: Add) -> None:
         "--focus",
         type=_focus,
         metavar="DEPTH|X,Y",
-        help="what lies in the panel's plane: a depth before the camera in scene units, or a point of the picture, X "
-        "of its width from the left and Y of its height from the top, 0..1 each: the surface seen there (default: that "
-        "of the rig, or automatic)",
+        help="depth of the panel's plane before the camera, in scene units; or a point of the picture whose "
+        "surface lies in the plane: X of its width from the left, Y of its height from the top, 0..1 each "
+        "(default: the rig's, else automatic)",
     )
     add(
         "--depth-amount",
         type=_depth_amount,
         metavar="FACTOR",
-        help="how deep the scene is, 0 (flat) to 2: factor of all disparities (default 1)",
+        help="factor of all disparities, 0 (flat) to 2 (default 1)",
     )
     add(
         "--cone",
@@ -117,12 +116,12 @@ def add_look(add: Add) -> None:
         metavar="DEG",
         help="full angle that the cameras of the views span, in degrees, 0..179 (default: the rig's or the panel's)",
     )
-    add("--zoom", type=_zoom, metavar="FACTOR", help="size of the picture, about its middle (default 1)")
+    add("--zoom", type=_zoom, metavar="FACTOR", help="factor of the picture's size, about its middle (default 1)")
     add(
         "--pan",
         type=_pan,
         metavar="X,Y",
-        help="moves the picture to the right by X of the panel's width and down by Y of its height (default 0,0)",
+        help="move the picture to the right by X of the panel's width and down by Y of its height (default 0,0)",
     )
 
 
@@ -130,8 +129,8 @@ def add_depth_report(add: Add) -> None:
     add(
         "--depth-report",
         action="store_true",
-        help="print how deep the scene is on the panel, in px and mm: disparities, what stands before and behind the "
-        "panel, whether that is comfortable, what is sharp, and what the outermost views show that nobody has seen",
+        help="print the depth of the scene on the panel, in px and mm: disparities, depths before and behind "
+        "the panel, comfort, the range of sharp depths, and the gaps that the outermost views show",
     )
 
 
@@ -152,7 +151,7 @@ def _pan(text: str) -> tuple[float, ...]:
     """Parse "-0.1,0.2" to (-0.1, 0.2)."""
     pan = numbers(2)(text)
     if not all(math.fabs(part) <= 10 for part in pan):
-        raise argparse.ArgumentTypeError(f"expected shares of the panel's width and height, -10..10, got '{text}'")
+        raise argparse.ArgumentTypeError(f"expected fractions of the panel's width and height, -10..10, got '{text}'")
     return pan
 
 
@@ -162,7 +161,7 @@ def add_device(add: Add) -> None:
         "--device",
         choices=DEVICES,
         default="auto",
-        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)",
+        help="device of network and rasterizer (default auto: cuda if there is a GPU and this build can use it)",
     )
 
 
@@ -172,16 +171,16 @@ def add_views(add: Add) -> None:
         "--cameras",
         type=Path,
         metavar="JSON",
-        help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
-        "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
-        "the panel)",
+        help="for --method sorted, in place of a rig: one camera for each view, the right-most eye's first, "
+        "with world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px "
+        "[N,2] (pixels of the panel)",
     )
     add(
         "--view-map",
         type=Path,
         metavar="NPY",
-        help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
-        "-1 for the background",
+        help="for --method sorted, in place of the panel's lens: the view of each sub-pixel, int32 [H,W,3], "
+        "0..N-1, or -1 for the background",
     )
 
 
@@ -191,27 +190,27 @@ def add_method(add: Add) -> None:
         "--method",
         choices=METHODS,
         default="direct",
-        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
-        "picture a view, then interlaced (slow; for comparison)",
+        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; "
+        "classic: one image per view, then interlaced (slow; for comparison); default direct",
     )
     add(
         "--memory-budget",
         type=byte_size,
         metavar="SIZE",
-        help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
-        "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)",
+        help="work memory of --method sorted in addition to the image, for example 256MB (B, KB, MB, GB, KiB, "
+        "MiB, GiB). Default: 256MiB, or 1GiB on cuda, plus the sorted sub-pixels, 0.2GB on an 8K panel",
     )
     add(
         "--views",
         choices=VIEWS,
         default="integer",
-        help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)",
+        help="integer: N views; continuous: a viewpoint of its own for every sub-pixel (default integer)",
     )
     add(
         "--quality",
         choices=QUALITY_NAMES,
         default="exact",
-        help="less time for more error, of --method direct (default exact)",
+        help="of --method direct: less time for more error (default exact)",
     )
 
 
@@ -222,7 +221,12 @@ def add_file(add: Add) -> None:
         type=int,
         choices=(8, 16, 32),
         metavar="BITS",
-        help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32",
+        help="8, 16 or 32 (float: .exr, .tif); default 8, for .exr 32",
     )
-    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+    add(
+        "--compression",
+        choices=COMPRESSIONS,
+        default="fast",
+        help="fast: quick to write; small: a small file (default fast)",
+    )
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")

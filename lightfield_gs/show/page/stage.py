@@ -25,7 +25,6 @@ from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.look import CONES_DEG, MOST_AMOUNT, MOST_PAN, ZOOMS, Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.preview import contact_sheet, to_integers
@@ -322,7 +321,7 @@ class Stage:
 
     def _views(self, controls: Controls, eyes: list[float], width_px: int) -> list[np.ndarray]:
         """What perfect lenses show to eyes at these places across the viewing zone, each uint8 [h, w, 3]."""
-        panel, rig = reduced(self.panel, self._rig(controls), width_px)
+        panel, rig = self._rig(controls).reduced(self.panel, width_px)
         side = -1 if panel.invert_views else 1
         views = render_views(
             self.gaussians,
