@@ -300,7 +300,7 @@ def _read_views(options: EncodeOptions, panel: Panel) -> dict[str, Any]:
 
 def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel, device: str) -> None:
     """Note a panel or an option that keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_reason
+    from lightfield_gs.panels.panel import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
     lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0

@@ -24,8 +24,7 @@ from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import draw_direct, encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
-from lightfield_gs.panels.lens import lenticular_camera
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality

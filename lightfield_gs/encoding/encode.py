@@ -25,13 +25,11 @@ from lightfield_gs.encoding.arguments import (
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
-from lightfield_gs.panels.lens import lenticular_camera, view_aperture
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import known_frames
-from lightfield_gs.rasterizer.image_render import PINHOLE
-from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, LenticularCamera
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats, count_culled
 from lightfield_gs.scene.cameras import Cameras, recentre

@@ -22,7 +22,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import CpuWorkspace, RenderSize, SceneTensors, float_and_byte_addresses
 from lightfield_gs.scene.cameras import Cameras

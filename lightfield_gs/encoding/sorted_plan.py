@@ -13,8 +13,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import panel_lens
-from lightfield_gs.panels.panel import MAX_VIEWS, Panel
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel, panel_lens
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels that are drawn together; every list is filled up to whole blocks
 _SUBPIXELS_PER_TILE = 224  # of one view, on the average

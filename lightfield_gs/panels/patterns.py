@@ -17,9 +17,9 @@ import numpy as np
 from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.cells import PERIOD
+from lightfield_gs.panels.cells import PERIOD, subpixel_phases
 from lightfield_gs.panels.lens_change import LensChange, changed
-from lightfield_gs.panels.panel import Panel, subpixel_phases
+from lightfield_gs.panels.panel import Panel
 
 # Three dots wide and five high, row by row
 _GLYPHS = {

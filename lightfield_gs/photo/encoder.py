@@ -21,10 +21,9 @@ from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
 from lightfield_gs.panels.content import photo_extent
-from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig, frame_extent, frame_photo
+from lightfield_gs.panels.rig import Rig, frame_extent, frame_photo, lenticular_camera
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
