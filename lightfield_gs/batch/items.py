@@ -52,8 +52,9 @@ class Item:
 def read_items(
     source: str | Path, suffix: str, output: Path, with_maps: bool = True
 ) -> tuple[list[Item], Counter[str]]:
-    """Return the items of a folder or a list, in order, and counts of the folder's other files by the ends of their
-    names.
+    """Return the items of a folder or a list, in order.
+
+    Return also the counts of the folder's other files by the ends of their names.
 
     Args:
         suffix: Suffix of the images.
@@ -142,7 +143,7 @@ def _maps_beside(names: list[str]) -> dict[str, list[str]]:
 
 
 def _command(path: Path, is_folder: bool) -> Command | None:
-    """What is done with a path where nothing else is said; None: nothing."""
+    """Return the default command for a path; None: the path is no input."""
     if not is_folder:
         end = path.suffix.lower()
         return "encode" if end in _IMAGES_AND_SCENES else "video" if end in VIDEO_INPUTS else None
@@ -167,8 +168,10 @@ def _item(path: Path, name: PurePosixPath, suffix: str, command: Command | None 
 
 
 def _listed(path: Path, suffix: str) -> Iterator[Item]:
-    """The items of a text file: a path on each line, or a JSON object; empty lines and those that begin with # are
-    none."""
+    """Return the items of a text file: a path or a JSON object on each line.
+
+    Empty lines and lines that begin with # are skipped.
+    """
     for number, line in enumerate(read_text(path, _LIST_LIMIT_BYTES, "a list of inputs").splitlines(), 1):
         line = line.strip()
         if line and not line.startswith("#"):
@@ -188,8 +191,10 @@ def _relative(path: Path) -> PurePosixPath:
 
 
 def _of_object(line: str, suffix: str) -> Item:
-    """{"input": PATH, "output": NAME, "command": ..., "fit_options": TEXT, and options of `encode`, or of `video`, by
-    their names}."""
+    """Parse an object of a list.
+
+    Keys are input, output, command, fit_options, and options of `encode` or of `video` by their names.
+    """
     try:
         given = parse_json(line)
     except ValueError as error:
@@ -214,8 +219,11 @@ def _of_object(line: str, suffix: str) -> Item:
 
 
 def _word(name: str, value: Any) -> str:
-    """An option as on the command line: {"depth_amount": 0.5} is --depth-amount=0.5, true is the option by itself,
-    false is --no-..., a list has commas between."""
+    """Return an option as on the command line.
+
+    {"depth_amount": 0.5} is --depth-amount=0.5; true is the option by itself, false is --no-..., a list has commas
+    between.
+    """
     option = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{option}" if value else f"--no-{option}"

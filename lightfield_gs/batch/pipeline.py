@@ -15,7 +15,7 @@ from lightfield_gs.base.cli_messages import as_options, capture, is_out_of_memor
 from lightfield_gs.base.errors import InputError
 
 PARTS = ("read", "draw", "write")
-DRAWN_AHEAD = 2  # images that wait to be written, beside those that are: no more, for they are large
+DRAWN_AHEAD = 2  # images in the queue of the writers; few, because they are large
 _BROKEN_DEVICE = "CUDA error"  # torch's message, after which a process can use its GPU no more
 Record = dict[str, Any]
 
@@ -80,7 +80,7 @@ class Pipeline:
         self._pools["read"].submit(self._read, number, item)
 
     def close(self, wait: bool = True) -> None:
-        """End the threads, after the items that are on their way, or without starting another part of them."""
+        """End the threads after the items in progress, or before their next part."""
         for pool in self._pools.values():
             pool.shutdown(wait, cancel_futures=not wait)
 

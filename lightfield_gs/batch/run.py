@@ -21,7 +21,7 @@ from lightfield_gs.batch.manifest import Manifest, Plan, Record
 from lightfield_gs.batch.pipeline import PARTS, Pipeline, Task
 
 EXIT_BROKEN = 70  # of a process whose device cannot be used any more
-_SWITCH_S = 2e-4  # between threads of Python: the thread that draws must not wait long for those that read and write
+_SWITCH_S = 2e-4  # between threads of Python: the drawing thread must not wait long for readers and writers
 _QUEUED = 4  # items on their way beyond one for each thread
 _DIED = "the process died of it"
 _MOST_LISTED = 100  # failures, at the end
@@ -37,7 +37,7 @@ class Worker:
         device: cpu or cuda.
         visible: CUDA_VISIBLE_DEVICES of the process; None to leave it.
         threads: that draw on the CPU.
-        readers, writers: threads beside the one that draws.
+        readers, writers: number of threads beside the drawing thread.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Run:
         return self._tally.failures
 
     def _submit_all(self, pipeline: Pipeline) -> None:
-        """Submit items as threads get free; those that may have killed a process before go first, one at a time."""
+        """Submit items to free threads; items that may have killed a process before go first, one at a time."""
         for number, pair in enumerate(self._plan.todo):
             self._wait_for(self._most - 1)
             with self._change:

@@ -26,7 +26,7 @@ _MOST_WRITERS, _MOST_READERS = 32, 8
 # each, an H100 makes no more images. For a photo at 7680 x 3840 each takes 1.5 GB of the GPU.
 _CORES_BESIDE_A_GPU, _MOST_ON_A_GPU = 4, 4
 _GPU_BYTES_A_PROCESS = 2 << 30
-_PATIENCE_S = 5.0  # for a process to note what it had on its way
+_PATIENCE_S = 5.0  # for a process to note its unfinished items
 
 Shard = tuple[int, int]  # number, counted from 1, and how many there are
 
@@ -72,7 +72,7 @@ def processes_per_gpu(cores: int, have_gpus: bool, memory_bytes: int) -> int:
 
 
 def _gpus(devices: str | None) -> list[int]:
-    """Return the numbers of the GPUs among those that are visible; [] for the CPU. Raises InputError."""
+    """Return the indices of the GPUs among the visible GPUs; [] for the CPU. Raises InputError."""
     if devices == "cpu" or devices is None and choose_device("auto") == "cpu":
         return []
     import torch

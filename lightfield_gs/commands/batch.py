@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the items of args.input that are not done; return 1 if some of them failed. Raises InputError."""
+    """Run the unfinished items of args.input; return 1 if an item failed. Raises InputError."""
     from lightfield_gs.batch.items import read_items
     from lightfield_gs.batch.manifest import Manifest, make_plan
     from lightfield_gs.batch.run import now
@@ -124,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_shard(args: argparse.Namespace, shard: tuple[int, int], worker: Worker) -> int:
-    """Do every N-th item in this process; return 1 if some of them failed. Raises InputError."""
+    """Run every N-th item in this process; return 1 if an item failed. Raises InputError."""
     from lightfield_gs.batch.items import read_items
     from lightfield_gs.batch.manifest import Manifest, make_plan
 
@@ -156,7 +156,7 @@ def _without_waiting(call: Callable[[], int]) -> int:
 
 
 def _setup(args: argparse.Namespace) -> tuple[Setup, dict[str, Any]]:
-    """Return what the tasks of all items need, and the options that decide the outputs."""
+    """Return the resources of all tasks, and the options that affect the outputs."""
     from lightfield_gs.batch.items import split
     from lightfield_gs.commands.batch_tasks import Setup, defaults
 

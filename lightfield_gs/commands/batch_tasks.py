@@ -61,7 +61,7 @@ class EncodeTask:
 
     Args:
         item: the photo or scene.
-        known: what the manifest knows of it.
+        known: the manifest's knowledge of the item.
         setup: the options of all items.
         worker: where the process works.
         copies: as Encoding takes them.
@@ -131,7 +131,7 @@ class EncodeTask:
     def _is_kept(self) -> bool:
         """Note the hashes of the inputs; return whether the outputs were made of the same."""
         named = [path for path in self.files() if path not in (None, AUTO)]
-        source = named[0]  # the input; of the others their readers say better what is wrong with them
+        source = named[0]  # the input alone; the readers of the other files describe their faults better
         self.inputs = {str(path): facts(str(path)) for path in named if path == source or Path(str(path)).exists()}
         if self.known is None or not self.known.outputs:
             return False

@@ -286,7 +286,7 @@ def _rigid(given: Any) -> np.ndarray:
 
 
 def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
-    """Return the rig of a photo's Gaussians, which are in the axes of its camera: it shows all of them, however wide.
+    """Return the rig of a photo's Gaussians, which are in the axes of its camera. It shows all Gaussians, however wide.
 
     Raises:
         InputError: As in Rig.frame.

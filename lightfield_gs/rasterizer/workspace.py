@@ -1,4 +1,4 @@
-"""The stages of a render and their buffers, on the CPU; workspace_cuda.py has those of CUDA."""
+"""The stages of a render and their buffers, on the CPU; workspace_cuda.py has the CUDA stages."""
 
 from __future__ import annotations
 
