@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.arrays import background_tensor
 from lightfield_gs.bench import options
 from lightfield_gs.bench.pareto import Subject, drawing, scene_subjects
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
@@ -28,7 +29,6 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 SCENES = ("cloud:65536",)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.arrays import Colour, background_tensor
 from lightfield_gs.base.options import Method, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import (
     DTYPES,
@@ -33,7 +33,6 @@ from lightfield_gs.rasterizer.frame_cuda import known_frames
 from lightfield_gs.rasterizer.image_render import PINHOLE
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats, count_culled
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians

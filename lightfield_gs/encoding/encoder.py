@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.arrays import Colour, background_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
@@ -18,7 +18,6 @@ from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.gaussians import Gaussians
 
 

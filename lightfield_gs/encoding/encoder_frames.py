@@ -16,15 +16,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour
-from lightfield_gs.base.device import capture_graph
+from lightfield_gs.base.arrays import Colour, background_tensor
+from lightfield_gs.base.device import capture_graph, device_guard
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrame, DirectFrames, known_frames
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import Workspace
+from lightfield_gs.rasterizer.workspace_cuda import Workspace
 from lightfield_gs.scene.gaussians import Gaussians
 
 STAGES = ("project", "order", "bin", "composite")
@@ -194,7 +193,7 @@ class CudaFrameCache:
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
             job = DirectRender(fields, background, given.view, self.antialiased)
-            with job.scene.guard:
+            with device_guard(job.scene.device):
                 if self.image is None or self.image.device != background.device:
                     self.image = job.new_image(self.as_bytes)
                 if moved:
@@ -230,7 +229,7 @@ class _Capture:
     def replay(self, given: _Input, versioned: bool) -> set[str]:
         """Draw; return the stages that were not repeated."""
         kept = versioned and given.changed_since(self.drawn) <= {_SH, _BACKGROUND}
-        with self.job.scene.guard:
+        with device_guard(self.job.scene.device):
             graph = self.graph
             if kept:
                 graph = self.recolour = self.recolour or self._graph(True)

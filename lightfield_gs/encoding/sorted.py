@@ -17,14 +17,14 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor, to_bytes
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
-from lightfield_gs.rasterizer.scene import SceneTensors, float_and_byte_addresses
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import CpuWorkspace
+from lightfield_gs.rasterizer.workspace import CpuWorkspace, RenderSize, SceneTensors, float_and_byte_addresses
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -67,7 +67,7 @@ class CudaStages:
 
 
 class SortedWorkspace:
-    """The stages of workspace.Workspace for one chunk.
+    """The stages of workspace.CpuWorkspace for one chunk.
 
     Its memory is one buffer, and one more for the lists once the host, which waits, knows the number of intersections.
     """
@@ -85,7 +85,7 @@ class SortedWorkspace:
         _core.cuda.project_sorted(self.native, self.scene.native(), cameras, self.stream)
 
     def order_and_bin(self, admit: Callable[[], bool]) -> bool:
-        """List the intersections and order them; see workspace.Workspace."""
+        """List the intersections and order them; see workspace.CpuWorkspace."""
         cuda, stats = _core.cuda, self.stats
         with stats.stage("bin"):
             cuda.count_sorted(self.native, self.stream)
@@ -192,7 +192,8 @@ class _CpuStages:
         return lists + max(order, bins, tile_lists)
 
     def workspace(self, scene: SceneTensors, views: int, stats: Stats) -> CpuWorkspace:
-        return CpuWorkspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, self.threads)
+        size = RenderSize(views, self.plan.width_px, self.plan.height_px)
+        return CpuWorkspace(scene, size, stats, self.threads)
 
     def counts(self, work: CpuWorkspace) -> Counts:
         per_band = work.band_offsets.diff()
@@ -264,7 +265,7 @@ def encode_sorted(
     out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
     if plan.hidden:
         out[:] = to_bytes(background.clone()) if as_bytes else background
-    with scene.guard:
+    with device_guard(scene.device):
         threads = threads or torch.get_num_threads()
         _Encoding(scene, cameras, plan, budget, background, threads, stats, antialiased, aperture).run(out)
     return out

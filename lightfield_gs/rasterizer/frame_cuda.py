@@ -17,12 +17,12 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.device import free_memory
+from lightfield_gs.base.device import device_guard, free_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import float_and_byte_addresses
 from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import float_and_byte_addresses
 
 # Capacity beyond the intersections of the last frame, as a fraction of them: for one rig, and for rigs that change
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0
@@ -193,7 +193,7 @@ class DirectFrames:
     ) -> Tensor:
         """Draw the image [H, W, 3], into `out` if given. Fills `stats`."""
         stats = stats or Stats()
-        with job.scene.guard:
+        with device_guard(job.scene.device):
             with stats.stage("plan"):
                 frame, out = self.frame(job), job.new_image(as_bytes) if out is None else out
             frame.draw(job.background, out, stats)

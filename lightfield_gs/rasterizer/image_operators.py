@@ -14,7 +14,7 @@ from torch import Tensor
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import differentiable_once, is_eager, operator_schema
-from lightfield_gs.rasterizer.scene import GradientRequest, RenderState
+from lightfield_gs.rasterizer.workspace import GradientRequest, RenderState
 
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
 _DIFFERENTIABLE = 12  # the arguments of a render without screen, which its backward takes too

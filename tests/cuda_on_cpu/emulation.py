@@ -27,8 +27,8 @@ def use_cuda_stages() -> None:
     from lightfield_gs.rasterizer import direct, image_operators, image_render
     from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
-    def workspace(scene, images, width, height, stats, threads, direct=False, colour_order=0, **options):
-        return CudaWorkspace(scene, images, width, height, colour_order, stats, direct, **options)
+    def workspace(scene, size, stats, threads, state=None):
+        return CudaWorkspace(scene, size, stats, state)
 
     tile = sorted_plan._tile
     image_render.make_workspace = direct.make_workspace = workspace
