@@ -52,7 +52,7 @@ class Encoding:
     Attributes:
         options: what is asked for.
         messages: lines on what was decided.
-        stats: those of `lightfield_gs.encode`.
+        stats: the statistics of `lightfield_gs.encode`.
         scene: the scene, once it is drawn.
     """
 
@@ -108,7 +108,7 @@ class Encoding:
             self.messages = self.scene.messages
             gaussians = self.scene.gaussians
             _note_slow_ways(options, self.scene.render, panel, self.device)
-            # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+            # Files of cameras, read or written, are in the coordinates of the scene's file
             if "cameras" in self._sorted_views:
                 self._sorted_views["cameras"] = self._sorted_views["cameras"].relative_to(gaussians.origin)
             else:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @cache
 def package_versions() -> dict[str, str]:
-    """Versions of this package and of those that decide what comes out."""
+    """Versions of this package and of the packages that affect the result."""
     from importlib.metadata import PackageNotFoundError, version
 
     versions = {}

@@ -94,7 +94,7 @@ class SortedPlan:
     def bytes(self, first: int = 0, last: int | None = None) -> int:
         """Return the bytes of the starts and codes of the lists of shown views first .. last - 1."""
         last = self.count if last is None else last
-        starts = self.starts.numpy()  # of which single numbers are read faster than of a tensor
+        starts = self.starts.numpy()  # single numbers are read faster than from a tensor
         codes = int(starts[last * self.tiles] - starts[first * self.tiles])
         return 8 * ((last - first) * self.tiles + 1) + 2 * codes
 

@@ -314,7 +314,7 @@ def lenticular_camera(panel: Panel, rig: Rig, continuous: bool = False, view_fil
 
 
 def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
-    """Return the rig of a photo's Gaussians, which are in the axes of its camera: it shows all of them, however wide.
+    """Return the rig of a photo's Gaussians, which are in the axes of its camera. It shows all Gaussians, however wide.
 
     Raises:
         InputError: As in Rig.frame.

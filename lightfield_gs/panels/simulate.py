@@ -24,7 +24,7 @@ _MOST_SUBPIXELS, _MOST_LIGHT = 1e4, 1e12
 
 @dataclass(frozen=True)
 class Psf:
-    """A measured spread of light, with its crosstalk: the brightness of the sub-pixels beside the one behind the lens.
+    """A measured spread of light: the brightness of the sub-pixels beside the sub-pixel behind the lens.
 
     Attributes:
         offsets: 2..4096 offsets in sub-pixels along a row, ascending. 0 is the sub-pixel that the eye sees exactly

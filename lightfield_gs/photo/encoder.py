@@ -90,8 +90,8 @@ class PhotoEncoder:
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
         """Return the image [H, W, 3] of a photo, on the network's device.
 
-        Afterwards `gaussians` and `rig` are those of the image. On CUDA the next call overwrites the Gaussians, and
-        those too faint to be visible are among them.
+        Afterwards `gaussians` and `rig` belong to the image. On CUDA the next call overwrites the Gaussians, and those
+        too faint to be visible are among them.
 
         Args:
             rgba: A photo as SplatterNet.predict takes it.

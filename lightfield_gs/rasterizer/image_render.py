@@ -192,7 +192,7 @@ class ImageRender:
         """Return the images.
 
         Args:
-            out: Contiguous memory for some of them; None stands for new memory.
+            out: Contiguous memory for some outputs; None stands for new memory.
         """
         scene, given = self.scene, out or (None, None, None)
         with device_guard(scene.device), self.stats.stage("composite"):
@@ -255,7 +255,7 @@ def draw_in_chunks(
     threads: int | None = None,
     aperture: Aperture = PINHOLE,
 ) -> ImageBuffers:
-    """Draw one scene before V cameras without gradients, some cameras at a time; every bit is that of one draw.
+    """Draw one scene before V cameras without gradients, some cameras at a time, to the same bits as in one draw.
 
     Beside the images it takes memory for as many cameras as fit CHUNK_BYTES. Each takes 192 bytes a Gaussian, and 4 a
     pixel for each of alpha and depth that is not asked for.

@@ -104,7 +104,7 @@ class Lens:
 class CameraNumbers(NamedTuple):
     """A LenticularCamera as arguments of a torch operator, whose schema knows neither structs nor unsigned integers.
 
-    The fields are those of LenticularCamera and of its Lens. Phases are the signed integers of the same 64 bits.
+    The fields are the fields of LenticularCamera and of its Lens. Phases are the signed integers of the same 64 bits.
     """
 
     world_to_camera: list[float]

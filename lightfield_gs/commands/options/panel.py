@@ -1,4 +1,4 @@
-"""Options of the panel that is drawn for."""
+"""Options of the panel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
     """Add the options of the panel and of its viewing distance.
 
     Args:
-        purpose: What the distance is used for, for the help.
+        purpose: The use of the distance, for the help.
     """
     add(
         "--panel",
