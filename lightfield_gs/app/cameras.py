@@ -1,4 +1,4 @@
-"""The rig of a command: of a file, of the scene's file, or framed automatically; and the look of the scene with it."""
+"""The rig of a command: from a file, from the scene's file, or from automatic framing; and the look of the scene."""
 
 from __future__ import annotations
 
@@ -116,12 +116,12 @@ def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussian
     Args:
         up: the axis of --up; with it the cameras of the file do not count.
         path: of the file, for errors.
-        file: what it holds beside the Gaussians.
+        file: its contents beside the Gaussians.
         panel: the panel that shows the scene.
         gaussians: the scene; the rig is in its coordinates.
 
     Raises:
-        InputError: what the file brings along cannot be read, or nothing can be framed.
+        InputError: the framing in the file cannot be read, or there is nothing to frame.
     """
     own = None if up else _own_rig(path, file, panel, gaussians)
     return own or _frame(up, file, panel, gaussians)
@@ -195,7 +195,7 @@ def _cameras_in(file: SceneFile) -> list[tuple[str, str]]:
 def scene_comments(
     up: str | None, antialiased: bool, panel: Panel, file: SceneFile | None, rig: Rig | None
 ) -> list[str]:
-    """Return comments for the header of a scene's file, so that it is shown as it was drawn.
+    """Return comments for the header of a scene's file, with the framing of this drawing.
 
     Args:
         up: the axis of --up.

@@ -49,7 +49,7 @@ class Encoding:
     Attributes:
         options: what is asked for.
         messages: lines on what was decided.
-        stats: those of `lightfield_gs.encode`.
+        stats: the statistics of `lightfield_gs.encode`.
         scene: the scene, once it is drawn.
     """
 
@@ -105,7 +105,7 @@ class Encoding:
             self.messages = self.scene.messages
             gaussians = self.scene.gaussians
             _note_slow_ways(options, self.scene.render, panel, self.device)
-            # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+            # Files of cameras, read or written, are in the coordinates of the scene's file
             if "cameras" in self._sorted_views:
                 self._sorted_views["cameras"] = self._sorted_views["cameras"].relative_to(gaussians.origin)
             else:
@@ -297,7 +297,7 @@ def _read_views(options: EncodeOptions, panel: Panel) -> dict[str, Any]:
 
 def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel, device: str) -> None:
     """Note a panel or an option that keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_reason
+    from lightfield_gs.panels.panel import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
     lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0

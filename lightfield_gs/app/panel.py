@@ -117,7 +117,7 @@ def parse_panel(image: Path, stored: str) -> Panel:
 
 @cache
 def package_versions() -> dict[str, str]:
-    """Return the versions of this package and of the packages that decide on pictures."""
+    """Return the versions of this package and of the packages that affect the result."""
     from importlib.metadata import PackageNotFoundError, version
 
     versions = {}

@@ -1,4 +1,4 @@
-"""The scene of a command: a file of Gaussians, or what is made of a photo; and the cameras that look at it."""
+"""The scene of a command, from a file of Gaussians or from a photo; and its cameras."""
 
 from __future__ import annotations
 
@@ -172,8 +172,8 @@ def build_scene(
     """Return the scene of an input that was read, on the device, and settle how it is drawn.
 
     Args:
-        options: those of the input.
-        source: what its files hold.
+        options: the options of the input.
+        source: the contents of its files.
         render: anti-aliasing and background, as far as they are given.
         look: decides how wide a margin a photo with depths needs.
         panel: decides how finely a photo is taken, and which shape one with depths is to fill.
@@ -181,7 +181,7 @@ def build_scene(
         watch: notes the times.
 
     Raises:
-        InputError: there is no scene in the photo, or what the file says of its fit cannot be read.
+        InputError: there is no scene in the photo, or the file's notes on its fit cannot be read.
     """
     photo, file = None, None
     if isinstance(source, ReadPhoto):
@@ -206,10 +206,10 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
     Args:
         options: those given.
         path: of the scene's file, for errors.
-        file: what the file holds. None: the scene is from a photo.
+        file: the contents of the file. None: the scene is from a photo.
 
     Raises:
-        InputError: what the file says of its fit cannot be read.
+        InputError: the file's notes on its fit cannot be read.
     """
     antialiased, background = options.antialiased, options.background
     comments = file.comments if file is not None and None in (antialiased, background) else ()

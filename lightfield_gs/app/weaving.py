@@ -108,7 +108,7 @@ def _assumed_aspect(path: Path, panel: Panel, views: Any) -> float:
 
 
 def interpolation_words(options: WeaveOptions, views: Any, panel: Panel) -> str:
-    """Return in words how the views became those of the panel."""
+    """Describe how the views are mapped to the panel's views."""
     has_map = options.view_map is not None
     ratio = 1 if has_map else views.count / panel.views
     counts = f"{views.count} views for the panel's {panel.views}"

@@ -58,7 +58,7 @@ def device_guard(device: torch.device) -> AbstractContextManager:
 
 
 def free_memory(device: torch.device) -> int:
-    """Return the bytes that a CUDA device has free, with those that torch holds and does not use."""
+    """Return the free bytes of a CUDA device, including bytes that torch reserves without use."""
     unused = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
     return torch.cuda.mem_get_info(device)[0] + unused
 

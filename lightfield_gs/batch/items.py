@@ -161,7 +161,7 @@ def _item(
 
 
 def _read_list(source: Path, suffix: str) -> Iterator[Item]:
-    """Yield the items of a text file: a path or a JSON object on each line that is not empty and has no # first."""
+    """Yield the items of a text file, a path or a JSON object a line; empty lines and lines with # are skipped."""
     for number, line in enumerate(read_text(source, _LIST_LIMIT_BYTES, "a list of inputs").splitlines(), 1):
         line = line.strip()
         if line and not line.startswith("#"):

@@ -22,7 +22,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import CpuWorkspace, RenderSize, SceneTensors, float_and_byte_addresses
 from lightfield_gs.scene.cameras import Cameras
@@ -169,7 +169,7 @@ class _CpuStages:
     """The stages of a chunk on the CPU, and the bytes that they take."""
 
     default_work = 1 << 28  # bytes beside the plan where no budget is given; with more, views take no less time
-    reserve = 16  # 1 / reserve of the budget is left for pages used in part and for what the C library needs itself
+    reserve = 16  # 1 / reserve of the budget is left for partly used pages and for the C library
     most_views = 4096  # in a chunk
 
     def __init__(self, scene: SceneTensors, plan: SortedPlan, threads: int):
@@ -187,7 +187,7 @@ class _CpuStages:
         lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * pairs
         order = min(self.threads, views) * n * 4 * self.number
         bins = 8 * views * self.bands + self.threads * 8 * n
-        # A vector that grows may be twice as long as needed, beside the one it replaces
+        # A growing vector may be twice as long as needed, beside its old memory
         tile_lists = 24 * self.bands + self.threads * (32768 + 3 * (most * (8 + 4 * tiles) + 16 * (tiles + 1)))
         return lists + max(order, bins, tile_lists)
 
@@ -356,7 +356,7 @@ class _Encoding:
     def _draw(self, first: int, views: int, out: Tensor) -> bool:
         """Draw shown views first .. first + views - 1 if they fit, and note their memory; return whether they fit."""
         plan, stats = self.plan, Stats(device=self.stats.device)
-        fits = self.budget is None and views == 1  # without a budget one view may take what it takes
+        fits = self.budget is None and views == 1  # without a budget one view may take any memory
         if not fits and self._exceeds(self._memory(first, views, (0, 0))):
             return False
         with stats.stage("plan"):
@@ -412,7 +412,10 @@ class _Encoding:
         )
 
     def _count_view(self, place: int) -> Counts:
-        """Count the intersections of one view, and bound those of a band, some Gaussians at a time to save memory."""
+        """Count the intersections of one view, and bound the count of a band.
+
+        Take some Gaussians at a time to save memory.
+        """
         cameras = self._native_cameras(place, 1)
         pairs = most = 0
         for first in range(0, self.scene.count, _PROBE):

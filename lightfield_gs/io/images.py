@@ -81,7 +81,7 @@ class ImageInfo:
     Attributes:
         width_px, height_px: size as stored.
         channels: number of channels.
-        sample_type: OpenImageIO's name of it.
+        sample_type: OpenImageIO's name of the type.
         metadata: metadata of this package.
         orientation: Exif orientation 1..8.
         has_alpha: the last of 2 or 4 channels is alpha; in an EXR it may be depth.

@@ -1,7 +1,7 @@
 """The content of a scene, by robust statistics on any device: which Gaussians count, how far they reach, the subject.
 
-The subject is not always the whole scene: there are far floaters, a sky, a room around an object, a wide capture. The
-Gaussians that count as content decide, by a sample of a few thousand of them.
+The subject is not always the whole scene: there are far floaters, a sky, a room around an object, a wide capture. A
+sample of a few thousand Gaussians of the content decides.
 """
 
 from __future__ import annotations
@@ -269,7 +269,7 @@ def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
     """Return centre [3] and radius of the smallest ball with the dense fraction of the weights.
 
     Args:
-        points: [M, 3], of which some are tried as centres.
+        points: [M, 3]; some are tried as centres.
         weights: [M].
     """
     places = points[
@@ -318,7 +318,7 @@ def _direction_fraction(offsets: Tensor) -> float:
 
 
 def _find_in_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -> Subject:
-    """Return what is inside a room: a convex hull, closed on most sides, with most of the surface in it."""
+    """Return the subject inside a room: a convex hull, closed on most sides, that holds most of the surface."""
     hull = _Hull(points, sizes.square() * weights)
     gauge = hull.gauge(points)
     shell, inside = gauge > _SUBJECT.shell_gauge, gauge < _SUBJECT.inside_gauge

@@ -156,7 +156,7 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
 def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
     """Return the largest difference between two channels of pixels [H, W, C], by the range of both.
 
-    It is infinite where one of them is finite and the other is not.
+    It is infinite where one value is finite and the other is not.
     """
     both = pixels[..., [one, other]].astype(np.float32)
     finite = np.isfinite(both)
@@ -207,7 +207,7 @@ def _check_numbers(path: str | Path, values: np.ndarray) -> np.ndarray:
     return np.asarray(values if values.ndim == 2 else values.squeeze())
 
 
-FARTHEST = 1e12  # scene units: what is farther counts as not measured
+FARTHEST = 1e12  # scene units: farther values count as not measured
 
 
 @dataclass

@@ -21,10 +21,9 @@ from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
 from lightfield_gs.panels.content import photo_extent
-from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig, frame_extent, frame_photo
+from lightfield_gs.panels.rig import Rig, frame_extent, frame_photo, lenticular_camera
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
@@ -91,8 +90,8 @@ class PhotoEncoder:
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
         """Return the image [H, W, 3] of a photo, on the network's device.
 
-        Afterwards `gaussians` and `rig` are those of the image. On CUDA the next call overwrites the Gaussians, and
-        those too faint to be visible are among them.
+        Afterwards `gaussians` and `rig` belong to the image. On CUDA the next call overwrites the Gaussians, and those
+        too faint to be visible are among them.
 
         Args:
             rgba: A photo as SplatterNet.predict takes it.

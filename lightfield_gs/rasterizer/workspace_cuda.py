@@ -28,7 +28,10 @@ _ALIGNMENT = 256  # bytes, that of memory from CUDA
 class CudaWorkspace:
     """The stages of one render on CUDA; see CpuWorkspace. Buffers are of torch's allocator, work is on its stream."""
 
-    def __init__(self, scene: SceneTensors, size: RenderSize, stats: Stats, state: RenderState | None = None):
+    def __init__(
+        self, scene: SceneTensors, size: RenderSize, stats: Stats, threads: int, state: RenderState | None = None
+    ):
+        """Allocate the buffers; see CpuWorkspace. No stage uses threads."""
         self.scene, self.images, self.stats, self.items = scene, size.images, stats, size.images * scene.count
         self.capacity = size.capacity
         self.image = _core.cuda.Image(size.images, size.width, size.height, size.direct)
@@ -264,20 +267,4 @@ def project_images_backward(
 
 
 Workspace = CpuWorkspace | CudaWorkspace
-
-
-def make_workspace(
-    scene: SceneTensors, size: RenderSize, stats: Stats, threads: int, state: RenderState | None = None
-) -> Workspace:
-    """Return the workspace of the scene's device.
-
-    Args:
-        scene: the Gaussians.
-        size: of the render.
-        stats: filled with times and counts.
-        threads: of the CPU.
-        state: left by an earlier render, in place of project, order and bin.
-    """
-    if scene.device.type == "cuda":
-        return CudaWorkspace(scene, size, stats, state)
-    return CpuWorkspace(scene, size, stats, threads, state)
+WORKSPACES: dict[str, type[Workspace]] = {"cpu": CpuWorkspace, "cuda": CudaWorkspace}  # by the type of the device

@@ -34,7 +34,7 @@ def cast(
     display: int = _ANY_DISPLAY,
     timeout_s: float = _TIMEOUT_S,
 ) -> None:
-    """Have Bridge show a quilt, a picture or a video in a loop, in place of the last one that this program showed.
+    """Show a quilt, a picture or a looped video by Bridge, in place of this program's last one.
 
     Bridge reads the file itself: the file must stay where it is, and Bridge must run on this computer.
 

@@ -1,4 +1,4 @@
-"""A light field on an ordinary screen: contact sheet of views, look-around animation, what the two eyes see."""
+"""A light field on an ordinary screen: contact sheet of views, look-around animation, pictures of two eyes."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ _WEBP_QUALITY = 85
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
-    """Writes frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one of them at a time.
+    """Write frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one frame at a time.
 
     The frames are in the file as WebP. Raises InputError where it cannot be written.
     """
@@ -178,8 +178,10 @@ def _data_url(frame: np.ndarray) -> str:
 
 
 def in_rows(pictures: Sequence[np.ndarray], columns: int = 4) -> np.ndarray:
-    """One or more pictures [h, w, 3] in rows of `columns`, from the left and from the top; what is left of the last row
-    is black. A single picture stays as it is."""
+    """Return one or more pictures [h, w, 3] in rows of `columns`, from the left and from the top.
+
+    The rest of the last row is black. A single picture stays as it is.
+    """
     columns = min(columns, len(pictures))
     missing = -len(pictures) % columns
     every = [*pictures, *[np.zeros_like(pictures[0])] * missing]

@@ -1,4 +1,4 @@
-"""Images in a row: a folder of them, or a video, which is decoded frame by frame."""
+"""Sequences of images: a folder, or a video, which is decoded frame by frame."""
 
 from __future__ import annotations
 

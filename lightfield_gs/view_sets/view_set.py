@@ -266,7 +266,7 @@ def open_views(
 
     Args:
         path: the file or folder.
-        tiles: columns and rows of a quilt, in place of those that its file tells, or of the cameras of a folder.
+        tiles: columns and rows of a quilt, in place of the file's own, or of the cameras of a folder.
         row: the row of a grid of cameras, 0 the top one; None: the middle one.
         top_first: whether rows of a quilt go on downwards from the top.
         right_to_left: whether the first view is the right-most camera's.

@@ -1,4 +1,4 @@
-"""Options of the panel, of the cameras of its views, of the look of the scene on it, and of its image."""
+"""Options of the panel, of the cameras of its views, of the look of the scene, and of the image."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def add_panel(add: Add, purpose: str) -> None:
     """Add the options of the panel and of its viewing distance.
 
     Args:
-        purpose: What the distance is used for, for the help.
+        purpose: The use of the distance, for the help.
     """
     add(
         "--panel",

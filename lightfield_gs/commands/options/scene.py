@@ -1,4 +1,4 @@
-"""Options of a scene: how its file is read, what is made of a photo, and how it is drawn."""
+"""Options of a scene: of reading its file, of a photo, and of drawing."""
 
 from __future__ import annotations
 
