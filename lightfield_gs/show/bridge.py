@@ -14,8 +14,9 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import checked_path, real_number, whole_number
+from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import checked_path
 
 BRIDGE_URL = "http://localhost:33334"
 _TIMEOUT_S = 10.0
