@@ -48,7 +48,7 @@ class FramingConstants:
     few: float = 0.1
 
 
-_CONSTANTS = FramingConstants()
+_C = FramingConstants()
 
 _NEAR = _core.NEAR_DEPTH
 _WIDEST_RAD = math.radians(90)  # the widest angle of the panel where no focal length was given
@@ -71,7 +71,7 @@ def fit_scene(
         whole = fit_rig(
             content_extent(gaussians, pose_tensor(world_to_camera, gaussians)).tolist(), panel, world_to_camera
         )
-        if found.left_out > _CONSTANTS.few and _is_narrow(whole, panel) or not _is_in_front(content, world_to_camera):
+        if found.left_out > _C.few and _is_narrow(whole, panel) or not _is_in_front(content, world_to_camera):
             content, found = gaussians, subject.Subject()
         rig = _with_something_at_zero(_bounded(content, panel, world_to_camera), gaussians, panel)
     if notes is not None and found.reason:
@@ -167,7 +167,7 @@ def fit_rig(extent: Sequence[float], panel: Panel, world_to_camera: np.ndarray) 
     """
     depth = middle_depth(extent)
     left, right, top, bottom = extent[:4]
-    focal = _CONSTANTS.fill * min(panel.height_px / max(bottom - top, 1e-9), panel.width_px / max(right - left, 1e-9))
+    focal = _C.fill * min(panel.height_px / max(bottom - top, 1e-9), panel.width_px / max(right - left, 1e-9))
     centre = panel.width_px / 2 - focal * (left + right) / 2, panel.height_px / 2 - focal * (top + bottom) / 2
     return RigGeometry(world_to_camera, (focal, focal), centre, depth)
 
@@ -190,13 +190,13 @@ def _clear_distance(content: Gaussians, rest: Gaussians, panel: Panel, turn: np.
     """Return the factor of the usual distance from which the camera sees enough of the content."""
     depths = torch.from_numpy(turn[2]).to(content.means)
     before = select(rest, rest.means @ depths < (content.means @ depths).max())
-    few, chosen, best = subsample(content), 1.0, -_CONSTANTS.worth
-    for nearer in (1.0, *_CONSTANTS.nearer):
+    few, chosen, best = subsample(content), 1.0, -_C.worth
+    for nearer in (1.0, *_C.nearer):
         rig = _bounded(few, panel, _camera_in_front(few, panel, turn, nearer))
         visible = visibility.visible_fraction(content, before, panel, rig) * _fraction_in_frame(few, panel, rig)
-        if visible > best + _CONSTANTS.worth:
+        if visible > best + _C.worth:
             chosen, best = nearer, visible
-        if best >= _CONSTANTS.visible:
+        if best >= _C.visible:
             break
     return chosen
 
@@ -219,7 +219,7 @@ def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, facto
     bounds = content_bounds(gaussians, axes).cpu().double().numpy()
     width, height, depth = bounds[:, 1] - bounds[:, 0]
     height = max(height, width * panel.height_px / panel.width_px, 1e-6)
-    distance = factor * height / _CONSTANTS.fill / 2 / math.tan(_field_of_view_rad(panel) / 2)
+    distance = factor * height / _C.fill / 2 / math.tan(_field_of_view_rad(panel) / 2)
     matrix = np.eye(4)
     matrix[:3, :3] = turn
     # The front of the content, not its middle, must fit, and it must stay clear of the near plane.
@@ -230,6 +230,6 @@ def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, facto
 def _field_of_view_rad(panel: Panel) -> float:
     """Return the angle that the panel's height takes for its viewer, within the limits of a good picture."""
     if panel.pixel_pitch_mm is None or panel.viewing_distance_mm is None:
-        return math.radians(_CONSTANTS.unknown_field_of_view_deg)
+        return math.radians(_C.unknown_field_of_view_deg)
     angle = 2 * math.atan(panel.height_px * panel.pixel_pitch_mm / 2 / panel.viewing_distance_mm)
-    return min(max(angle, math.radians(_CONSTANTS.field_of_view_deg[0])), math.radians(_CONSTANTS.field_of_view_deg[1]))
+    return min(max(angle, math.radians(_C.field_of_view_deg[0])), math.radians(_C.field_of_view_deg[1]))

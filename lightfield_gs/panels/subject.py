@@ -53,7 +53,7 @@ class SubjectConstants:
     stray_ratio: float = 1.2  # distance by that quantile beyond which the hull leaves surface out
 
 
-_CONSTANTS = SubjectConstants()
+_C = SubjectConstants()
 
 
 @dataclass(frozen=True)
@@ -85,19 +85,17 @@ def find_subject(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -
     place, radius = _densest(points, weight)
     distances = (points - place).norm(dim=1)
     cut = _cut(points - place, distances, weight, radius)
-    if cut is not None and _CONSTANTS.small_ratio * cut <= math.sqrt(_CONSTANTS.gap_ratio) * extent:
+    if cut is not None and _C.small_ratio * cut <= math.sqrt(_C.gap_ratio) * extent:
         fraction = float(weight[distances > cut].sum() / weight.sum())
         return Subject(
             _within(means, place, cut),
             f"{fraction:.1%} of the scene lies far around its dense part and was left out of the framing",
             fraction,
         )
-    if radius <= _CONSTANTS.small_ball * extent and _surrounds(
-        points - place, distances > 2 * _CONSTANTS.neighbourhood * radius
-    ):
-        far = distances > _CONSTANTS.neighbourhood * radius
+    if radius <= _C.small_ball * extent and _surrounds(points - place, distances > 2 * _C.neighbourhood * radius):
+        far = distances > _C.neighbourhood * radius
         return Subject(
-            _within(means, place, _CONSTANTS.neighbourhood * radius),
+            _within(means, place, _C.neighbourhood * radius),
             "the scene surrounds its densest part, which was framed from within the scene",
             float(weight[far].sum() / weight.sum()),
         )
@@ -112,9 +110,9 @@ def _within(means: Tensor, place: Tensor, radius: float) -> Tensor:
 def _sample(weights: Tensor) -> Tensor:
     """Return the indices [M] of a sample, evenly among all Gaussians that count."""
     counting = weights.nonzero()[:, 0]
-    if len(counting) <= _CONSTANTS.sample:
+    if len(counting) <= _C.sample:
         return counting
-    return counting[torch.arange(_CONSTANTS.sample, device=counting.device) * len(counting) // _CONSTANTS.sample]
+    return counting[torch.arange(_C.sample, device=counting.device) * len(counting) // _C.sample]
 
 
 def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
@@ -125,13 +123,11 @@ def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
         weights: [M].
     """
     places = points[
-        torch.arange(min(_CONSTANTS.centres, len(points)), device=points.device)
-        * len(points)
-        // min(_CONSTANTS.centres, len(points))
+        torch.arange(min(_C.centres, len(points)), device=points.device) * len(points) // min(_C.centres, len(points))
     ]
     distances, order = torch.cdist(places, points).sort(1)
     sums = weights[order].cumsum(1)
-    index = torch.searchsorted(sums, _CONSTANTS.dense_fraction * sums[:, -1:])
+    index = torch.searchsorted(sums, _C.dense_fraction * sums[:, -1:])
     radii = distances.gather(1, index)[:, 0]
     best = int(radii.argmin())
     return places[best], float(radii[best])
@@ -141,51 +137,51 @@ def _cut(offsets: Tensor, distances: Tensor, weights: Tensor, least: float) -> f
     """Return the radius of a gap around the densest place with more beyond it on several sides; None without one."""
     ordered, order = distances.sort()
     sums = weights[order].cumsum(0)
-    beyond = torch.searchsorted(ordered, _CONSTANTS.gap_ratio * ordered, right=True) - 1
-    empty = (sums[beyond] - sums <= _CONSTANTS.in_gap * sums) & (ordered >= least) & (ordered > 0)
+    beyond = torch.searchsorted(ordered, _C.gap_ratio * ordered, right=True) - 1
+    empty = (sums[beyond] - sums <= _C.in_gap * sums) & (ordered >= least) & (ordered > 0)
     radius = 0.0
     for index in empty.nonzero()[:, 0].tolist():
-        if ordered[index] <= _CONSTANTS.gap_ratio * radius:  # this is still the last gap
+        if ordered[index] <= _C.gap_ratio * radius:  # this is still the last gap
             continue
         radius = float(ordered[index])
         directions = torch.nn.functional.normalize(offsets[distances > radius], dim=1)
         if len(directions) == 0:
             return None
-        if float(torch.linalg.eigvalsh(directions.T @ directions / len(directions))[-1]) <= _CONSTANTS.one_sided:
-            return math.sqrt(_CONSTANTS.gap_ratio) * radius
+        if float(torch.linalg.eigvalsh(directions.T @ directions / len(directions))[-1]) <= _C.one_sided:
+            return math.sqrt(_C.gap_ratio) * radius
     return None
 
 
 def _surrounds(offsets: Tensor, far: Tensor) -> bool:
     """Return whether the far ones, bool [M], lie in many directions."""
-    return _direction_fraction(offsets[far]) >= _CONSTANTS.around
+    return _direction_fraction(offsets[far]) >= _C.around
 
 
 def _direction_fraction(offsets: Tensor) -> float:
     """Return the fraction 0..1 of all directions with one of the offsets [M, 3] in them."""
     if len(offsets) == 0:
         return 0.0
-    bins = _directions(_CONSTANTS.direction_bins).to(offsets)
-    return len((offsets @ bins.T).argmax(1).unique()) / _CONSTANTS.direction_bins
+    bins = _directions(_C.direction_bins).to(offsets)
+    return len((offsets @ bins.T).argmax(1).unique()) / _C.direction_bins
 
 
 def _find_in_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -> Subject:
     """Return what is inside a room: a convex hull, closed on most sides, with most of the surface in it."""
     hull = _Hull(points, sizes.square() * weights)
     gauge = hull.gauge(points)
-    shell, inside = gauge > _CONSTANTS.shell_gauge, gauge < _CONSTANTS.inside_gauge
+    shell, inside = gauge > _C.shell_gauge, gauge < _C.inside_gauge
     if (
-        hull.areas[shell].sum() < _CONSTANTS.shell_fraction * hull.areas.sum()
-        or _direction_fraction(hull.whitened(points[shell])) < _CONSTANTS.closed_fraction
+        hull.areas[shell].sum() < _C.shell_fraction * hull.areas.sum()
+        or _direction_fraction(hull.whitened(points[shell])) < _C.closed_fraction
     ):
         return Subject()
     kept = float(weights[inside].sum() / weights.sum())
-    if kept < _CONSTANTS.inside_fraction:
+    if kept < _C.inside_fraction:
         return Subject(
             reason="the scene is a shell, closed on most sides with nothing inside: it was framed from outside"
         )
     return Subject(
-        torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _CONSTANTS.inside_gauge,
+        torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _C.inside_gauge,
         "the scene is closed on most sides, like a room: what is inside was framed, from inside",
         1 - kept,
     )
@@ -199,12 +195,12 @@ class _Hull:
         offsets = points - self.middle
         spread, axes = torch.linalg.eigh((areas[:, None] * offsets).T @ offsets / areas.sum())
         self.stretch = axes / spread.clamp_min(1e-9 * float(spread[-1])).sqrt()
-        self.bins = _directions(_CONSTANTS.hull_directions).to(points)
+        self.bins = _directions(_C.hull_directions).to(points)
         whitened = self.whitened(points)
         far, order = whitened.norm(dim=1).sort()
         sums = areas[order].cumsum(0)
-        usual = far[torch.searchsorted(sums, _CONSTANTS.support_quantile * sums[-1:]).clamp_max(len(points) - 1)]
-        kept = whitened[~(whitened.norm(dim=1) > _CONSTANTS.stray_ratio * usual)]
+        usual = far[torch.searchsorted(sums, _C.support_quantile * sums[-1:]).clamp_max(len(points) - 1)]
+        kept = whitened[~(whitened.norm(dim=1) > _C.stray_ratio * usual)]
         self.supports = (self.bins @ kept.T).amax(1).clamp_min(1e-9)
 
     def whitened(self, points: Tensor) -> Tensor:
