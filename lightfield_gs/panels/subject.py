@@ -80,25 +80,21 @@ def find_subject(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -
         weights: [N], 0 for a Gaussian that does not count.
         extent: The largest side of the whole content, scene units.
     """
-    sample = _sample(weights)
+    sample = _spread(weights.nonzero()[:, 0], _C.sample)
     points, sides, weight = (values[sample].cpu().double() for values in (means, sizes, weights))
     place, radius = _densest(points, weight)
     distances = (points - place).norm(dim=1)
     cut = _cut(points - place, distances, weight, radius)
     if cut is not None and _C.small_ratio * cut <= math.sqrt(_C.gap_ratio) * extent:
         fraction = float(weight[distances > cut].sum() / weight.sum())
-        return Subject(
-            _within(means, place, cut),
-            f"{fraction:.1%} of the scene lies far around its dense part and was left out of the framing",
-            fraction,
-        )
-    if radius <= _C.small_ball * extent and _surrounds(points - place, distances > 2 * _C.neighbourhood * radius):
-        far = distances > _C.neighbourhood * radius
-        return Subject(
-            _within(means, place, _C.neighbourhood * radius),
-            "the scene surrounds its densest part, which was framed from within the scene",
-            float(weight[far].sum() / weight.sum()),
-        )
+        reason = f"{fraction:.1%} of the scene lies far around its dense part and was left out of the framing"
+        return Subject(_within(means, place, cut), reason, fraction)
+    reach = _C.neighbourhood * radius
+    around = (points - place)[distances > 2 * reach]
+    if radius <= _C.small_ball * extent and _direction_fraction(around) >= _C.around:
+        reason = "the scene surrounds its densest part, which was framed from within the scene"
+        fraction = float(weight[distances > reach].sum() / weight.sum())
+        return Subject(_within(means, place, reach), reason, fraction)
     return _find_in_shell(means, sides, points, weight)
 
 
@@ -107,12 +103,10 @@ def _within(means: Tensor, place: Tensor, radius: float) -> Tensor:
     return (means.double() - place.to(means.device)).norm(dim=1) <= radius
 
 
-def _sample(weights: Tensor) -> Tensor:
-    """Return the indices [M] of a sample, evenly among all Gaussians that count."""
-    counting = weights.nonzero()[:, 0]
-    if len(counting) <= _C.sample:
-        return counting
-    return counting[torch.arange(_C.sample, device=counting.device) * len(counting) // _C.sample]
+def _spread(values: Tensor, most: int) -> Tensor:
+    """Return at most so many of the values [N, ...], evenly among them."""
+    count = min(most, len(values))
+    return values[torch.arange(count, device=values.device) * len(values) // count]
 
 
 def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
@@ -122,9 +116,7 @@ def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
         points: [M, 3], of which some are tried as centres.
         weights: [M].
     """
-    places = points[
-        torch.arange(min(_C.centres, len(points)), device=points.device) * len(points) // min(_C.centres, len(points))
-    ]
+    places = _spread(points, _C.centres)
     distances, order = torch.cdist(places, points).sort(1)
     sums = weights[order].cumsum(1)
     index = torch.searchsorted(sums, _C.dense_fraction * sums[:, -1:])
@@ -152,11 +144,6 @@ def _cut(offsets: Tensor, distances: Tensor, weights: Tensor, least: float) -> f
     return None
 
 
-def _surrounds(offsets: Tensor, far: Tensor) -> bool:
-    """Return whether the far ones, bool [M], lie in many directions."""
-    return _direction_fraction(offsets[far]) >= _C.around
-
-
 def _direction_fraction(offsets: Tensor) -> float:
     """Return the fraction 0..1 of all directions with one of the offsets [M, 3] in them."""
     if len(offsets) == 0:
@@ -180,11 +167,9 @@ def _find_in_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor
         return Subject(
             reason="the scene is a shell, closed on most sides with nothing inside: it was framed from outside"
         )
-    return Subject(
-        torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _C.inside_gauge,
-        "the scene is closed on most sides, like a room: what is inside was framed, from inside",
-        1 - kept,
-    )
+    gauges = torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device)
+    reason = "the scene is closed on most sides, like a room: what is inside was framed, from inside"
+    return Subject(gauges < _C.inside_gauge, reason, 1 - kept)
 
 
 class _Hull:
