@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.cuda import device_guard
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 
 

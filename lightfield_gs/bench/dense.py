@@ -180,7 +180,7 @@ def _peak_bytes(step: Step, cuda: bool) -> int | None:
     step.both()
     if not cuda:
         return None
-    step.both()  # what is made only once has been made
+    step.both()  # caches are filled
     step.release()
     gc.collect()
     torch.cuda.synchronize()
@@ -192,7 +192,10 @@ def _peak_bytes(step: Step, cuda: bool) -> int | None:
 
 
 def _differences(ours: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str, float]:
-    """Norms of the differences of image and gradients in terms of those of ours, and the largest of the image."""
+    """Return the relative norms of the differences from ours, of image and gradients.
+
+    Return also the largest difference of the image.
+    """
     found = {name: float((ours[name] - theirs[name]).norm() / ours[name].norm()) for name in ours}
     return {**found, "image_largest": float((ours["image"] - theirs["image"]).abs().max())}
 
@@ -249,13 +252,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--gaussians",
         type=whole_numbers(1, 100_000_000),
         metavar="N",
-        help=f"how many, several with commas (default: {_listed(COUNTS['cuda'])}, on the CPU {_listed(COUNTS['cpu'])})",
+        help=f"number of Gaussians, several with commas (default: {_listed(COUNTS['cuda'])}, on the CPU "
+        f"{_listed(COUNTS['cpu'])})",
     )
     parser.add_argument(
         "--size",
         type=whole_numbers(16, 16_384, "x", 2),
         metavar="WxH",
-        help=f"of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
+        help=f"size of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
         f"{_listed(SIZES_PX['cpu'], 'x')})",
     )
     options.add_repeats(parser)

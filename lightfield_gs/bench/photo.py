@@ -35,7 +35,9 @@ STAGES = ("crop", "network", "framing", "encode")
 
 
 def network(name: str | None) -> SplatterNet:
-    """The network of a checkpoint (.safetensors; None: the one inside), or an untrained one of a configuration.
+    """Return the network of a checkpoint, or an untrained network by a configuration.
+
+    A checkpoint is a .safetensors; None: the package's own.
 
     An untrained one takes as long and shows the photo as a flat card. Raises InputError.
     """
@@ -156,8 +158,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_photo(parser, EXAMPLE)
     parser.add_argument(
         "--model",
-        help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml (default: the "
-        "checkpoint inside)",
+        help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml "
+        "(default: the checkpoint in the package)",
     )
     add_detail(parser.add_argument)
     options.add_panel(parser)

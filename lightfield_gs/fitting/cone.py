@@ -21,9 +21,8 @@ from lightfield_gs.fitting.evaluate import ConeAngles
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.pinhole import nearest_rotation
-from lightfield_gs.panels.framing import framing_comment
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, framing_comment
 
 # Photographs within half the cone and this margin count fully. Objects before and behind the zero plane are seen at
 # other angles than the pivot. Views at the cone's edge lie between photographs, too.
@@ -97,7 +96,7 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
 
     The pivot is on the centre camera's axis, at the median depth of the points in the middle third, each way, of its
     photograph: a panel is sharpest there, and the surface of the subject should be. With few such points the axes of
-    the cameras in the cone intersect at the pivot's depth: within the subject, if it is photographed from around.
+    the cameras in the cone intersect at the pivot's depth, within a subject photographed from around.
 
     Args:
         capture: the photographs and cameras.
@@ -206,7 +205,7 @@ def _directions(centres: np.ndarray, pivot: np.ndarray) -> np.ndarray:
 
 
 def _angles(directions: np.ndarray, index: int) -> np.ndarray:
-    """Return [C] degrees, angles of directions from that of `index`; exact near 0, unlike an arc cosine."""
+    """Return [C], degrees, the angles of directions from direction `index`; exact near 0, unlike an arc cosine."""
     cosines = directions @ directions[index]
     sines = np.linalg.norm(np.cross(directions, directions[index]), axis=1)
     return np.degrees(np.arctan2(sines, cosines))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.density import DensityStatistics, morton_order, refine_adaptive, refine_mcmc, reset_opacities
 from lightfield_gs.fitting.distributed import ALONE, Group
@@ -28,7 +28,7 @@ from lightfield_gs.fitting.random import dropout
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.rasterizer.image_render import ImageBuffers, ImageRender
-from lightfield_gs.rasterizer.scene import GradientRequest
+from lightfield_gs.rasterizer.workspace import GradientRequest
 
 _LOOK_EVERY = 100  # steps after which the host waits for the device
 # Allocate 1.25 x the largest number of intersections seen, and 65536; allocate again when less than 10 % is left.

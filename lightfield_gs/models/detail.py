@@ -222,7 +222,7 @@ def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
         Optical depths, 1 where the object is opaque, and colours, which blurred are about the photo's.
     """
     mask = texels.mask
-    # Optical depths of overlapping texels add up, so they are blurred and sharpened, not opacities: half an opacity has
+    # Optical depths of overlapping texels add up, so they are blurred and sharpened, not opacities. Half an opacity has
     # much less than half the optical depth. The depth is reduced further, since spread beyond the outline is not
     # undone.
     depth = -torch.log1p(-_MOST_OF_SHEET * mask) / _OPTICAL_DEPTH * mask

@@ -28,8 +28,8 @@ class PanelDepth:
 
     Attributes:
         depth: View-space z, scene units.
-        edge_px: Displacement in the outermost views against the centre view, pixels of the panel: to the right in one
-            view, to the left in the other. It is s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2) (1 - 1/N).
+        edge_px: Displacement in the outermost views against the centre view, pixels: to the right in one view, to the
+            left in the other. It is s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2) (1 - 1/N).
         edge_mm: The same in mm.
         eyes_px: Displacement of the right eye's image against the left eye's, to the right, both at the viewing
             distance L, pixels. An eye at x sees the view whose camera has s = Z0 tan(cone/2) x / (L tan(panel's

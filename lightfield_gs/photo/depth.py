@@ -142,7 +142,7 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
 def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
     """Return the largest difference between two channels of pixels [H, W, C], by the range of both.
 
-    It is infinite where one of them is finite and the other is not.
+    It is infinite where one value is finite and the other is not.
     """
     both = pixels[..., [one, other]].astype(np.float32)
     finite = np.isfinite(both)
@@ -190,7 +190,7 @@ def _check_numbers(path: str | Path, values: np.ndarray) -> np.ndarray:
     return np.asarray(values if values.ndim == 2 else values.squeeze())
 
 
-FARTHEST = 1e12  # scene units: what is farther counts as not measured
+FARTHEST = 1e12  # scene units: farther values count as not measured
 
 
 @dataclass
@@ -222,8 +222,8 @@ def read_depth(
     """Read view-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
     Args:
-        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), the depth channel of an EXR, a .npy of numbers [H, W], or a
-            .npz with one array. Axes of length 1 are dropped.
+        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), an EXR with a depth channel, a .npy [H, W], or a .npz with
+            one array. Axes of length 1 are dropped.
         kind: The meaning of the numbers v: "distance", v = z / scale; "ray", the same along the pixel's ray; or
             "disparity" (inverse distance), v = scale / z. NaN, negative numbers, the distance 0 and infinite
             disparities are no measurement.

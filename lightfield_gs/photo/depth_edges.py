@@ -121,7 +121,7 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
     """Return the matte of the pixels beside the edges of a photo.
 
     A mixed pixel is I = a F + (1 - a) B. F and B are the mean colours of the two surfaces close by, outside the band of
-    mixed pixels, and a = (I - B).(F - B) / |F - B|^2. Where these colours differ no more than each of them varies,
+    mixed pixels, and a = (I - B).(F - B) / |F - B|^2. Where the two colours differ by no more than their own variation,
     colour says nothing, and the depth map decides: the ratio of the two draws a to 0 or 1.
 
     Args:

@@ -251,7 +251,7 @@ def _quiet() -> Iterator[None]:
     """Silence the messages of transformers on loading and running."""
     try:
         from transformers.utils import logging
-    except ImportError:  # the one who called says so
+    except ImportError:  # the caller says so
         yield
         return
     level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()

@@ -67,10 +67,10 @@ _Run = tuple[Tensor, Tensor]
 def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> Hidden:
     """Find the surfaces behind others, for cameras to the left and to the right of the photo's.
 
-    A far surface continues along the row behind a near one. It reaches as far as a camera at the end of a cone of 60
-    degrees looks behind the edge, at most a quarter of the width. It keeps its slope from before the edge. Its colours
-    are a membrane, held at the visible pixels: a solution of Poisson's equation. So planes and linear gradients
-    continue unchanged between visible pixels on both sides.
+    A far surface continues along the row behind a near one. It ends where a camera at the end of a cone of 60 degrees
+    sees no more of it, at most after a quarter of the width. It keeps its slope from before the edge. Its colours are a
+    membrane, held at the visible pixels: a solution of Poisson's equation. So planes and linear gradients continue
+    unchanged between visible pixels on both sides.
 
     Args:
         image: [H, W, 3], 0..1.

@@ -44,7 +44,7 @@ _C = CutOutConstants()
 
 
 def has_same_shape(shape: Sequence[int], other: Sequence[int]) -> bool:
-    """Return whether two sizes, height and width, are those of the same picture, reduced or not."""
+    """Return whether two sizes, height and width, fit the same picture, reduced or not."""
     ratio = shape[0] * other[1] / (shape[1] * other[0])
     return abs(ratio - 1) <= _C.same_shape
 

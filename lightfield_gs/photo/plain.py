@@ -146,8 +146,7 @@ class PlainCut:
 
     Attributes:
         alpha: float32 [H, W] in 0..1, 1 on the object.
-        faded: Fraction 0..1 of the object and of the gaps between its parts that was cut off although its colour
-            differs, as of a pale body.
+        faded: Fraction 0..1 of the object and its gaps that was cut off although its colour differs, as of a pale body.
         holes: Fraction of the same area through which the background shows.
     """
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import differentiable_once, is_eager, operator_schema
-from lightfield_gs.rasterizer.scene import GradientRequest, RenderState
+from lightfield_gs.rasterizer.workspace import GradientRequest, RenderState
 
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
 _DIFFERENTIABLE = 12  # the arguments of a render without screen, which its backward takes too
@@ -118,7 +118,7 @@ def _(*arguments):
 
 
 class _DrawnArguments(NamedTuple):
-    """The arguments of the backward behind those of the render: its outputs, their gradients, and the request.
+    """The arguments of the backward pass after the arguments of the render: outputs, their gradients, and the request.
 
     Attributes:
         screen_numbers: 0, 2 or 4, of the screen.
@@ -215,7 +215,7 @@ class _RenderImages(torch.autograd.Function):
 
 
 def _is_for_cuda(means: Tensor) -> bool:
-    """Whether the stages are those of CUDA, whose backward has two halves."""
+    """Return whether the stages run on CUDA, where the backward pass has two halves."""
     return means.is_cuda
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import Colour, check_tensor
+from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_operators import (
@@ -20,7 +20,6 @@ from lightfield_gs.rasterizer.image_operators import (
 )
 from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
 from lightfield_gs.rasterizer.operators import refuse_tangents
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
 

@@ -1,4 +1,4 @@
-"""A light field on an ordinary screen: contact sheet of views, look-around animation, what the two eyes see."""
+"""A light field on an ordinary screen: contact sheet of views, look-around animation, pictures of two eyes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.comfort import EYE_SEPARATION_MM
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -81,7 +80,7 @@ def look_around(
     view_filter: float = 0.0,
 ) -> list[np.ndarray]:
     """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
-    small_panel, small_rig = reduced(panel, rig, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
+    small_panel, small_rig = rig.reduced(panel, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
     is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
     positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
     if panel.invert_views:
@@ -142,7 +141,7 @@ _PAGE = Path(__file__).parent / "page" / "files" / "look_around.html"
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
-    """Writes frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one of them at a time.
+    """Write frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one frame at a time.
 
     The frames are in the file as WebP. Raises InputError where it cannot be written.
     """
@@ -171,8 +170,10 @@ def image_bytes(pixels: np.ndarray, kind: str, **options: int) -> bytes:
 
 
 def in_rows(pictures: Sequence[np.ndarray], columns: int = 4) -> np.ndarray:
-    """One or more pictures [h, w, 3] in rows of `columns`, from the left and from the top; what is left of the last row
-    is black. A single picture stays as it is."""
+    """Return one or more pictures [h, w, 3] in rows of `columns`, from the left and from the top.
+
+    The rest of the last row is black. A single picture stays as it is.
+    """
     columns = min(columns, len(pictures))
     missing = -len(pictures) % columns
     every = [*pictures, *[np.zeros_like(pictures[0])] * missing]
