@@ -135,7 +135,9 @@ def _numbers(index: Path, split: str, names: list[str] | None) -> dict[str, list
     with open(index, newline="", encoding="utf-8") as file:
         rows = csv.DictReader(file)
         if missing := {"file", "i", "name", "split"} - set(rows.fieldnames or ()):
-            raise InputError(f"{index}: expected the columns file, i, name, split, found no {', '.join(sorted(missing))}")
+            raise InputError(
+                f"{index}: expected the columns file, i, name, split, found no {', '.join(sorted(missing))}"
+            )
         for row in rows:
             if row["split"] == split and (names is None or row["name"] in names):
                 found[row["file"]].append(int(row["i"]))

@@ -2,7 +2,7 @@
 
 Each pixel is the mean of 2x2 samples; alpha is the fraction that sees a surface. A surface has two sides: its normal is
 turned to the camera. Colours of material, vertex and texture, and the light, are multiplied as sRGB values, as in the
-project's other sets. All work is torch operations on the device of the meshes, which the host waits for four times in a picture.
+project's other sets. All work is torch operations on the device of the meshes, for which the host waits three times.
 
 Floor: a covered sample reads about 250 bytes of corners, attributes and texels and writes 16; eager operations move
 about 2,000. A view of 128 px has about 26,000 covered samples, 52 MB or 20 us of an H100's memory; with the fragments
@@ -18,25 +18,16 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.data.procedural import pattern_colours
-from training.data.procedural_plan import LOOK
+from training.data.procedural_plan import GROUPS, LOOK
 from training.data.superquadrics import named
 from training.data.textures import SKIN, Photographs, worn
 from training.meshes.pack import ResidentMeshes
 from training.meshes.rasterize import DrawList, Projected, project, rasterize
 
 SAMPLES = 2  # of a pixel along each axis
-GROUPS = 6  # materials of an object share so many looks
 # Numbers of the light in a view, in the camera's axes: of what comes from all round; directions to two lights (unit)
 # and their colours; the direction of highlights, and their exponent.
-LIGHT = {
-    "ambient": 3,
-    "key": 3,
-    "key_colour": 3,
-    "fill": 3,
-    "fill_colour": 3,
-    "half": 3,
-    "exponent": 1,
-}
+LIGHT = {"ambient": 3, "key": 3, "key_colour": 3, "fill": 3, "fill_colour": 3, "half": 3, "exponent": 1}
 # How an object's own colours change. weight: of own colours, else those of the look. order: the channel that each
 # channel shows. gain, gamma: colour = gain * own^gamma.
 OWN = {"weight": 1, "order": 3, "gain": 3, "gamma": 1}
