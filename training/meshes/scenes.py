@@ -185,7 +185,7 @@ class _Drawn:
         cameras = orbit(azimuth, elevation, tilt, roll)
         self.cameras = np.concatenate([cameras[:, :1], cameras], 1)
         random_light = u() < self._options.random_light
-        self._light = np.where(random_light[:, None], _random_light(u, turned[:, 0]), _standard_light(turned[:, 0]))
+        self._light = np.where(random_light[:, None], _random_light(u, turned[:, 0]), standard_light(turned[:, 0]))
         self._looks = self._new_looks(each, np.repeat(random_light, MOST_OBJECTS))
 
     def scene(self, images: slice, size_px: int) -> Scene:
@@ -256,7 +256,7 @@ def _placed(
 ) -> np.ndarray:
     """Return matrices [B,J,3,4] that put objects side by side into a box of some diagonal about the origin.
 
-    Discs round their upright axes do not overlap. Most stand on one ground.
+    Seen from above, the rectangles round them do not overlap. Objects stand on one ground in most scenes.
 
     Args:
         supports: [B,J,SUPPORTS,3].
@@ -266,21 +266,30 @@ def _placed(
     size = np.where(np.arange(MOST_OBJECTS) == 0, 1, np.exp(each.between(np.log(0.4), 0)).reshape(count))
     turn = size[..., None, None] * rotation(1, yaw)
     points = supports @ np.swapaxes(turn, -1, -2)
-    radius = np.linalg.norm(points[..., [0, 2]], axis=-1).max(-1)
-    angle, gap = (each.between(*ends).reshape(count) for ends in ((-np.pi, np.pi), (0.0, 0.25)))
-    centre, ground = np.zeros((*count, 3)), np.where(u(1) < 0.75, -points[..., 1].min(-1), 0)
-    centre[..., 1] = ground
+    half = np.abs(points[..., [0, 2]]).max(-2)
+    angle, gap = (each.between(*ends).reshape(count) for ends in ((-np.pi, np.pi), (0.0, 0.2)))
+    centre = np.zeros((*count, 3))
+    centre[..., 1] = np.where(u(1) < 0.75, -points[..., 1].min(-1), 0)
     for place in range(1, MOST_OBJECTS):
         direction = np.stack([np.cos(angle[:, place]), np.sin(angle[:, place])], -1)
-        earlier = centre[:, :place, [0, 2]]
-        along = (earlier * direction[:, None]).sum(-1)
-        reach = radius[:, :place] + (radius + gap)[:, place, None]
-        square = along**2 - (earlier**2).sum(-1) + reach**2
-        distance = np.where(square > 0, along + np.sqrt(np.maximum(square, 0)), 0).max(1).clip(0)
+        reach = half[:, :place] + (half[:, place] + gap[:, place, None])[:, None]
+        distance = _free_distance(direction, centre[:, :place, [0, 2]], reach)
         centre[:, place, [0, 2]] = distance[:, None] * direction
     low, high = _box(points + centre[..., None, :], exists)
     factor = (u.between(*scale) / np.linalg.norm(high - low, axis=-1))[:, None, None]
     return np.concatenate([factor[..., None] * turn, (factor * (centre - (low + high)[:, None] / 2))[..., None]], -1)
+
+
+def _free_distance(direction: np.ndarray, centres: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Return how far along a direction [B,2] from the origin all rectangles are left behind, [B].
+
+    Args:
+        centres, reach: [B,J,2], middles and half sides of rectangles.
+    """
+    direction = np.where(np.abs(direction) < 1e-6, 1e-6, direction)[:, None]
+    ends = np.sort(np.stack([centres - reach, centres + reach]) / direction, 0)
+    enter, leave = ends[0].max(-1), ends[1].min(-1)
+    return np.where((enter < leave) & (leave > 0), leave, 0).max(1)
 
 
 def _box(points: np.ndarray, exists: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -290,7 +299,7 @@ def _box(points: np.ndarray, exists: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return low.min(-2), high.max(-2)
 
 
-def _standard_light(turned: np.ndarray) -> np.ndarray:
+def standard_light(turned: np.ndarray) -> np.ndarray:
     """Return the light of the project's sets, [B,F] in the order of LIGHT and in the source camera's axes.
 
     Args:
