@@ -1,7 +1,7 @@
 """Measure the grain of a checkout: `python benchmarks/structure.py [CHECKOUT] [--scene SCENE.ply]`.
 
-Print the number and length of its files, the modules that only one other imports, the longest functions, the words of
-the glossary, the long sentences, and the path of `lightfield-gs encode SCENE.ply` through functions and files.
+Print the number and length of its files, the modules with one importer, the longest functions, the words of the
+glossary and the long sentences. With a scene, trace the functions and files that `lightfield-gs encode SCENE.ply` uses.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkout", type=Path, nargs="?", default=Path(__file__).resolve().parents[1])
     parser.add_argument("--scene", type=Path, help="trace `encode` of this scene too")
-    parser.add_argument("--sentences", action="store_true", help="list the longest sentences")
+    parser.add_argument("--sentences", action="store_true", help="list the long sentences")
     parser.add_argument("--trace", action="store_true", help=argparse.SUPPRESS)  # in a process of its own
     args = parser.parse_args()
     if args.trace:
@@ -105,42 +105,61 @@ def print_words(checkout: Path) -> None:
 
 
 def print_sentences(checkout: Path, listed: bool) -> None:
-    """Print how many sentences of docstrings and comments are too long, and the words of the longest hundred."""
+    """Print how many sentences of docstrings and comments are too long; list them if asked to."""
     lengths = []
     for suffixes in SUFFIXES.values():
         for folder in FOLDERS:
             for path in sources(checkout, folder, suffixes):
                 texts = python_texts(path) if path.suffix == ".py" else comment_blocks(path.read_text(), "//")
-                for text in texts:
-                    for sentence in re.split(r"(?<=[.!?])\s+|\n\s*\n|\n\s*(?=\w+: )", re.sub(r"`[^`]*`", "CODE", text)):
-                        words = len(re.findall(r"[A-Za-z0-9]+(?:['-][A-Za-z]+)*", sentence))
-                        lengths.append((words, f"{path.relative_to(checkout)}: {' '.join(sentence.split())}"))
+                for sentence in (sentence for text in texts for sentence in split_sentences(text)):
+                    words = len(re.findall(r"\S*[A-Za-z0-9]\S*", sentence))
+                    lengths.append((words, f"{path.relative_to(checkout)}: {' '.join(sentence.split())}"))
     lengths.sort(reverse=True)
-    long = sum(words > LONG_SENTENCE_WORDS for words, _ in lengths)
+    long = [length for length in lengths if length[0] > LONG_SENTENCE_WORDS]
     mean = statistics.mean(words for words, _ in lengths[:LONGEST_SENTENCES])
     print(
-        f"sentences of docstrings and comments: {len(lengths)}, {long} of them over {LONG_SENTENCE_WORDS} words; "
+        f"sentences of docstrings and comments: {len(lengths)}, {len(long)} of them over {LONG_SENTENCE_WORDS} words; "
         f"the longest hundred have {mean:.0f} on average"
     )
-    for words, sentence in lengths[:LONGEST_SENTENCES] if listed else ():
+    for words, sentence in long if listed else ():
         print(f"  {words:3} {sentence}")
 
 
+def split_sentences(text: str) -> list[str]:
+    """Return the sentences of a docstring or of a comment.
+
+    A sentence ends at a full stop and at a blank line. The next item of `Args:` or of a list begins a new one, as does
+    the next cell of a table. These count as one word: code in backticks, a title in quotes, a citation in parentheses,
+    a shape in brackets, a formula up to its next space without an operator.
+    """
+    operator = r"(?:[-+*/=<>|]|<=|>=|->)"
+    for whole in (r"`[^`]*`", r"\"[A-Z][^\"]*\"", r"\([^()]*(?:19|20)\d\d[^()]*\)", r"\[[^\][]*\]"):
+        text = re.sub(whole, lambda found: "X" + "\n" * found[0].count("\n"), text)
+    text = re.sub(rf"\S+(?: {operator}\s\S+)+", lambda found: found[0].replace(" ", ""), text)
+    return re.split(r"(?<=[.!?])\s+|\n\s*\n|\n\s*(?=[\w, ]+: )|\n\s*[-*] |(?<=\S)  +", text)
+
+
 def python_texts(path: Path) -> list[str]:
-    """Return the docstrings and the blocks of comments of a Python file."""
+    """Return the docstrings and the comments of a Python file."""
     text = path.read_text()
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     docstrings = [ast.get_docstring(node) for node in ast.walk(ast.parse(text)) if isinstance(node, documented)]
-    lines = [""] * (text.count("\n") + 2)
+    lines = text.splitlines()
+    comments = [""] * (len(lines) + 1)
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:
-            lines[token.start[0]] = token.string
-    return [text for text in docstrings if text] + comment_blocks("\n".join(lines), "#")
+            row, column = token.start
+            comments[row] = ("code " if lines[row - 1][:column].strip() else "") + token.string
+    return [text for text in docstrings if text] + comment_blocks("\n".join(comments), "#")
 
 
 def comment_blocks(text: str, mark: str) -> list[str]:
-    """Return the comments that begin with `mark`; comments on lines that follow each other are one."""
-    blocks = re.findall(rf"(?:^.*?{mark}.*\n?)+", text, flags=re.MULTILINE)
+    """Return the comments that begin with `mark`.
+
+    Comments on lines of their own that follow each other are one; a comment beside code ends with its line.
+    """
+    beside, own = rf"^[^\n]*?\S[^\n]*?(?<!:){mark}[^\n]*$", rf"(?:^[^\S\n]*{mark}[^\n]*\n?)+"
+    blocks = re.findall(rf"{own}|{beside}", text, flags=re.MULTILINE)
     return [re.sub(rf"^.*?{mark}+<?\s?", "", block, flags=re.MULTILINE) for block in blocks]
 
 

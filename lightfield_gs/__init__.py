@@ -111,8 +111,11 @@ def __dir__() -> list[str]:
 
 
 def build_info() -> dict[str, object]:
-    """What this build has: version, the vector instruction sets that this processor can choose from, devices, and the
-    CUDA architectures compiled for ([75, 90]; not in builds for the CPU only)."""
+    """Return the features of this build.
+
+    Keys: "version", "simd_targets" (the vector instruction sets that this processor has), "devices", and
+    "cuda_architectures" ([75, 90]; not in builds for the CPU only).
+    """
     from lightfield_gs import _core
 
     info: dict[str, object] = {"version": _core.version, "simd_targets": _core.simd_targets(), "devices": ["cpu"]}

@@ -14,39 +14,45 @@ import time
 from collections.abc import Sequence
 from typing import NoReturn, cast
 
-from lightfield_gs.base.cli_messages import PatientStream, open_closed_streams, print_assumptions, report_error
+from lightfield_gs.base.cli_messages import (
+    FOLDER_GONE,
+    PatientStream,
+    has_working_folder,
+    open_closed_streams,
+    print_assumptions,
+    report_error,
+)
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
 from lightfield_gs.commands.options.parser import Parser, join_values
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
-    "fit": "photographs of a scene to its Gaussians",
-    "encode": "a photo or a .ply to the image of a panel",
-    "quilt": "a photo or a scene to a Looking Glass quilt of its views",
-    "weave": "a quilt, or a folder of views, to the image of a panel",
-    "prune": "leave out of a scene what hardly shows on a panel",
-    "video": "a scene with moving cameras, or pictures in a row, to frames for a panel",
-    "batch": "many photos, scenes, captures and videos to images, on all GPUs",
-    "simulate": "what an eye sees through the lenses",
-    "view": "a page that shows and steers a scene",
-    "show": "an encoded image on the panel, full screen",
-    "calibrate": "make a profile fit its panel",
-    "info": "say what a file holds",
+    "fit": "fit Gaussians to photographs of a scene",
+    "encode": "encode a photo or a scene as the image of a panel",
+    "quilt": "render the views of a photo or a scene as a Looking Glass quilt",
+    "weave": "interlace a quilt or a folder of views for a panel",
+    "prune": "remove the Gaussians that hardly show on a panel",
+    "video": "encode a scene with moving cameras, or a sequence of pictures",
+    "batch": "encode many photos, scenes, captures and videos on all GPUs",
+    "simulate": "simulate the picture that an eye sees through the lenses",
+    "view": "open a page that shows and steers a scene",
+    "show": "show an encoded image on the panel, full screen",
+    "calibrate": "calibrate the profile of a panel",
+    "info": "describe the contents of a file",
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code, or 2 after one line on what is wrong with the input."""
+    """Run one command and return its exit code, or 2 after a line on invalid input."""
     signal.signal(signal.SIGTERM, _terminate)
     # As a program, what was imported before this line (torch, a second) is part of the wait.
     if argv is not None:
         return _run(list(argv), time.perf_counter())
     began = time.perf_counter() - time.process_time()
     open_closed_streams()
-    # Names of files, and what they hold, may have bytes that are no text
+    # Names and contents of files may have bytes that are no text
     sys.stdout, output = PatientStream.wrap(cast(io.TextIOWrapper, sys.stdout), "backslashreplace")
     sys.stderr, _ = PatientStream.wrap(cast(io.TextIOWrapper, sys.stderr), "backslashreplace")
     try:
@@ -75,7 +81,7 @@ def _run(arguments: list[str], began: float) -> int:
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser with the arguments of one command; to read those of `bench` would import torch."""
+    """Return the parser with the arguments of one command only: the arguments of `bench` import torch."""
     parser = Parser(
         "lightfield-gs",
         description="One photo, or a scene of 3D Gaussians, to the image that a slanted-lenticular 3D panel shows.",

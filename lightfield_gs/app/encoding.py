@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lightfield_gs.app.cameras import load_view_cameras, read_camera, scene_comments
-from lightfield_gs.app.look import refuse_look
+from lightfield_gs.app.cameras import load_view_cameras, read_camera, refuse_look, scene_comments
 from lightfield_gs.app.options import EncodeOptions
-from lightfield_gs.app.panel import load_panel
-from lightfield_gs.app.provenance import file_facts, package_versions, scene_facts, software
+from lightfield_gs.app.panel import file_facts, load_panel, package_versions, scene_facts, software
 from lightfield_gs.app.scene import (
     LoadedScene,
     RenderSettings,
@@ -24,23 +22,20 @@ from lightfield_gs.app.scene import (
     frame_scene,
     read_source,
 )
-from lightfield_gs.base.cli_messages import note
-from lightfield_gs.base.cuda import to_numpy
-from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.cli_messages import Stopwatch, note
+from lightfield_gs.base.device import choose_device, to_numpy
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import misplaced_options
-from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.base.options import ONLY_FOR
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.io.png import CompressedImage
-from lightfield_gs.io.png_cuda import compressed_image, deflate, is_deflated_on_gpu
+from lightfield_gs.io.png import CompressedImage, compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from lightfield_gs.app.photo import ReadPhoto
-    from lightfield_gs.base.cuda import HostCopies, HostCopy
+    from lightfield_gs.base.device import HostCopies, HostCopy
     from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
 
@@ -54,7 +49,7 @@ class Encoding:
     Attributes:
         options: what is asked for.
         messages: lines on what was decided.
-        stats: those of `lightfield_gs.encode`.
+        stats: the statistics of `lightfield_gs.encode`.
         scene: the scene, once it is drawn.
     """
 
@@ -110,7 +105,7 @@ class Encoding:
             self.messages = self.scene.messages
             gaussians = self.scene.gaussians
             _note_slow_ways(options, self.scene.render, panel, self.device)
-            # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+            # Files of cameras, read or written, are in the coordinates of the scene's file
             if "cameras" in self._sorted_views:
                 self._sorted_views["cameras"] = self._sorted_views["cameras"].relative_to(gaussians.origin)
             else:
@@ -231,10 +226,13 @@ def check_options(options: EncodeOptions) -> None:
     check_scene_options(options.scene, options.camera)
     quality = None if options.quality == "exact" else options.quality
     given = {"cameras": options.cameras, "view_map": options.view_map, "memory_budget": options.memory_budget}
-    for name, its in misplaced_options(options.method, **given, quality=quality):
-        if name == "quality":
-            raise InputError(f"--quality {quality} is for --method {its}, not {options.method}; leave out one of them")
-        raise InputError(f"--{name.replace('_', '-')} is for --method {its}, not {options.method}")
+    for name, value in {**given, "quality": quality}.items():
+        if value is not None and options.method != (only := ONLY_FOR[name]):
+            if name == "quality":
+                raise InputError(
+                    f"--quality {quality} is for --method {only}, not {options.method}; leave out one of them"
+                )
+            raise InputError(f"--{name.replace('_', '-')} is for --method {only}, not {options.method}")
     for option, value in (("--cameras", options.cameras), ("--view-map", options.view_map)):
         if value is not None and options.views == "continuous":
             raise InputError(
@@ -299,7 +297,7 @@ def _read_views(options: EncodeOptions, panel: Panel) -> dict[str, Any]:
 
 def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel, device: str) -> None:
     """Note a panel or an option that keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_reason
+    from lightfield_gs.panels.panel import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
     lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0

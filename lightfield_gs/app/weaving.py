@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PanelOptions
-from lightfield_gs.app.provenance import package_versions, software
+from lightfield_gs.app.panel import package_versions, software
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.cli_messages import note, say
+from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression, Device, Views
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.atomic import sha256
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.view_sets.movies import FrameRange
@@ -109,7 +108,7 @@ def _assumed_aspect(path: Path, panel: Panel, views: Any) -> float:
 
 
 def interpolation_words(options: WeaveOptions, views: Any, panel: Panel) -> str:
-    """Return in words how the views became those of the panel."""
+    """Describe how the views are mapped to the panel's views."""
     has_map = options.view_map is not None
     ratio = 1 if has_map else views.count / panel.views
     counts = f"{views.count} views for the panel's {panel.views}"

@@ -1,4 +1,4 @@
-"""Messages of a command on its standard streams: errors and notes on stderr, assumptions on stdout."""
+"""Messages of a command on its standard streams: errors and notes on stderr, assumptions and times on stdout."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 import os
 import re
 import sys
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,8 +15,8 @@ from typing import Any
 
 from lightfield_gs.base.assumptions import Assumption, collect_assumptions
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import FOLDER_GONE, has_working_folder
 
+FOLDER_GONE = "the working folder has been removed: change to one that is there (cd)"
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's messages for the host and for a device
 _captured: ContextVar[list[str] | None] = ContextVar("captured", default=None)
@@ -58,13 +59,22 @@ def is_out_of_memory(error: BaseException) -> bool:
     )
 
 
+def has_working_folder() -> bool:
+    """Return whether the working folder exists: torch cannot be imported in a removed one, nor relative paths used."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True
+
+
 def report_error(program: str, error: BaseException, remedy: str) -> int:
     """Print one line on stderr that says why a program ends, and return its exit code.
 
     Args:
         program: name of the program, which begins the line.
         error: the reason. A fault of the program itself is raised again.
-        remedy: what the user can do if memory runs out.
+        remedy: advice for a user whose memory runs out.
     """
     code = EXIT_BAD_INPUT
     if isinstance(error, KeyboardInterrupt):
@@ -109,6 +119,30 @@ def print_assumptions() -> Iterator[None]:
         warnings.showwarning = show
         yield
     say(*lines)
+
+
+class Stopwatch:
+    """Collects named times in seconds; `lap` takes the time since the last lap, or since `began` (perf_counter)."""
+
+    def __init__(self, began: float) -> None:
+        self._start = self._last = began
+        self.stages: list[tuple[str, float]] = []
+
+    def lap(self, name: str, parts_ms: dict[str, float] | None = None) -> None:
+        """Ends a stage. With `parts_ms` the parts are listed by their own names, and the remaining time as `name`."""
+        now = time.perf_counter()
+        seconds = now - self._last
+        for part, milliseconds in (parts_ms or {}).items():
+            self.stages.append((part, milliseconds / 1000))
+            seconds -= milliseconds / 1000
+        if parts_ms is None or seconds >= 0.005:
+            self.stages.append((name, seconds))
+        self._last = now
+
+    def line(self) -> str:
+        """For example "load 0.12 s, composite 0.80 s, write 0.21 s, total 1.13 s"."""
+        total = ("total", self._last - self._start)
+        return ", ".join(f"{name} {seconds:.2f} s" for name, seconds in [*self.stages, total])
 
 
 class _CapturableStream:

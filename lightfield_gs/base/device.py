@@ -1,16 +1,27 @@
-"""The device that a command runs on."""
+"""The device of a command, its cores or GPU; free memory, graphs of launches, and copies from CUDA to the host."""
 
 from __future__ import annotations
 
 import os
-from typing import Literal, cast
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from queue import SimpleQueue
+from typing import Any, Literal, cast
+
+import numpy as np
+import torch
+from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
 
+_WARM_UP = 2  # calls before a capture
+_ALIGNMENT = 256  # bytes, of each tensor within a buffer
+_BUFFER_BYTES = 1 << 25  # the sizes of buffers are multiples, so that buffers seldom have to grow
+
 
 def choose_device(name: Device) -> Literal["cpu", "cuda"]:
-    """cpu or cuda, for cpu, cuda or auto. Raises InputError where cuda is asked for and cannot be had."""
+    """Return cpu or cuda for cpu, cuda or auto; raise InputError where cuda is asked for and absent."""
     if name == "cpu":
         return "cpu"
     missing = _missing_for_cuda()
@@ -20,9 +31,7 @@ def choose_device(name: Device) -> Literal["cpu", "cuda"]:
 
 
 def _missing_for_cuda() -> str | None:
-    """Which of the three things that cuda takes is not there, and what to do; None where none is missing."""
-    import torch
-
+    """Return what CUDA lacks, the build, the torch or the GPU, and what to do; None where nothing is missing."""
     from lightfield_gs import build_info
 
     if "cuda" not in cast(list[str], build_info()["devices"]):
@@ -35,7 +44,128 @@ def _missing_for_cuda() -> str | None:
 
 
 def cores() -> list[int]:
-    """The cores that this process may use; those of the machine where the system does not tell (macOS, Windows)."""
+    """Return the cores that this process may use; macOS and Windows do not tell: all cores of the machine there."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
+
+
+def device_guard(device: torch.device) -> AbstractContextManager:
+    """Make `device` the current one inside the block, so that work goes to its stream; a CPU changes nothing."""
+    if device.type != "cuda" or device.index == torch.cuda.current_device():
+        return nullcontext()
+    return torch.cuda.device(device)
+
+
+def free_memory(device: torch.device) -> int:
+    """Return the free bytes of a CUDA device, including bytes that torch reserves without use."""
+    unused = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return torch.cuda.mem_get_info(device)[0] + unused
+
+
+def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[torch.cuda.CUDAGraph, Any]:
+    """Capture the launches of a call as a CUDA graph; a capture computes nothing.
+
+    Args:
+        call: its launches are captured.
+        warm_up: for calls into libraries, which load and choose their algorithms in the first calls. It runs before the
+            capture, and the graph is replayed once after it: later captures read the result while they warm up. Other
+            threads may use the device meanwhile.
+
+    Returns:
+        The graph, and the result of the call, which each replay overwrites.
+    """
+    stream = torch.cuda.Stream()  # of its own: torch's belongs to the device that captured first
+    if warm_up:
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            for _ in range(_WARM_UP):
+                call()
+        torch.cuda.current_stream().wait_stream(stream)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local" if warm_up else "global"):
+        result = call()
+    if warm_up:
+        graph.replay()
+    return graph, result
+
+
+def to_numpy(image: Tensor) -> np.ndarray:
+    """Return a finished picture as an array; page-locked memory takes a third of the time of a plain copy from CUDA."""
+    if not image.is_cuda:
+        return image.numpy()
+    host = torch.empty(image.shape, dtype=image.dtype, pin_memory=True)
+    return host.copy_(image).numpy()
+
+
+class HostCopies:
+    """Copies tensors to page-locked buffers of the host while the device goes on computing.
+
+    Locking memory takes longer than copying, so buffers are used again. Copies run on a stream of their own, behind the
+    work that is queued.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._buffers: SimpleQueue[Tensor] = SimpleQueue()
+        for _ in range(count):
+            self._buffers.put(torch.empty(0, dtype=torch.uint8))
+        self._stream: torch.cuda.Stream | None = None
+
+    def begin(self, tensors: Sequence[Tensor]) -> HostCopy:
+        """Begin to copy tensors of one device; wait for a buffer if all are in use."""
+        starts = [0]
+        for tensor in tensors:
+            size = tensor.numel() * tensor.element_size()
+            starts.append(starts[-1] + (size + _ALIGNMENT - 1) // _ALIGNMENT * _ALIGNMENT)
+        buffer = self._buffers.get()
+        try:
+            if buffer.numel() < starts[-1]:
+                with torch.inference_mode(False):
+                    size = -(-starts[-1] // _BUFFER_BYTES) * _BUFFER_BYTES
+                    buffer = torch.empty(size, dtype=torch.uint8, pin_memory=True)
+            return self._copy(tensors, starts, buffer)
+        except BaseException:
+            self._buffers.put(buffer)
+            raise
+
+    def _copy(self, tensors: Sequence[Tensor], starts: list[int], buffer: Tensor) -> HostCopy:
+        with torch.cuda.device(tensors[0].device):
+            if self._stream is None:
+                self._stream = torch.cuda.Stream()
+            self._stream.wait_stream(torch.cuda.current_stream())
+            copies = []
+            with torch.cuda.stream(self._stream):
+                for tensor, start in zip(tensors, starts):
+                    size = tensor.numel() * tensor.element_size()
+                    copy = buffer[start : start + size].view(tensor.dtype).view(tensor.shape)
+                    copies.append(copy.copy_(tensor, non_blocking=True))
+                reached = torch.cuda.Event(blocking=True)  # a thread that waits leaves its core to others
+                reached.record()
+        return HostCopy(list(tensors), copies, reached, buffer, self._buffers)
+
+
+class HostCopy:
+    """Copies under way: `wait` for them, then `release` their buffer."""
+
+    def __init__(
+        self,
+        sources: list[Tensor],
+        copies: list[Tensor],
+        reached: torch.cuda.Event,
+        buffer: Tensor,
+        buffers: SimpleQueue[Tensor],
+    ) -> None:
+        self._sources = sources  # keeps their memory from being used for anything else meanwhile
+        self._copies, self._reached, self._buffer, self._buffers = copies, reached, buffer, buffers
+
+    def wait(self) -> list[Tensor]:
+        """Wait for the copies and return them; they are valid until `release`."""
+        self._reached.synchronize()
+        self._sources = []
+        return self._copies
+
+    def release(self) -> None:
+        """Give the buffer to later copies; call this once."""
+        self._reached.synchronize()
+        self._sources, self._copies = [], []
+        self._buffers.put(self._buffer)

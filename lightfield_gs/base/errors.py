@@ -1,4 +1,4 @@
-"""The one exception for everything a user can get wrong, and what puts the name of a file into it."""
+"""The exception for invalid input, and a context that adds a file's name to it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 
 class InputError(ValueError):
-    """A file, value, shape, dtype or device that was given and cannot be used.
+    """A file, value, shape, dtype or device that cannot be used.
 
     The message is one line: what was expected, what came, what to do. The command line prints it to stderr and exits
     with status 2.

@@ -45,13 +45,7 @@ ONLY_FOR: dict[str, Method] = {
     "out": "direct",
 }
 
-
-def misplaced_options(method: str, **given: object) -> list[tuple[str, Method]]:
-    """Which of these (None: not given) the method does not take, and the one that does."""
-    return [(name, ONLY_FOR[name]) for name, value in given.items() if value is not None and ONLY_FOR[name] != method]
-
-
 # The network that estimates depth (Yang et al., "Depth Anything V2", 2024), by its name on huggingface.co. The larger
 # ones of its family may not be used commercially.
 DEPTH_MODEL = "depth-anything/Depth-Anything-V2-Small-hf"
-DEFAULT_CONE_DEG = 40.0  # of a panel that does not say what its views span
+DEFAULT_CONE_DEG = 40.0  # cone of a panel that states none

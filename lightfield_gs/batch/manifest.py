@@ -7,11 +7,11 @@ import json
 import os
 import time
 from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from stat import S_ISDIR
-from types import TracebackType
 from typing import Any
 
 from lightfield_gs.base.errors import InputError, reading
@@ -38,7 +38,7 @@ def stamp(path: str | Path) -> list[int]:
         own = os.stat(path)
         if not S_ISDIR(own.st_mode):
             return [own.st_size, own.st_mtime_ns]
-        found = [file.stat() for file in _files(Path(path))]
+        found = [file.stat() for file in _files(path)]
     return [sum(file.st_size for file in found), max((file.st_mtime_ns for file in found), default=0), len(found)]
 
 
@@ -53,16 +53,18 @@ def _digest(path: str, version: tuple[int, ...]) -> str:
     with reading(path):
         if not os.path.isdir(path):
             return sha256(path)
-        lines = [f"{sha256(file)} {file.relative_to(path).as_posix()}\n" for file in _files(Path(path))]
+        lines = [f"{sha256(file)} {file.relative_to(path).as_posix()}\n" for file in _files(path)]
     return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
 
 
-def _files(folder: Path) -> list[Path]:
-    return sorted(file for file in folder.rglob("*") if file.is_file())
+def _files(folder: str | Path) -> list[Path]:
+    return sorted(file for file in Path(folder).rglob("*") if file.is_file())
 
 
 class Manifest:
-    """The manifests of a folder, JSON lines: `append` writes to that of a shard, `last` reads all. Use it in a `with`.
+    """The manifests of a folder, JSON lines, for use in a `with`.
+
+    `append` writes to the shard's manifest, `last` reads all manifests.
 
     A line with "item" says how an item ended; the last line of an item counts. Other lines tell the options of a run,
     or its end. One system call appends a line, so a killed process leaves whole lines; `last` skips what a power
@@ -79,32 +81,29 @@ class Manifest:
         self.path = self.folder / ("batch.jsonl" if shard == WHOLE else "batch-{}-of-{}.jsonl".format(*shard))
         self.damaged = 0
         self.is_unfinished = False
-        self._whole = shard == WHOLE
-        self._open: list[int] = []
-        self._places: dict[str, tuple[str, Path, int, int]] = {}  # time, file, first byte and length of last lines
+        self._lines: dict[str, tuple[str, Path, int, int]] = {}  # time, file, first byte and length of last lines
 
     def __enter__(self) -> Manifest:
-        try:
-            self._open_files()
-            for path in sorted({self.path, *self.folder.glob("batch*.jsonl")}):
-                self._read(path)
-        except OSError as error:
-            self.__exit__(None, None, None)
-            raise InputError(f"cannot write {self.path}: {error.strerror or error}") from error
-        except BaseException:
-            self.__exit__(None, None, None)
-            raise
+        with ExitStack() as opened:
+            try:
+                self._file = self._open(opened, self.path, os.O_APPEND)
+                if self.path.name != "batch.jsonl":  # a whole batch keeps shards out
+                    self._open(opened, self.folder / "batch.jsonl", shared=True)
+                for path in sorted({self.path, *self.folder.glob("batch*.jsonl")}):
+                    self._read(path)
+            except OSError as error:
+                raise InputError(f"cannot write {self.path}: {error.strerror or error}") from error
+            self._opened = opened.pop_all()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        while self._open:
-            os.close(self._open.pop())  # which unlocks it
+    def __exit__(self, *error: object) -> None:
+        self._opened.close()
 
     def last(self, name: str) -> Record | None:
         """Return the last line of an item; None if there is none."""
-        if name not in self._places:
+        if name not in self._lines:
             return None
-        _, path, start, length = self._places[name]
+        _, path, start, length = self._lines[name]
         with path.open("rb") as file:
             file.seek(start)
             return parse_json(file.read(length).decode())
@@ -113,25 +112,24 @@ class Manifest:
         """Write a line. Raises InputError if the disk is full."""
         line = (json.dumps(record) + "\n").encode()
         try:
-            written = os.write(self._open[0], line)
+            written = os.write(self._file, line)
         except OSError as error:
             raise InputError(f"cannot write {self.path}: {error.strerror or error}") from error
         if written != len(line):
             raise InputError(f"cannot write {self.path}: the disk is full")
 
-    def _open_files(self) -> None:
-        """Open and lock the manifests: a whole batch locks batch.jsonl, a shard its own, and shares batch.jsonl."""
-        self._open.append(os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666))
-        if not self._whole:
-            self._open.append(os.open(self.folder / "batch.jsonl", os.O_RDWR | os.O_CREAT, 0o666))
-        for file, shared in zip(self._open, (False, True)):
-            deadline = time.monotonic() + _PATIENCE_S
-            while (is_ours := lock(file, shared)) is False and time.monotonic() < deadline:
-                time.sleep(0.05)
-            if is_ours is None:
-                raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here")
-            if not is_ours:
-                raise InputError(f"another batch is at work in {self.folder}: wait for it, or give another folder")
+    def _open(self, opened: ExitStack, path: Path, flags: int = 0, shared: bool = False) -> int:
+        """Open and lock a manifest; closing it unlocks it."""
+        file = os.open(path, os.O_RDWR | os.O_CREAT | flags, 0o666)
+        opened.callback(os.close, file)
+        deadline = time.monotonic() + _PATIENCE_S
+        while (is_ours := lock(file, shared)) is False and time.monotonic() < deadline:
+            time.sleep(0.05)
+        if is_ours is None:
+            raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here")
+        if not is_ours:
+            raise InputError(f"another batch is at work in {self.folder}: wait for it, or give another folder")
+        return file
 
     def _read(self, path: Path) -> None:
         is_unfinished, start, line = False, 0, b"\n"
@@ -143,8 +141,8 @@ class Manifest:
                     record = None
                 if _is_item(record):
                     name, at = record["item"], str(record.get("at", ""))
-                    if name not in self._places or self._places[name][0] <= at or self._places[name][1] == path:
-                        self._places[name] = at, path, start, len(line)
+                    if name not in self._lines or self._lines[name][0] <= at or self._lines[name][1] == path:
+                        self._lines[name] = at, path, start, len(line)
                 elif isinstance(record, dict) and "run" in record and "item" not in record:
                     is_unfinished = "ended" not in record
                 else:
@@ -152,26 +150,24 @@ class Manifest:
                 start += len(line)
         self.is_unfinished |= is_unfinished
         if not line.endswith(b"\n") and path == self.path:
-            os.write(self._open[0], b"\n")
+            os.write(self._file, b"\n")
 
 
 def _is_item(record: Any) -> bool:
     """Return whether a line has the fields that the next run needs."""
     if not isinstance(record, dict) or not all(isinstance(record.get(key), str) for key in ("item", "status", "job")):
         return False
-    if record["status"] != "done":
-        return True
-    parts = [record.get(key) for key in ("inputs", "outputs")]
-    held = [fact for part in parts if isinstance(part, dict) for fact in part.values()]
-    return all(isinstance(part, dict) for part in parts) and all(
-        isinstance(fact, dict) and isinstance(fact.get("stamp"), list) and isinstance(fact.get("sha256"), str)
-        for fact in held
-    )
+    parts = [record.get(key) for key in ("inputs", "outputs")] if record["status"] == "done" else []
+    return all(isinstance(part, dict) and all(map(_is_facts, part.values())) for part in parts)
+
+
+def _is_facts(value: Any) -> bool:
+    return isinstance(value, dict) and isinstance(value.get("stamp"), list) and isinstance(value.get("sha256"), str)
 
 
 @dataclass(frozen=True)
 class Known:
-    """What the manifest knows of an item that is to be done again.
+    """The manifest's knowledge of an unfinished item.
 
     Attributes:
         inputs, outputs: the facts of its files, if the outputs are there and only the inputs may have changed.
@@ -188,7 +184,7 @@ class Plan:
     """The work of a run.
 
     Attributes:
-        todo: items in order, with what is known of them; the first `suspects` of them ended a run before.
+        todo: unfinished items in order, with the manifest's knowledge; the first `suspects` items ended a run before.
         failed: items that ended too many runs.
         failures: reasons of the items that failed at the time `since` or later, and are not tried again.
         jobs: hash of the options of each item.
@@ -217,9 +213,9 @@ def make_plan(
     """Choose the items to do.
 
     Args:
-        items: all of them.
+        items: all items.
         manifest: of their folder.
-        options: JSON values: those of all items by "all", those of one command by its name.
+        options: JSON values of options: by "all" for all items, by a command's name for the items of this command.
         overwrite: whether to do all items again, but for those done at the time `since` or later.
         check: whether to read all files of items that are done; otherwise sizes and times of change decide.
         since: the beginning of this batch, a time as the manifest writes it; by default in the far future.
@@ -228,15 +224,17 @@ def make_plan(
     for item in items:
         job = plan.jobs[item.name] = _job(item, options)
         last = manifest.last(item.name)
-        known: Known | None = None
-        if last is not None and last["status"] == "failed" and str(last.get("at", "")) >= since:
+        is_new = last is not None and str(last.get("at", "")) >= since
+        if last is not None and is_new and last["status"] == "failed":
             plan.failures.append(f"{item.input}: {last.get('reason')}")
             continue
-        if last is None or overwrite and str(last.get("at", "")) < since:
-            known = None if last is None and not overwrite else Known(is_other=True)
-        elif last["status"] != "done" or last["job"] != job or not _are_there(last["outputs"], manifest.folder, check):
+        if last is None or overwrite and not is_new:
+            known = Known(is_other=True) if overwrite else None
+        elif last["status"] != "done" or last["job"] != job:
             known = Known(is_other=last["job"] != job)
-        elif check or not _seem_unchanged(last["inputs"]):
+        elif not all(_is_there(manifest.folder / name, held, False, check) for name, held in last["outputs"].items()):
+            known = Known()
+        elif check or not all(_is_there(path, held) for path, held in last["inputs"].items()):
             known = Known(last["inputs"], last["outputs"])
         else:
             plan.kept += 1
@@ -259,22 +257,12 @@ def _job(item: Item, options: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()
 
 
-def _are_there(outputs: Record, folder: Path, check: bool) -> bool:
-    """Return whether the outputs have the sizes, and with `check` the contents, of their record."""
+def _is_there(path: str | Path, held: Record, has_time: bool = True, check: bool = False) -> bool:
+    """Return whether a file is there with the size, the time (`has_time`) and the contents (`check`) of its record."""
     try:
-        for name, held in outputs.items():
-            sizes = [part for number, part in enumerate(stamp(folder / name)) if number != 1]  # without the time
-            if sizes != [part for number, part in enumerate(held["stamp"]) if number != 1]:
-                return False
-            if check and facts(folder / name)["sha256"] != held["sha256"]:
-                return False
-    except InputError:
-        return False
-    return True
-
-
-def _seem_unchanged(inputs: Record) -> bool:
-    try:
-        return all(stamp(path) == held["stamp"] for path, held in inputs.items())
+        found, before = stamp(path), held["stamp"]
+        if not has_time:
+            found, before = (part[:1] + part[2:] for part in (found, before))
+        return found == before and (not check or facts(path)["sha256"] == held["sha256"])
     except InputError:
         return False

@@ -1,4 +1,4 @@
-"""The processes of a batch on one machine: where they work, and their start anew when they die."""
+"""The processes of a batch on one machine: their resources, and their restart when they die."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, report_error
 from lightfield_gs.base.device import choose_device, cores
@@ -26,7 +26,7 @@ _MOST_WRITERS, _MOST_READERS = 32, 8
 # each, an H100 makes no more images. For a photo at 7680 x 3840 each takes 1.5 GB of the GPU.
 _CORES_BESIDE_A_GPU, _MOST_ON_A_GPU = 4, 4
 _GPU_BYTES_A_PROCESS = 2 << 30
-_PATIENCE_S = 5.0  # for a process to note what it had on its way
+_PATIENCE_S = 5.0  # for a process to note the items in progress
 
 Shard = tuple[int, int]  # number, counted from 1, and how many there are
 
@@ -39,30 +39,28 @@ def choose_workers(
     Args:
         devices: "cpu", or GPUs such as "cuda:0,cuda:1"; None: all GPUs, or the CPU without one.
         processes: their number; None: one to four a GPU by its memory and cores, or one for every four cores.
-        threads: that draw in each process on the CPU; None: one a core of its fraction.
+        threads: threads that draw in each process on the CPU; None: one for each of its cores.
         have_gpus: whether a process needs a GPU for itself, as a fit does.
 
     Raises:
         InputError: a device is not there.
     """
-    gpus, own = _gpus(devices), len(cores())
+    gpus, own = _list_gpus(devices), len(cores())
     if not gpus:
         count = processes or max(1, own // _CORES_A_PROCESS)
         each = threads or max(1, own // count)
         return [Worker(f"cpu:{n}", "cpu", None, each, 1, max(1, each // 2)) for n in range(count)]
     count = processes or len(gpus) * processes_per_gpu(own // len(gpus), have_gpus, _least_memory(gpus))
     each = max(1, own // count)
-    return [
-        Worker(
-            f"cuda:{gpus[n % len(gpus)]}" + (f" process {n // len(gpus)}" if count > len(gpus) else ""),
-            "cuda",
-            _visible_name(gpus[n % len(gpus)]),
-            threads or each,
-            min(_MOST_READERS, max(2, each // 2)),
-            min(_MOST_WRITERS, max(2, each)),
-        )
-        for n in range(count)
-    ]
+    readers, writers = min(_MOST_READERS, max(2, each // 2)), min(_MOST_WRITERS, max(2, each))
+    seen = [word.strip() for word in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if word.strip()]
+    workers = []
+    for n in range(count):
+        gpu = gpus[n % len(gpus)]
+        name = f"cuda:{gpu}" + (f" process {n // len(gpus)}" if count > len(gpus) else "")
+        visible = seen[gpu] if gpu < len(seen) else str(gpu)
+        workers.append(Worker(name, "cuda", visible, threads or each, readers, writers))
+    return workers
 
 
 def processes_per_gpu(cores: int, have_gpus: bool, memory_bytes: int) -> int:
@@ -71,7 +69,7 @@ def processes_per_gpu(cores: int, have_gpus: bool, memory_bytes: int) -> int:
     return 1 if have_gpus else max(1, fitting)
 
 
-def _gpus(devices: str | None) -> list[int]:
+def _list_gpus(devices: str | None) -> list[int]:
     """Return the numbers of the GPUs among those that are visible; [] for the CPU. Raises InputError."""
     if devices == "cpu" or devices is None and choose_device("auto") == "cpu":
         return []
@@ -79,14 +77,12 @@ def _gpus(devices: str | None) -> list[int]:
 
     if devices is None:
         return list(range(torch.cuda.device_count()))
-    numbers = [re.fullmatch(r"cuda:(\d{1,3})", word) for word in devices.split(",")]
-    if not all(numbers):
-        raise InputError(f"--devices: expected cpu, or GPUs such as cuda:0,cuda:1, got {devices!r}")
+    if not re.fullmatch(r"cuda:\d{1,3}(,cuda:\d{1,3})*", devices):
+        raise InputError(f"devices=: expected cpu, or GPUs such as cuda:0,cuda:1, got {devices!r}")
     choose_device("cuda")
-    found = [int(number[1]) for number in numbers if number is not None]
-    count = torch.cuda.device_count()
+    found, count = [int(word[5:]) for word in devices.split(",")], torch.cuda.device_count()
     if max(found) >= count or len(set(found)) < len(found):
-        raise InputError(f"--devices: expected different ones of cuda:0 to cuda:{count - 1}, got {devices}")
+        raise InputError(f"devices=: expected different ones of cuda:0 to cuda:{count - 1}, got {devices}")
     return found
 
 
@@ -96,61 +92,52 @@ def _least_memory(gpus: list[int]) -> int:
     return min(torch.cuda.get_device_properties(gpu).total_memory for gpu in gpus)
 
 
-def _visible_name(gpu: int) -> str:
-    """Return CUDA_VISIBLE_DEVICES for a process that sees one of the visible GPUs alone."""
-    seen = [word.strip() for word in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if word.strip()]
-    return seen[gpu] if gpu < len(seen) else str(gpu)
-
-
 def run_shards(call: Callable[[Any, Shard, Worker], int], options: Any, workers: list[Worker], folder: Path) -> int:
     """Run `call(options, shard, worker)` in a process for each worker, and return the highest exit code.
 
-    A process that dies is started anew as long as the manifests in `folder` grow: it begins with the items that it had
-    on their way, one at a time, and leaves out those that killed it twice.
+    A process that dies is restarted as long as the manifests in `folder` grow. It begins with its unfinished items, one
+    at a time, and leaves out items that killed it twice.
     """
     context = multiprocessing.get_context("spawn")  # a fork would share a device that is in use
-    running: dict[int, tuple[SpawnProcess, int]] = {}
+    running: dict[Any, tuple[SpawnProcess, int, int]] = {}  # process, number, bytes of the manifests when it began
     codes = [0]
 
-    def begin(number: int) -> None:
-        shard = number + 1, len(workers)
-        process = context.Process(target=_run, args=(call, options, shard, workers[number]), name=workers[number].name)
-        with _environment("CUDA_VISIBLE_DEVICES", workers[number].visible):
-            process.start()
-        running[process.sentinel] = process, number
+    def start(number: int, size: int) -> None:
+        arguments = call, options, (number + 1, len(workers)), workers[number]
+        process = context.Process(target=_run_shard, args=arguments, name=workers[number].name)
+        process.start()
+        running[process.sentinel] = process, number, size
 
-    def size() -> int:
-        return sum(path.stat().st_size for path in folder.glob("batch*.jsonl"))
-
-    sizes: dict[int, int] = {}
     try:
         for number in range(len(workers)):
-            begin(number)
+            start(number, -1)
         while running:
             for sentinel in wait(list(running)):
-                process, number = running.pop(int(str(sentinel)))
+                process, number, before = running.pop(sentinel)
                 process.join()
-                code = process.exitcode or 0
-                if (code < 0 or code == EXIT_BROKEN) and sizes.get(number) != (now := size()):
-                    sizes[number] = now
-                    begin(number)
+                code, size = process.exitcode or 0, sum(path.stat().st_size for path in folder.glob("batch*.jsonl"))
+                if (code < 0 or code == EXIT_BROKEN) and size != before:
+                    start(number, size)
                 else:
                     codes.append(code if code >= 0 else 128 - code)
     finally:
-        for process, _ in running.values():
+        for process, _, _ in running.values():
             process.terminate()
-        for process, _ in running.values():
+        for process, _, _ in running.values():
             process.join(_PATIENCE_S)
             process.kill()
             process.join()
     return max(codes)
 
 
-def _run(call: Callable[[Any, Shard, Worker], int], options: Any, shard: Shard, worker: Worker) -> None:
-    """Be a process of a batch: it ends with its parent."""
+def _run_shard(call: Callable[[Any, Shard, Worker], int], options: Any, shard: Shard, worker: Worker) -> None:
+    """Run a shard as the process for it, which ends with its parent."""
+    if worker.visible is not None:
+        os.environ["CUDA_VISIBLE_DEVICES"] = worker.visible  # in time: nothing has asked for a GPU in this process
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process
-    signal.signal(signal.SIGTERM, _stop)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    parent = multiprocessing.parent_process()
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     try:
         sys.exit(call(options, shard, worker))
     except (InputError, OSError) as error:
@@ -159,27 +146,6 @@ def _run(call: Callable[[Any, Shard, Worker], int], options: Any, shard: Shard, 
         os._exit(EXIT_INTERRUPTED)  # without waiting for threads that are at work
 
 
-def _stop(number: int, frame: object) -> NoReturn:
-    raise KeyboardInterrupt
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    wait([parent.sentinel])
+def _end_with(parent: BaseProcess) -> None:
+    parent.join()
     os._exit(1)
-
-
-@contextmanager
-def _environment(name: str, value: str | None) -> Iterator[None]:
-    """Set an environment variable for the processes that start meanwhile; None leaves it."""
-    before = os.environ.get(name)
-    if value is not None:
-        os.environ[name] = value
-    try:
-        yield
-    finally:
-        if before is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = before

@@ -16,10 +16,10 @@ BENCHMARKS = {
     "training-step": "forward and backward of the rasterizer in a training step",
     "photo": "a photo through the network to the image",
     "pareto": "run time against error over the settings of quality",
-    "skips": "what each skip of what a scene does not need saves",
+    "skips": "the time that each skip of unneeded work saves",
     "video": "frames a second of a turntable, with and without writing them",
     "dense": "forward and backward of one camera before many Gaussians",
-    "eyes": "what eyes across the cone see, with and without --view-filter",
+    "eyes": "the error of eyes across the cone, with and without --view-filter",
     "fit": "fits to the photographs of a capture, beside gsplat's",
 }
 _IN_PACKAGE = {DEFAULT, "photo", "pareto", "skips", "dense"}

@@ -71,15 +71,15 @@ class Step:
 
 
 def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussians:
-    """`count` Gaussians of SH degree 3 before a camera at the origin that looks along +z, float32.
+    """Return `count` Gaussians of SH degree 3 before a camera at the origin that looks along +z, float32.
 
-    Depths are log-uniform in 2..10, places on the image uniform over 1.2 times its width and height. Standard
-    deviations are log-normal (0.6) in each of three axes of any rotation, with a median on the image of 1.2 px for a
-    million Gaussians before 1600 x 1066 px, more for fewer so that they cover as much. Opacities are the sigmoid of
+    Depths are log-uniform in 2..10, positions on the image uniform over 1.2 times its width and height. Standard
+    deviations are log-normal (0.6) along each of three axes, rotations random. Their median on the image is 1.2 px for
+    a million Gaussians at 1600 x 1066 px. Fewer Gaussians are larger, and cover as much. Opacities are the sigmoid of
     normal numbers times 2, at least 0.01.
     """
     random = np.random.default_rng(seed)
-    # The draws follow each other in this order, and none may be left out: it is part of what the scene is.
+    # The scene depends on the order of the random draws: none may be left out.
     depth = 2 * 5 ** random.random(count)
     x, y = ((1.2 * random.random(count) - 0.1) * side for side in (width_px, height_px))
     focal = _FOCAL_WIDTHS * width_px
@@ -180,7 +180,7 @@ def _peak_bytes(step: Step, cuda: bool) -> int | None:
     step.both()
     if not cuda:
         return None
-    step.both()  # what is made only once has been made
+    step.both()  # caches are filled
     step.release()
     gc.collect()
     torch.cuda.synchronize()
@@ -192,7 +192,10 @@ def _peak_bytes(step: Step, cuda: bool) -> int | None:
 
 
 def _differences(ours: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str, float]:
-    """Norms of the differences of image and gradients in terms of those of ours, and the largest of the image."""
+    """Return the relative norms of the differences from ours, of image and gradients.
+
+    Return also the largest difference of the image.
+    """
     found = {name: float((ours[name] - theirs[name]).norm() / ours[name].norm()) for name in ours}
     return {**found, "image_largest": float((ours["image"] - theirs["image"]).abs().max())}
 
@@ -249,13 +252,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--gaussians",
         type=whole_numbers(1, 100_000_000),
         metavar="N",
-        help=f"how many, several with commas (default: {_listed(COUNTS['cuda'])}, on the CPU {_listed(COUNTS['cpu'])})",
+        help=f"number of Gaussians, several with commas (default: {_listed(COUNTS['cuda'])}, on the CPU "
+        f"{_listed(COUNTS['cpu'])})",
     )
     parser.add_argument(
         "--size",
         type=whole_numbers(16, 16_384, "x", 2),
         metavar="WxH",
-        help=f"of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
+        help=f"size of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
         f"{_listed(SIZES_PX['cpu'], 'x')})",
     )
     options.add_repeats(parser)

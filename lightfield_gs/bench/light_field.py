@@ -1,7 +1,7 @@
-"""How long a light-field image takes, where the time goes, and how right it is.
+"""Measure the time of a light-field image, of its stages, and its error.
 
-A row for every scene, cone and method. Times are those of `encode` to 8 bits, from Gaussians in memory to the image in
-memory; errors are those of the very image that was timed, against the float64 oracle rounded to 8 bits likewise.
+A row for every scene, cone and method. `encode` to 8 bits is timed from Gaussians in memory to the image in memory. The
+error compares the timed image with the float64 oracle, also rounded to 8 bits.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def cost_line(c: dict[str, Any]) -> str:
 
 
 def harmonics_cost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """How many times as long each row took as that of the same scene, cone and method with the least SH degree."""
+    """Return each row's time relative to the same scene, cone and method with the least SH degree."""
     least: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
         key = (row["scene"], row["cone"], row["method"])
@@ -297,7 +297,7 @@ def measure(
 
 
 def _measure_on_cpu(draw: Callable[..., Tensor], repeats: int | None) -> Measurement:
-    """Here counting costs nothing: the counters are those of the run of median time."""
+    """Here counting costs nothing: the counters come from the run of median time."""
     collected: list[dict[str, Any]] = []
 
     def counted() -> Tensor:
@@ -339,14 +339,14 @@ def add_arguments(
         "--memory-budget",
         type=byte_size,
         metavar="SIZE",
-        help="of the method sorted, for example 256MB, as `encode` takes it",
+        help="work memory of the method sorted, for example 256MB, as in `encode`",
     )
     parser.add_argument(
         "--oracle-samples",
         type=int,
         metavar="N",
-        help=f"random sub-pixels that the oracle judges the image by (default: {ORACLE_SAMPLES}; near 80 dB one in "
-        "1,500 is off by 1/255, so that these leave an uncertainty of 1 dB)",
+        help=f"number of random sub-pixels that the oracle checks (default: {ORACLE_SAMPLES}). Near 80 dB one in "
+        "1,500 is off by 1/255, so the default has an uncertainty of 1 dB",
     )
     options.add_repeats(parser)
     options.add_machine(parser)

@@ -1,4 +1,4 @@
-"""The options that several benchmarks take, and what they say."""
+"""The options that several benchmarks take, and their help."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def add_machine(parser: argparse.ArgumentParser, several_threads: bool = False) 
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     more = "; several with commas" if several_threads else ""
     parser.add_argument("--threads", help=f"threads (default: all cores){more}")
-    parser.add_argument("--json", type=Path, help="where to write the rows, and what machine they are from")
+    parser.add_argument("--json", type=Path, help="file for the rows and a description of the machine")
 
 
 def add_repeats(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--repeats",
         type=int,
-        help="runs of each, fewer of those beyond a minute (default: 5, and 20 of what takes less than 50 ms on CUDA)",
+        help="number of runs of each row, fewer beyond a minute (default: 5, or 20 for less than 50 ms on CUDA)",
     )
 
 
@@ -35,7 +35,8 @@ def add_panel(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--panel",
         default=DEFAULT_PANEL,
-        help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of published figures",
+        help="name, YAML or visual.json (default: %(default)s); bench-8k-96v and bench-4k-71v are the panels of "
+        "published figures",
     )
     add_device_serial(parser.add_argument)
 
@@ -84,7 +85,7 @@ def _cone(text: str) -> float:
 
 
 def add_sh_degree(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
+    parser.add_argument("--sh-degree", help="degree 0..3 of synthetic scenes, several with commas (default: 0)")
 
 
 def sh_degrees(text: str | None) -> list[int | None]:
@@ -97,7 +98,7 @@ def sh_degrees(text: str | None) -> list[int | None]:
 
 
 def add_photo(parser: argparse.ArgumentParser, usual: Path) -> None:
-    parser.add_argument("--photo", help=f"files, several with commas (default: the one inside, {usual.name})")
+    parser.add_argument("--photo", help=f"files, several with commas (default: the photo in the package, {usual.name})")
 
 
 def check_photos(photos: Sequence[str]) -> None:

@@ -1,7 +1,7 @@
-"""How long a photo takes to the image of a panel: from decoded bytes in memory to the 8-bit image in memory.
+"""Measure the time from a photo's decoded bytes in memory to the panel's 8-bit image in memory.
 
-The total is that of PhotoEncoder, nothing waiting between its stages on CUDA but for the rig; the stages are timed in
-runs of their own, in which they wait for each other. Decoding of the file is beside the total.
+The total is the time of PhotoEncoder, whose stages on CUDA wait only for the rig. The stages are timed in runs of their
+own, in which they wait for each other. The total does not include the decoding of the file.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ STAGES = ("crop", "network", "framing", "encode")
 
 
 def network(name: str | None) -> SplatterNet:
-    """The network of a checkpoint (.safetensors; None: the one inside), or an untrained one of a configuration.
+    """Return the network of a checkpoint, or an untrained network by a configuration.
+
+    A checkpoint is a .safetensors; None: the package's own.
 
     An untrained one takes as long and shows the photo as a flat card. Raises InputError.
     """
@@ -156,8 +158,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_photo(parser, EXAMPLE)
     parser.add_argument(
         "--model",
-        help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml (default: the "
-        "checkpoint inside)",
+        help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml "
+        "(default: the checkpoint in the package)",
     )
     add_detail(parser.add_argument)
     options.add_panel(parser)

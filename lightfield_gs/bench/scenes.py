@@ -1,8 +1,8 @@
 """Synthetic scenes and cones for benchmarks: the same Gaussians, bit for bit, wherever they are made.
 
 `sheet:S` is what a single-image network draws: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
-`cloud:N` is its opposite: N Gaussians of any rotation, log-normal in size, on three nested shells, overlapping deeply.
-The centre camera stands at the origin and looks along +z; the zero plane is at depth 2, the focal length the panel's
+`cloud:N` is the opposite: N Gaussians of random rotation and log-normal size on three nested shells, with much overlap.
+The centre camera stands at the origin and looks along +z. The zero plane is at depth 2; the focal length is the panel's
 width in pixels.
 """
 
@@ -16,9 +16,9 @@ from typing import cast
 import numpy as np
 import torch
 
+from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
@@ -40,7 +40,7 @@ def sheet(side: int, seed: int = 0) -> Gaussians:
     across = (index % side + 0.5) / side - 0.5
     down = (index // side + 0.5) / side - 0.5
 
-    # The draws follow each other in this order, and none may be left out: it is part of what the scene is.
+    # The scene depends on the order of the random draws: none may be left out.
     depth = 2 + 0.28 * np.sin(9 * across) * np.cos(7 * down) + 0.1 * (random.random(count) - 0.5)
     means = np.stack([across * depth, 0.5 * down * depth, depth], axis=1)
     means[:, :2] += 0.002 * (random.random((count, 2)) - 0.5)
@@ -75,7 +75,10 @@ _MAKERS = {"sheet": sheet, "cloud": cloud}
 
 
 def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
-    """A scene of SH degree 0 with random coefficients up to `degree` (1..3) added; those of a lower one begin alike."""
+    """Return a scene of SH degree 0 with random coefficients up to `degree` (1..3).
+
+    The first coefficients are the same for each degree.
+    """
     random = np.random.default_rng(_HARMONIC_SEED)
     bands = [
         random.normal(0, _HARMONIC_DEVIATIONS[band - 1], (gaussians.count, 2 * band + 1, 3))
@@ -118,10 +121,10 @@ def load_scene(name: str, sh_degree: int | None = None) -> Gaussians:
 
 
 def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> float:
-    """The full angle of a cone: the number itself, None (the panel's), or a named one.
+    """Return the full angle of a cone in degrees: `cone` may be a number, a name, or None for the panel's.
 
-    "wide" is 53 degrees. "narrow" is the cone whose outermost views (x = 0 and N) see a point at 4/5 of the zero
-    plane's depth 40 px apart: with the offsets +-Z0 tan(cone/2) of the rig, fx 2 Z0 tan(cone/2) (5/4 - 1)/Z0 = 40 px.
+    "wide" is 53 degrees. In the cone "narrow" the outermost views (x = 0 and N) see a point at 4/5 of the zero plane's
+    depth 40 px apart. The offsets of the rig are +-Z0 tan(cone/2), so fx 2 Z0 tan(cone/2) (5/4 - 1)/Z0 = 40 px.
     """
     if cone == "narrow":
         return 2 * math.degrees(math.atan(2 * NARROW_PX / focal_px))
@@ -131,7 +134,7 @@ def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> flo
 
 
 def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
-    """The rig of a scene: that of the synthetic ones, or automatic framing of a .ply file; its cone always stated."""
+    """Return the rig of a scene: the rig of synthetic scenes, or automatic framing of a .ply file. Its cone is set."""
     if Path(scene).suffix.lower() == ".ply":
         rig = Rig.frame(gaussians, panel)
         return replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))

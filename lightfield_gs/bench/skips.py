@@ -1,7 +1,7 @@
-"""What skipping saves: the time of a light-field image with and without each skip, by turns, and what it counts.
+"""Measure the time that each skip saves: a light-field image with and without the skip, by turns, and its counts.
 
-Where a skip has no switch, the image without it is one that cannot use it, and is otherwise as alike as can be; the
-row's note says what was changed. Where there is none such, the row has no time, and says why.
+A skip without a switch is compared with an image that cannot use it and is otherwise as similar as possible. The row's
+note names the difference. If there is no such image, the row has no time, and says why.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.arrays import background_tensor
 from lightfield_gs.bench import options
 from lightfield_gs.bench.pareto import Subject, drawing, scene_subjects
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
@@ -23,12 +24,10 @@ from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import draw_direct, encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
-from lightfield_gs.panels.lens import lenticular_camera
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 SCENES = ("cloud:65536",)
@@ -41,7 +40,7 @@ Draw = Callable[[], Tensor]
 
 @dataclass(frozen=True)
 class Skip:
-    """A skip: how much it skips, how to draw with and without it, and what the latter stands for."""
+    """A skip: its amount, how to draw with and without it, and a description of the image without it."""
 
     name: str
     counted: str
@@ -82,7 +81,7 @@ def _rows(subject: Subject, repeats: int | None) -> list[dict[str, Any]]:
         if skip.with_it is not None and skip.without is not None:
             calls = [skip.with_it, skip.without, skip.without, skip.with_it]  # each comes first once
             for call in calls:
-                call()  # makes buffers, captures, and what is kept from frame to frame
+                call()  # fills buffers, captures and caches between frames
             first, second, third, fourth = zip(*timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)[1])
             row |= {"ms_with": min(*first, *fourth), "ms_without": min(*second, *third)}
         found.append(row)
@@ -217,7 +216,7 @@ def _colour_orders(subject: Subject) -> Skip:
 
 
 def _colours(subject: Subject, quality: Quality) -> Draw:
-    """Draws with polynomials up to one order, and exactly where their error is beyond what the quality allows."""
+    """Draw with polynomials up to one order, and exactly where their error exceeds the quality's limit."""
     background = background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
     job = DirectRender(subject.gaussians.fields().values(), background, lenticular_camera(subject.panel, subject.rig))
     if subject.gaussians.means.is_cuda:

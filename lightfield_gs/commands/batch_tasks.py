@@ -3,79 +3,113 @@
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import torch
 
 from lightfield_gs.app.encoding import Encoding, use_threads
-from lightfield_gs.app.options import AUTO, EncodeOptions
-from lightfield_gs.base.cli_messages import as_options
-from lightfield_gs.base.cuda import HostCopies
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.batch.items import Item
-from lightfield_gs.batch.manifest import Known, facts
-from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record
-from lightfield_gs.batch.run import Worker
+from lightfield_gs.app.options import AUTO, EncodeOptions, PanelOptions
+from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.video import VideoOptions, video_target
+from lightfield_gs.base.cli_messages import Stopwatch, as_options
+from lightfield_gs.base.device import HostCopies
+from lightfield_gs.base.errors import named
+from lightfield_gs.batch.items import Item, split
+from lightfield_gs.batch.manifest import Known, Record, facts
+from lightfield_gs.batch.run import DRAWN_AHEAD, Task, Worker, now
+from lightfield_gs.batch.shards import Shard
+from lightfield_gs.commands.fit import fit_scene
+from lightfield_gs.commands.options.fit import FitOptions
 from lightfield_gs.commands.options.parser import Parser, join_values, read_options
+from lightfield_gs.commands.video import make_frames
+from lightfield_gs.fitting.cone import rig_path
 from lightfield_gs.io.atomic import make_folder
-
-if TYPE_CHECKING:
-    from lightfield_gs.app.video import VideoOptions
-    from lightfield_gs.commands.options.fit import FitOptions
 
 
 @dataclass(frozen=True)
-class Setup:
-    """The options that all items have in common.
+class BatchOptions:
+    """Many inputs that become images or videos.
 
     Attributes:
-        folder: of the batch, absolute.
-        given: options of `encode` other than the defaults, by their names in its arguments.
-        fit_words: options of `fit`.
-        video_words: options of `video`.
+        input: folder or list of the inputs.
+        output: folder of the batch.
+        given: options of `encode` other than the defaults, by name.
+        panel: the panel of all images.
+        fit_options, video_options: options of `fit` and `video`, as words of a command line.
+        format: suffix of images, without the dot.
+        processes, devices, threads: see `choose_workers`.
+        shard: number of this process, and how many there are. None: all items.
+        overwrite, check: see `make_plan`.
+        since: beginning of this batch, as the manifest writes it.
     """
 
-    folder: Path
+    input: Path
+    output: Path
     given: dict[str, Any]
-    fit_words: tuple[str, ...] = ()
-    video_words: tuple[str, ...] = ()
+    panel: PanelOptions
+    fit_options: tuple[str, ...] = ()
+    video_options: tuple[str, ...] = ()
+    format: str = "png"
+    processes: int | None = None
+    devices: str | None = None
+    threads: int | None = None
+    shard: Shard | None = None
+    overwrite: bool = False
+    check: bool = False
+    since: str = field(default_factory=now)
 
 
-def load(setup: Setup, worker: Worker) -> Callable[[tuple[Item, Known | None]], Any]:
+def read_batch_options(args: argparse.Namespace) -> BatchOptions:
+    """Return the parsed arguments of `batch` as options. Raises InputError."""
+    usual = vars(_parse("encode", ["-o", "-", "--", "-"], {})).items()
+    taken, own = vars(args).copy(), ("input", "output", "threads")
+    taken["given"] = {name: taken[name] for name, value in usual if name not in own and taken.get(name, value) != value}
+    for name in ("fit_options", "video_options"):
+        with named(f"--{name.replace('_', '-')}"):
+            taken[name] = split(taken[name])
+    return read_options(BatchOptions, argparse.Namespace(**taken))
+
+
+def load(options: BatchOptions, worker: Worker) -> Callable[[tuple[Item, Known | None]], Task]:
     """Load what all items need, and return the function that makes the task of an item."""
-    import torch
-
     use_threads(worker.threads)
     if worker.device == "cuda":
         torch.zeros(1, device="cuda")  # loads what takes seconds
     copies = HostCopies(worker.writers + DRAWN_AHEAD) if worker.device == "cuda" else None
     kinds = {"encode": EncodeTask, "fit": FitTask, "video": VideoTask}
-    return lambda pair: kinds[pair[0].command](pair[0], pair[1], setup, worker, copies)
+    return lambda pair: kinds[pair[0].command](*pair, options, worker, copies)
 
 
+@dataclass
 class EncodeTask:
     """Encodes a photo or a scene.
 
-    Args:
+    Attributes:
         item: the photo or scene.
         known: what the manifest knows of it.
-        setup: the options of all items.
+        batch: the options of all items.
         worker: where the process works.
         copies: as Encoding takes them.
+        inputs, outputs: facts of files, by their names.
+        status: of the item in the manifest.
     """
 
-    def __init__(
-        self, item: Item, known: Known | None, setup: Setup, worker: Worker, copies: HostCopies | None = None
-    ) -> None:
-        self.item, self.known, self.setup, self.worker, self.copies = item, known, setup, worker, copies
-        self.output = setup.folder / item.name
-        self.inputs: Record = {}
-        self.outputs: Record = {}
-        self.status = "done"
+    item: Item
+    known: Known | None
+    batch: BatchOptions
+    worker: Worker
+    copies: HostCopies | None = None
+    inputs: Record = field(default_factory=dict)
+    outputs: Record = field(default_factory=dict)
+    status: str = "done"
+    encoding: Encoding | None = None
 
     def read(self) -> bool:
         """Read the input, unless it is unchanged since the item was done."""
@@ -87,53 +121,69 @@ class EncodeTask:
 
     def begin(self) -> None:
         """Do the host's part before drawing."""
-        self.encoding = Encoding(self.encode_options(self.item.input), Stopwatch(0.0), self.copies)
-        self.encoding.read()
+        self._read_scene(self.encode_options(self.item.input))
 
     def draw(self) -> None:
         """Draw the image."""
+        assert self.encoding is not None
         self.encoding.draw()
 
     def write(self) -> None:
         """Write the image, and note its hash."""
+        assert self.encoding is not None
         self.encoding.write()
         self.note_outputs(*self.encoding.options.outputs())
 
     def record(self) -> Record:
         """Return status, inputs and outputs, as far as they are known."""
-        said = getattr(getattr(self, "encoding", None), "messages", [])
-        return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": [*map(as_options, said)]}
+        said = [] if self.encoding is None else [*map(as_options, self.encoding.messages)]
+        return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": said}
 
     def files(self) -> list[Path | str | None]:
         """Return the files and folders that the item reads, its input first."""
         return list(self.encode_options(self.item.input).inputs())
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the batch, absolute."""
+        return Path(os.path.abspath(self.batch.output))
+
+    @property
+    def output(self) -> Path:
+        """The image or video."""
+        return self.folder / self.item.name
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether an unfinished output of an earlier run belongs to other options or inputs."""
+        return self.known is not None and (self.known.is_other or bool(self.known.inputs))
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The options of all items and of the process."""
+        return self.batch.given | {"device": self.worker.device, "threads": self.worker.threads}
+
     def encode_options(self, source: str | Path) -> EncodeOptions:
         """Return the options of `encode` for the file that becomes the image."""
         words = [*self.item.words, "-o", str(self.output), "--", str(source)]
-        return read_options(EncodeOptions, _parsed("encode", words, self._given()))
+        return read_options(EncodeOptions, _parse("encode", words, self.given))
 
     def note_outputs(self, *paths: Path | None) -> None:
         """Note the hashes of outputs."""
         for path in paths:
             if path is not None and path.exists():
-                name = path.relative_to(self.setup.folder) if path.is_relative_to(self.setup.folder) else path
+                name = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
                 self.outputs[name.as_posix()] = facts(path)
 
-    @property
-    def is_fresh(self) -> bool:
-        """Whether an unfinished output of an earlier run belongs to other options or inputs."""
-        known = self.known
-        return known is not None and (known.is_other or bool(known.inputs))
-
-    def _given(self) -> dict[str, Any]:
-        return self.setup.given | {"device": self.worker.device, "threads": self.worker.threads}
+    def _read_scene(self, options: EncodeOptions) -> None:
+        self.encoding = Encoding(options, Stopwatch(0.0), self.copies)
+        self.encoding.read()
 
     def _is_kept(self) -> bool:
         """Note the hashes of the inputs; return whether the outputs were made of the same."""
-        named = [path for path in self.files() if path not in (None, AUTO)]
-        source = named[0]  # the input; of the others their readers say better what is wrong with them
-        self.inputs = {str(path): facts(str(path)) for path in named if path == source or Path(str(path)).exists()}
+        files = [path for path in self.files() if path not in (None, AUTO)]
+        source = files[0]  # the input; of the others their readers say better what is wrong with them
+        self.inputs = {str(path): facts(str(path)) for path in files if path == source or Path(str(path)).exists()}
         if self.known is None or not self.known.outputs:
             return False
         now, before = ([held["sha256"] for held in each.values()] for each in (self.inputs, self.known.inputs))
@@ -146,69 +196,61 @@ class EncodeTask:
 class FitTask(EncodeTask):
     """Fits a capture, which gives the scene NAME.ply, and encodes that."""
 
+    @property
+    def scene(self) -> Path:
+        """The scene."""
+        return self.output.with_suffix(".ply")
+
+    @cached_property
+    def fit_options(self) -> FitOptions:
+        """The options of `fit`."""
+        words = [*self.batch.fit_options, *self.item.fit_words, "-o", str(self.scene), "--", self.item.input]
+        options = read_options(FitOptions, _parse("fit", words, {"device": self.worker.device}))
+        return replace(options, report=replace(options.report, fresh=options.report.fresh or self.is_fresh))
+
     def begin(self) -> None:
-        """Check the options before the photographs are read."""
-        self.scene = self.output.with_suffix(".ply")
-        self.fit_options = self._fit_options()
+        """Leave all to `draw`; the options were checked with the files."""
 
     def draw(self) -> None:
         """Fit the scene, from where an earlier run stopped, and draw it."""
-        from lightfield_gs.commands import fit
-        from lightfield_gs.fitting.cone import rig_path
-
-        fit.fit_scene(self.fit_options)
+        fit_scene(self.fit_options)
         options = self.encode_options(self.scene)
         camera = options.camera
         if camera.rig is None and camera.camera is None and rig_path(self.scene).exists():
             options = replace(options, camera=replace(camera, rig=rig_path(self.scene)))
-        self.encoding = Encoding(options, Stopwatch(0.0), self.copies)
-        self.encoding.read()
-        self.encoding.draw()
+        self._read_scene(options)
+        super().draw()
 
     def write(self) -> None:
         """Write the image, and note the hashes of image and scene."""
-        from lightfield_gs.fitting.cone import rig_path
-
         super().write()
         self.note_outputs(self.scene, rig_path(self.scene))
 
     def files(self) -> list[Path | str | None]:
         """Return the folder of the capture, and the other files that the item reads."""
-        source, capture = Path(self.item.input), self._fit_options().capture
+        source, capture = Path(self.item.input), self.fit_options.capture
+        folder = source if source.is_dir() else source.parent
         more = self.encode_options(source).inputs()[1:]
-        return [
-            source if source.is_dir() else source.parent,
-            capture.images,
-            capture.mask_folder,
-            capture.test_list,
-            *more,
-        ]
-
-    def _fit_options(self) -> FitOptions:
-        from lightfield_gs.commands.options.fit import FitOptions
-
-        scene = str(self.output.with_suffix(".ply"))
-        words = [*self.setup.fit_words, *self.item.fit_words, "-o", scene, "--", self.item.input]
-        options = read_options(FitOptions, _parsed("fit", words, {"device": self.worker.device}))
-        return replace(options, report=replace(options.report, fresh=options.report.fresh or self.is_fresh))
+        return [folder, capture.images, capture.mask_folder, capture.test_list, *more]
 
 
 class VideoTask(EncodeTask):
     """Makes a video of a scene with moving cameras, or of pictures in a row."""
 
+    @cached_property
+    def options(self) -> VideoOptions:
+        """The options of `video`."""
+        words = [*self.batch.video_options, *self.item.words, "-o", str(self.output), "--", self.item.input]
+        options = read_options(VideoOptions, _parse("video", words, self.given))
+        return replace(options, overwrite=options.overwrite or self.is_fresh)
+
     def begin(self) -> None:
         """Check the options before the first picture is read."""
-        from lightfield_gs.app.panel import load_panel
-        from lightfield_gs.app.video import video_target
-
-        self.options = self._video_options()
         self.result = video_target(self.options, load_panel(self.options.panel)).path
 
     def draw(self) -> None:
         """Draw and write the frames that are missing."""
-        from lightfield_gs.commands import video
-
-        video.make_frames(self.options, Stopwatch(time.perf_counter()))
+        make_frames(self.options, Stopwatch(time.perf_counter()))
 
     def write(self) -> None:
         """Note the hashes of the frames."""
@@ -216,14 +258,7 @@ class VideoTask(EncodeTask):
 
     def files(self) -> list[Path | str | None]:
         """Return the files and folders that the item reads, its input first."""
-        return list(self._video_options().inputs())
-
-    def _video_options(self) -> VideoOptions:
-        from lightfield_gs.app.video import VideoOptions
-
-        words = [*self.setup.video_words, *self.item.words, "-o", str(self.output), "--", self.item.input]
-        options = read_options(VideoOptions, _parsed("video", words, self._given()))
-        return replace(options, overwrite=options.overwrite or self.is_fresh)
+        return list(self.options.inputs())
 
 
 @cache
@@ -233,15 +268,10 @@ def _parser(command: str) -> Parser:
     return parser
 
 
-def _parsed(command: str, words: list[str], given: dict[str, Any]) -> argparse.Namespace:
+def _parse(command: str, words: list[str], given: dict[str, Any]) -> argparse.Namespace:
     """Return the arguments of a command; `given` replaces the defaults of the options that it has."""
     parser = _parser(command)
     known = {action.dest for action in parser._actions}
     return parser.parse_args(
         join_values(words), argparse.Namespace(**{name: value for name, value in given.items() if name in known})
     )
-
-
-def defaults(command: str) -> dict[str, Any]:
-    """Return the defaults of a command's options."""
-    return vars(_parsed(command, ["-o", "-", "--", "-"], {}))

@@ -6,15 +6,15 @@ import argparse
 import importlib
 
 ACTIONS = {
-    "pattern": "a native image that shows which view reaches an eye",
+    "pattern": "write a native image that shows which view reaches an eye",
     "nudge": "change the lens of a profile a little",
     "fit": "estimate the lens from photographs of a pattern",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs calibrate`, those of each of its actions."""
-    parser.description = "Makes a profile fit its panel: show a pattern, look, and change the profile."
+    """Add the arguments of `lightfield-gs calibrate` and of its actions."""
+    parser.description = "Calibrate the profile of a panel: show a pattern, look, and change the profile."
     actions = parser.add_subparsers(title="actions", required=True, metavar="ACTION", dest="action")
     for name, purpose in ACTIONS.items():
         action = actions.add_parser(

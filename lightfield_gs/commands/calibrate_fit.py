@@ -48,11 +48,11 @@ class CalibrationOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs calibrate fit`."""
     parser.epilog = (
-        "What to photograph: `calibrate pattern phase --shift 0`, 1 and 2 of the very profile START, shown full screen "
-        "and unscaled, in a dark room, from each of two places at least, a twentieth of the viewing zone apart, best "
-        "at the viewing distance; nothing but the pattern may change between the three: same exposure and white "
-        "balance, no clipping, camera on a stand. Or one photograph of `calibrate pattern rgb` from each place, which "
-        "is quicker, and as good as the camera keeps the colours apart."
+        "Photograph `calibrate pattern phase --shift 0`, 1 and 2 of exactly the profile START, shown full "
+        "screen and unscaled, in a dark room. Do so from two places at least, a twentieth of the viewing "
+        "zone apart, best at the viewing distance. Only the pattern may change between the three: use the "
+        "same exposure and white balance, no clipping, and a stand. One photograph of `calibrate pattern "
+        "rgb` from each place is quicker; its accuracy depends on how well the camera separates colours."
     )
     add = parser.add_argument
     add(
@@ -60,39 +60,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="PHOTO",
-        help="the photographs, of shift 0, 1 and 2 from the first place, then from the next; or a .yaml that lists "
-        "them: places, each with eye_mm, photos and perhaps corners_px",
+        help="the photographs of shift 0, 1 and 2 from the first place, then from the next; or a .yaml with a "
+        "list places, each with eye_mm, photos and optionally corners_px",
     )
-    add(
-        "--panel",
-        required=True,
-        metavar="START",
-        help="the profile that the pattern was drawn for: name, .yaml or .json",
-    )
+    add("--panel", required=True, metavar="START", help="the profile of the pattern: name, .yaml or .json")
     add_device_serial(add)
-    add_viewing_distance(add, "distance that the lens is made for, where START does not say it")
+    add_viewing_distance(add, "design distance of the lens, if START does not state it")
     add(
         "--eye",
         type=numbers(3),
         action="append",
         metavar="X,Y,Z",
-        help="where the camera was, in mm from the panel's middle: right (as the viewer sees it), up, towards the "
-        "viewer; once for each place",
+        help="position of the camera in mm from the panel's middle: right (as the viewer sees it), up, towards "
+        "the viewer; once for each place",
     )
     add(
         "--corners",
         type=numbers(8),
         action="append",
         metavar="X,Y,...",
-        help="upper left, upper right, lower right and lower left corner of the panel in the photographs, in pixels "
-        "from their upper left; once for each place (default: they are found, where the room is dark)",
+        help="corners of the panel in the photographs, in pixels from their upper left: upper left, upper "
+        "right, lower right, lower left; once for each place (default: found automatically, which needs a "
+        "dark room)",
     )
     add(
         "--one-place",
         action="store_true",
-        help="take photographs from one place: order, mirroring and eye go unchecked",
+        help="accept photographs from one place; order, mirroring and position of the eye are then not checked",
     )
-    add("-o", "--output", type=Path, required=True, metavar="NEW", help="START with the lens found, in its own format")
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="NEW",
+        help="START with the estimated lens, in its own format",
+    )
 
 
 def run(args: argparse.Namespace) -> None:

@@ -36,7 +36,7 @@ class NudgeOptions:
         output: the changed profile.
         device_serial: the display, where the profile has several.
         pitch_by, slope_by, centre_by: in the terms of Looking Glass.
-        line_number_by, slant_by, phase_by: in those of a .yaml.
+        line_number_by, slant_by, phase_by: in the units of a .yaml.
         pattern: kind of the pattern that is written too.
     """
 
@@ -55,9 +55,10 @@ class NudgeOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs calibrate nudge`."""
     parser.epilog = (
-        "Pitch, slope and centre are the words of Looking Glass, line number, slant and phase those of a .yaml: either "
-        "may be given for either. What the middle of the panel shows stays, unless the centre or the phase is moved. "
-        "`calibrate pattern` pitch, slope and centre have the very changes written on them."
+        "Pitch, slope and centre are the words of Looking Glass; line number, slant and phase are the "
+        "words of a .yaml. Profiles of both kinds take both. The content in the middle of the panel stays, "
+        "unless the centre or the phase is moved. `calibrate pattern` pitch, slope and centre label their "
+        "bands with the values for this command."
     )
     add = parser.add_argument
     add("profile", metavar="PROFILE", help="name, .yaml or Looking Glass visual.json")
@@ -98,7 +99,7 @@ def lens_change(options: NudgeOptions, panel: Panel) -> LensChange:
     """Return the change that the options ask for.
 
     Raises:
-        InputError: they ask for nothing, or for what the profile cannot say.
+        InputError: there is no change, or the profile cannot express it.
     """
     if all(getattr(options, change) is None for change in _CHANGES):
         names = ", ".join(f"--{change.replace('_', '-')}" for change in _CHANGES)

@@ -73,15 +73,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--panel",
         default=DEFAULT_PANEL,
         metavar="PANEL",
-        help=f"name, .yaml or visual.json of the panel that shows it (default {DEFAULT_PANEL})",
+        help=f"name, .yaml or visual.json of the panel (default {DEFAULT_PANEL})",
     )
     add_device_serial(add)
-    add("--view", type=_views, metavar="N[-M]", help="of single: the white view, or the first and the last, from 0")
+    add(
+        "--view",
+        type=_views,
+        metavar="N[-M]",
+        help="of single: the white view, or the first and the last white view, from 0",
+    )
     add(
         "--step",
         type=whole(1, 65536),
         metavar="VIEWS",
-        help="of numbers: how many views share a number (default: as many as blend)",
+        help="of numbers: number of views with the same label (default: as many as blend)",
     )
     add("--shift", type=whole(0, 2), metavar="0|1|2", help="of phase: thirds of a lens width (default 0)")
     add(
@@ -95,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bands",
         type=whole(3, 99),
         metavar="COUNT",
-        help="of the same: how many bands, an odd number (default: what fits, at most 11)",
+        help="of the same kinds: number of bands, odd (default: as many as fit, at most 11)",
     )
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png or .tif: show it unscaled, full screen")
 

@@ -9,15 +9,14 @@ from typing import Any
 from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
-from lightfield_gs.base.cli_messages import note, say
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.encoding import add_device, add_encoding
+from lightfield_gs.base.cli_messages import Stopwatch, note, say
+from lightfield_gs.commands.options.panel import add_device, add_encoding
 from lightfield_gs.commands.options.parser import read_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs encode`."""
-    parser.description = "Encodes a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel."
+    parser.description = "Encode a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel."
     add = parser.add_argument
     add(
         "input",
@@ -30,21 +29,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add_encoding(add)
     add_device(add)
-    add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used")
+    add("--save-rig", type=Path, metavar="YAML", help="write the rig of the image")
     add(
         "--save-gaussians",
         type=Path,
         metavar="SCENE",
-        help="write the scene as .ply, .spz or .splat; a .ply has the framing: encoding it gives the same picture",
+        help="write the scene as .ply, .spz or .splat; a .ply also has the framing, so that its encoding gives "
+        "the same picture",
     )
     add(
         "--preview",
         type=Path,
         metavar="DIR",
-        help="write views.png, look-around.webp, look-around.html (follows the mouse, needs no network) and, where the "
-        "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png",
+        help="write views.png, look-around.webp and look-around.html (follows the mouse, needs no network); "
+        "also left-eye.png and right-eye.png, if the panel has a pixel pitch and a viewing distance",
     )
-    add("--stats", action="store_true", help="print what was drawn and what was skipped")
+    add("--stats", action="store_true", help="print statistics of drawn and skipped parts")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -37,17 +37,17 @@ _NUMBERS = (signal.SIGINT, signal.SIGTERM)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs fit`."""
     parser.description = (
-        "Fits Gaussians to photographs of a scene, with cameras that COLMAP or another program found. Ctrl-C stops it "
-        "and writes the scene so far; the same command goes on from there. The same capture, options and machine give "
-        "the same file."
+        "Fit Gaussians to photographs of a scene, with cameras from COLMAP or another program. Ctrl-C "
+        "stops the fit and writes the scene so far; the same command goes on from there. The same capture, "
+        "options and machine give the same file."
     )
     add = parser.add_argument
     add(
         "input",
         type=Path,
         metavar="CAPTURE",
-        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json, or such a .json of another name, "
-        "or what Polycam or Record3D exported; with --sfm, a folder of photographs alone",
+        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; a .json of this kind with "
+        "another name; an export of Polycam or Record3D; with --sfm, a folder of photographs alone",
     )
     add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene: .ply, .spz or .splat")
     add_capture(parser)

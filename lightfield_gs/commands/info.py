@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.options.cameras import add_up
-from lightfield_gs.commands.options.panel import add_device_serial
+from lightfield_gs.commands.options.panel import add_device_serial, add_up
 from lightfield_gs.commands.options.scene import add_reading
 from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unsupported
 from lightfield_gs.io.scenes.files import is_scene_path
@@ -82,7 +81,7 @@ def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -
     import torch
 
     from lightfield_gs.app.cameras import fit_and_cameras, scene_up
-    from lightfield_gs.app.provenance import scene_hash
+    from lightfield_gs.app.panel import scene_hash
     from lightfield_gs.app.scene import read_noted
 
     file = read_noted(path, skip_invalid, time)

@@ -6,18 +6,15 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.app.cameras import read_camera, scene_comments
-from lightfield_gs.app.look import apply_look
+from lightfield_gs.app.cameras import apply_look, read_camera, scene_comments
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, read_noted, say_origin, settle_render
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.cameras import add_camera, add_look
-from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel
 from lightfield_gs.commands.options.parser import read_options, within
 from lightfield_gs.commands.options.scene import add_antialiased, add_reading, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -49,21 +46,19 @@ class PruneOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs prune`."""
     parser.description = (
-        "Writes a scene without the Gaussians that contribute least to its image on a panel, from all "
-        "viewpoints of the panel: it is drawn faster from then on."
+        "Write a scene without the Gaussians that contribute least to its image on a panel, from all "
+        "viewpoints of the panel. The scene is then faster to draw."
     )
     add = parser.add_argument
     add("input", type=Path, metavar="INPUT", help="a file of Gaussians: .ply, .spz, .sog, .splat, .ksplat")
-    add(
-        "-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene without them: .ply, .spz or .splat"
-    )
+    add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the pruned scene: .ply, .spz or .splat")
     add_reading(add)
     add(
         "--contribution-cut",
         type=within(0, 1),
         default=3e-4,
-        metavar="SHARE",
-        help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)",
+        metavar="FRACTION",
+        help="0..1, allowed mean error of colours in 0..1 (default 3e-4: 50 dB and more)",
     )
     add_antialiased(add)
     add_view_filter(add)
@@ -74,9 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--save-rig",
         type=Path,
         metavar="YAML",
-        help="write the rig that was used: automatic framing may see a pruned scene otherwise",
+        help="write the rig of the unpruned scene; automatic framing of a pruned scene may differ",
     )
-    add("--device", choices=DEVICES, default="auto", help="where the scene is drawn (default auto)")
+    add("--device", choices=DEVICES, default="auto", help="device that draws the scene (default auto)")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -10,17 +10,20 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.panel import load_panel, panel_of_views
-from lightfield_gs.app.provenance import package_versions, scene_facts, software
+from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views, scene_facts, software
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
-from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
+from lightfield_gs.commands.options.panel import (
+    add_camera,
+    add_depth_report,
+    add_device_serial,
+    add_look,
+    add_viewing_distance,
+)
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -78,8 +81,9 @@ class QuiltOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs quilt`."""
     parser.description = (
-        "Renders the views of a photo or a scene of 3D Gaussians as a quilt, which Looking Glass displays and `weave` "
-        "take: the left-most camera's view at the bottom left, then to the right, then up."
+        "Render the views of a photo or a scene of 3D Gaussians as a quilt, which Looking Glass displays "
+        "and `weave` take. The left-most camera's view is at the bottom left; views go on to the right, "
+        "then up."
     )
     add = parser.add_argument
     add("input", type=Path, metavar="INPUT", help="a photo or a scene, as `encode` takes it")
@@ -89,26 +93,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="NAME",
-        help="the quilt, .png (default), .tif; its name gets _qs<columns>x<rows>a<aspect> unless it has it",
+        help="the quilt, .png (default) or .tif; _qs<columns>x<rows>a<aspect> is appended to a name without it",
     )
     _add_layout(add)
     add_camera(add)
     add_look(add)
     add_depth_report(add)
-    add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used, at the pixels of a tile")
+    add("--save-rig", type=Path, metavar="YAML", help="write the rig of the quilt, at the pixels of a tile")
     add(
         "--save-rgbd",
         type=Path,
         metavar="NAME",
-        help="write the centre camera's picture beside its depth map too (right half, bright is near), as "
+        help="also write the centre camera's picture beside its depth map (right half, bright is near), as "
         "NAME_rgbd.png",
     )
     add_scene(add, "cut the object out of a photo with rembg")
     add_antialiased(add)
     add_view_filter(add)
     add_background(add)
-    add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
-    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+    add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
+    add(
+        "--compression",
+        choices=COMPRESSIONS,
+        default="fast",
+        help="fast: quick to write; small: a small file (default fast)",
+    )
 
 
 def _add_layout(add) -> None:
@@ -116,17 +125,16 @@ def _add_layout(add) -> None:
         "--preset",
         "--device-preset",
         choices=tuple(QUILT_PRESETS),
-        help="tiles, size and aspect that Looking Glass has for a device, by its name or its inches "
-        f"(default {_DEFAULT_PRESET})",
+        help=f"tiles, size and aspect of a Looking Glass device, by its name or its inches (default {_DEFAULT_PRESET})",
     )
     add(
         "--panel",
         metavar="PANEL",
-        help="in place of a preset: as many views as a panel has, its aspect and cone, each as large as the panel "
-        "where that makes a quilt of 8192 pixels at most",
+        help="in place of a preset: the views, aspect and cone of a panel, each view as large as the panel if "
+        "the quilt then has at most 8192 pixels a side",
     )
     add_device_serial(add)
-    add_viewing_distance(add, "of --panel, in place of its own, for framing")
+    add_viewing_distance(add, "viewing distance of --panel, in place of its own, for framing")
     add(
         "--tiles",
         type=whole_numbers(1, 65536, "x", 2),
@@ -138,7 +146,7 @@ def _add_layout(add) -> None:
         "--aspect",
         type=within(0.01, 100),
         metavar="A",
-        help="width by height of a view as it is seen; its tile may have another (default: the preset's)",
+        help="width by height of a view as it is seen; its tile may have another aspect (default: the preset's)",
     )
 
 

@@ -18,7 +18,7 @@ from lightfield_gs.panels.panel import Panel
 
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
-    """An encoded image, the panel it is for (None: the one it names), and where the page is served."""
+    """An encoded image, its panel (None: the panel that it names), and the address of the page."""
 
     image: Path
     panel: PanelOptions
@@ -28,8 +28,9 @@ class ShowOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs show`."""
     parser.description = (
-        "Opens a page in the browser with an encoded image, full screen and pixel for pixel: on the panel, if the "
-        "browser stands there. A loud word says so where it is scaled or on another screen. Ctrl-C ends it."
+        "Open a page in the browser with an encoded image, full screen and pixel for pixel: on the panel, "
+        "if the browser is there. A large warning appears if the image is scaled or on another screen. "
+        "Ctrl-C ends it."
     )
     add = parser.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")

@@ -11,9 +11,8 @@ from typing import cast
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import at_distance, load_panel, parse_panel, stored_panel, why_no_eye
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import Stopwatch, note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
 from lightfield_gs.commands.options.parser import numbers, read_options, within
 from lightfield_gs.io.atomic import check_outputs
@@ -31,7 +30,7 @@ class SimulateOptions:
     Attributes:
         image: the encoded image.
         output: the picture that is seen.
-        panel: None in it: the one that the image names.
+        panel: options of the panel; None in them: the panel that the image names.
         eye: position x, y, z in mm.
         eyes: positions from, to in mm, and their count.
         spread: width of what a lens lights, sub-pixels.
@@ -49,37 +48,39 @@ class SimulateOptions:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs simulate`."""
-    parser.description = "The picture that an eye sees of an encoded image through the lenses, one sample a lens."
+    parser.description = (
+        "Simulate the picture that an eye sees of an encoded image through the lenses, one sample a lens."
+    )
     add = parser.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
     add_device_serial(add)
-    add_viewing_distance(add, "distance from which the panel shows one view all over, in place of the panel's own")
+    add_viewing_distance(add, "distance at which an eye sees one view all over the panel, in place of the panel's own")
     add(
         "--eye",
         type=numbers(3),
         metavar="X,Y,Z",
-        help="place of the eye in mm from the panel's centre: right, up, towards the viewer",
+        help="position of the eye in mm from the panel's centre: right, up, towards the viewer",
     )
     add(
         "--eyes",
         type=numbers(3),
         metavar="FROM,TO,COUNT",
-        help="in place of --eye: COUNT eyes side by side at the viewing distance, from FROM to TO mm right of the "
-        "panel's middle; their pictures in rows of four",
+        help="in place of --eye: COUNT eyes side by side at the viewing distance, from FROM to TO mm right of "
+        "the panel's middle; the result has rows of four pictures",
     )
     add(
         "--spread",
         type=within(0.01, 1000, "sub-pixels"),
         metavar="SUBPIXELS",
-        help="width of what a lens lights, in sub-pixels; more is crosstalk (default 1)",
+        help="width that a lens lights, in sub-pixels; more is crosstalk (default 1)",
     )
     add(
         "--psf",
         type=Path,
         metavar="FILE",
-        help="in place of --spread: how brightly the eye sees the sub-pixels beside the right one, as measured; a line "
-        "each: sub-pixels to the right, light (any unit)",
+        help="in place of --spread: measured brightness of the sub-pixels beside the right one. Each line has a "
+        "distance to the right in sub-pixels, and the light (any unit)",
     )
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
 
@@ -152,7 +153,7 @@ def _implausible_eye(panel: Panel, eye_mm: Sequence[float]) -> str | None:
 
 
 def _other_lens(options: SimulateOptions, panel: Panel) -> str | None:
-    """Return how the lens differs from that of the panel in the image's metadata; None where it does not."""
+    """Describe the difference of the lens from the panel in the image's metadata; None if there is none."""
     stored = None if options.panel.panel is None else read_info(options.image).metadata.get("panel")
     if stored is None:
         return None

@@ -8,12 +8,10 @@ from pathlib import Path
 
 from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.video import VideoOptions, frame_drawer, frame_sink, video_target
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
-from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_depth_report, add_look, add_panel
 from lightfield_gs.commands.options.parser import read_options, threads
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.commands.options.video import add_motion, add_result
@@ -23,8 +21,8 @@ from lightfield_gs.io.atomic import check_outputs
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs video`."""
     parser.description = (
-        "Frames for a slanted-lenticular panel: of a scene that the cameras go round, or of pictures in a row. Where "
-        "it is stopped, a folder of frames is taken up again by the same command."
+        "Encode frames for a slanted-lenticular panel: of a scene that the cameras go round, or of a "
+        "sequence of pictures. The same command continues a stopped folder of frames."
     )
     add = parser.add_argument
     add(
@@ -50,9 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_depth_report(add)
     cut_outs = "cut-out of a photo; of a sequence, a folder or a video of cut-outs"
     add_scene(add, "cut the object out of photos with rembg, as `encode` does", cut_outs, "PATH")
-    add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
-    add("--views", choices=VIEWS, default="integer", help="of native pictures, as `encode` has it (default integer)")
-    add("--quality", choices=QUALITY_NAMES, default="exact", help="less time for more error, of native pictures")
+    add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
+    add("--views", choices=VIEWS, default="integer", help="of native pictures, as in `encode` (default integer)")
+    add(
+        "--quality",
+        choices=QUALITY_NAMES,
+        default="exact",
+        help="of native pictures: less time for more error (default exact)",
+    )
     add_antialiased(add)
     add_view_filter(add)
     add_background(add)

@@ -10,12 +10,10 @@ from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import check_scene_options, load_framed
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.cameras import add_camera, add_look
-from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve
@@ -41,8 +39,9 @@ class ViewOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs view`."""
     parser.description = (
-        "Opens a page in the browser that shows what eyes before the panel see of a photo or of a scene of 3D "
-        "Gaussians, with sliders for depth, and the panel's own page for the native picture. Ctrl-C ends it."
+        "Open a page in the browser with the picture that an eye before the panel sees of a photo or a "
+        "scene of 3D Gaussians, with sliders for depth, and the panel's own page for the native picture. "
+        "Ctrl-C ends it."
     )
     add = parser.add_argument
     add("input", type=Path, metavar="INPUT", help="a photo or a file of Gaussians, as `encode` takes it")
@@ -53,7 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_antialiased(add)
     add_view_filter(add)
     add_background(add)
-    add("--device", choices=DEVICES, default="auto", help="where it is drawn (default auto: cuda where there is a GPU)")
+    add(
+        "--device", choices=DEVICES, default="auto", help="device of the drawing (default auto: cuda if there is a GPU)"
+    )
     add_serving(add)
 
 

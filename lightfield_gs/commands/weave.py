@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.app.panel import load_panel
-from lightfield_gs.base.cli_messages import say
+from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
-from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.panel import add_panel
 from lightfield_gs.commands.options.parser import background, numbers, read_options, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs
@@ -29,8 +28,8 @@ _INTERPOLATIONS = ("linear", "nearest")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `lightfield-gs weave`."""
     parser.description = (
-        "Interlaces views for a panel: each sub-pixel from the view that it shows, or from the two beside it where "
-        "there are more or fewer views than the panel has."
+        "Interlace views for a panel: each sub-pixel comes from its view, or from the two views beside it "
+        "if the number of views differs from the panel's."
     )
     add = parser.add_argument
     add(
@@ -62,55 +61,61 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--aspect",
         type=within(0.01, 100),
         metavar="A",
-        help="width by height of a view as it is seen (default: what the quilt's name says, else that of its pixels)",
+        help="width by height of a view as it is seen (default: by the quilt's name, else by its pixels)",
     )
     add("--row", type=whole(0, 9999), metavar="R", help="of a light field, 0 the top one (default: the middle one)")
-    add("--top-first", action="store_true", help="rows of a quilt go on downwards from the top (default: upwards)")
+    add("--top-first", action="store_true", help="rows of a quilt go down from the top (default: up from the bottom)")
     add("--right-to-left", action="store_true", help="views begin with the right-most camera's")
     add(
         "--frames",
         type=_span,
         metavar="FIRST:LAST:STEP",
-        help="of a video or an animation, the frames that are taken, from 0: each is a view, where it is no video of "
-        "quilts; 0:23 are 24, : all",
+        help="frames of a video or an animation to take, from 0; each is a view, unless it is a quilt; 0:23 "
+        "takes 24, : all",
     )
     add(
         "--view-map",
         type=Path,
         metavar="NPY",
-        help="the view of each sub-pixel in place of the panel's lens: int32 [H,W,3], 0 for the right-most camera's "
-        "view, as `encode` takes it, or -1 for the background",
+        help="in place of the panel's lens: the view of each sub-pixel, int32 [H,W,3], 0 for the right-most "
+        "camera's view, as in `encode`, or -1 for the background",
     )
     add(
         "--interpolation",
         choices=_INTERPOLATIONS,
         default="linear",
-        help="between two views: mix them, or take the nearer one; none is needed where there are as many as the "
+        help="between two views: mix them, or take the nearer one; unused if there are as many views as the "
         "panel has (default linear)",
     )
     add(
         "--views",
         choices=VIEWS,
         default="integer",
-        help="where a sub-pixel looks from: its integer view of the panel's N, or its exact place (default integer)",
+        help="viewpoint of a sub-pixel: its integer view of the panel's N, or its exact position (default integer)",
     )
     add(
         "--view-filter",
         type=within(0, 65536, "views"),
         default=0.0,
         metavar="VIEWS",
-        help="angular anti-aliasing: show the mean over a box of so many views of the panel; what stands far from it "
-        "flickers less as the eye moves, and is softer (default 0; 1 suits more views than the panel has, 2 as many)",
+        help="angular anti-aliasing: show the mean over a box of this many views of the panel. Things far from "
+        "the panel then flicker less as the eye moves, and are softer (default 0; 1 suits more views than "
+        "the panel has, 2 as many)",
     )
     _add_framing(add)
     add("--background", type=background, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each (default 0,0,0)")
-    add("--device", choices=DEVICES, default="auto", help="where the views are woven (default auto)")
-    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
-    add("--overwrite", action="store_true", help="remove frames of another job that are in the folder")
+    add("--device", choices=DEVICES, default="auto", help="device of the interlacing (default auto)")
+    add(
+        "--compression",
+        choices=COMPRESSIONS,
+        default="fast",
+        help="fast: quick to write; small: a small file (default fast)",
+    )
+    add("--overwrite", action="store_true", help="remove frames of another job from the folder")
 
 
 def _span(text: str):
-    """Parse "FIRST:LAST:STEP", of which any may be left out, to the frames that are taken."""
+    """Parse "FIRST:LAST:STEP", with any part missing, to the range of frames."""
     from lightfield_gs.view_sets.movies import FrameRange
 
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
@@ -125,23 +130,23 @@ def _add_framing(add) -> None:
         "--fit",
         choices=_FITS,
         default="cover",
-        help="of views of another aspect than the panel: cut off what does not fit, show all before the background, "
-        "or distort (default cover)",
+        help="of views with another aspect than the panel: cut off the rest, show all before the background, or "
+        "distort (default cover)",
     )
     add(
         "--crop",
         type=numbers(4),
         default=(0.0, 0.0, 0.0, 0.0),
         metavar="L,T,R,B",
-        help="shares 0..1 of each view that are cut off first at its left, top, right and bottom",
+        help="fractions 0..1 of each view to cut off first at its left, top, right and bottom",
     )
     add(
         "--shift",
         type=within(-1, 1),
         default=0.0,
-        metavar="SHARE",
-        help="re-converge: how far the right-most view moves to the right against the left-most, in widths of a view, "
-        "-1..1; above 0 the scene moves back, below 0 towards the viewer (default 0)",
+        metavar="FRACTION",
+        help="re-converge: move the right-most view to the right against the left-most one by this many widths "
+        "of a view, -1..1; above 0 the scene moves back, below 0 towards the viewer (default 0)",
     )
 
 
@@ -161,7 +166,7 @@ def _weave(options: WeaveOptions, watch: Stopwatch) -> None:
     from lightfield_gs.view_sets.view_set import QuiltMovie, open_views
 
     source, output = options.input, options.output
-    if not is_movie(source):  # the tiles of a movie decide what it becomes
+    if not is_movie(source):  # the tiles of a movie decide its use
         check_image_path(output)
     check_outputs((output,), (source, options.panel.panel, options.view_map))
     panel = load_panel(options.panel)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, Views, misplaced_options
+from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, Views
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.operators import refuse_tangents
@@ -101,8 +101,9 @@ def check_together(
         threads = whole_number("threads", threads, 1, MOST_THREADS)
     if memory_budget is not None:
         memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
-    for name, its in misplaced_options(method, memory_budget=memory_budget, **given):
-        raise InputError(f"{name}= is for method {its!r}, not {method!r}{_WHY_NOT[name]}")
+    for name, value in {"memory_budget": memory_budget, **given}.items():
+        if value is not None and method != (only := ONLY_FOR[name]):
+            raise InputError(f"{name}= is for method {only!r}, not {method!r}{_WHY_NOT[name]}")
     if method != "sorted" and rig is None:
         raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
     if memory_budget is not None and views == "continuous":

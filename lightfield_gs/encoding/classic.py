@@ -10,17 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, to_bytes, to_tensor
+from lightfield_gs.base.arrays import Colour, background_tensor, to_bytes, to_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.arguments import check_view_filter
 from lightfield_gs.encoding.sorted_plan import views_shown
-from lightfield_gs.panels.lens import view_aperture
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.image_render import Aperture, draw_in_chunks
+from lightfield_gs.panels.rig import Rig, view_aperture
+from lightfield_gs.rasterizer.image_render import draw_in_chunks
 from lightfield_gs.rasterizer.images import render
-from lightfield_gs.rasterizer.scene import background_tensor
+from lightfield_gs.rasterizer.lenticular_camera import Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
@@ -173,12 +172,12 @@ def interlace(views: Tensor, panel: Panel) -> Tensor:
     """Take every sub-pixel of a panel from its view: views [N, H, W, 3] -> [H, W, 3], same dtype.
 
     Args:
-        views: as many as the panel has, of its size. View 0 is the right-most eye's, with invert_views the left-most
-            one's. Tiles of a quilt are in the other order.
+        views: as many as the panel has, of its size. View 0 is for the right-most eye, with invert_views for the
+            left-most eye. Tiles of a quilt have the opposite order.
         panel: says which view each sub-pixel shows.
 
     Raises:
-        InputError: for views of another number or size.
+        InputError: number or size of the views differ from the panel's.
     """
     views = to_tensor("views", views)
     expect("panel", panel, Panel)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.arrays import Colour, background_tensor
 from lightfield_gs.base.options import Method, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import (
     DTYPES,
@@ -25,15 +25,12 @@ from lightfield_gs.encoding.arguments import (
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
-from lightfield_gs.panels.lens import lenticular_camera, view_aperture
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import known_frames
-from lightfield_gs.rasterizer.image_render import PINHOLE
-from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, LenticularCamera
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats, count_culled
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians
@@ -117,16 +114,16 @@ def encode(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Tensor:
-    """Draw the image [H, W, 3] that a panel shows of a scene: each sub-pixel is seen by the camera of its view.
+    """Draw the image [H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
 
     Args:
         gaussians: one scene, [N, ...].
-        panel: its lens says which view each sub-pixel shows.
+        panel: its lens determines the view of each sub-pixel.
         rig: the fan of cameras behind the views; not needed by "sorted" with cameras.
-        method: "direct" renders the sub-pixels alone; all cameras of the rig share one projection and one sort.
-            "sorted" renders the sub-pixels alone too, view by view, with any cameras and any view map (Shi et al.
-            2025). "classic" renders one image per view and interlaces them: the usual way, and the cross-check of the
-            others.
+        method: "direct" renders only the sub-pixels; all cameras of the rig share one projection and one sort. "sorted"
+            also renders only the sub-pixels, view by view, with any cameras and any view map (Shi et al. 2025).
+            "classic" renders one image per view and interlaces them: the usual way, and the cross-check of the other
+            methods.
         views: "integer": the camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
         cameras: of "sorted", in place of the rig's: [N] at the panel's resolution, the right-most eye's first.
         view_map: of "sorted", in place of the panel's: int32 [H, W, 3] by image channel. Its values are the camera,
@@ -136,32 +133,31 @@ def encode(
             None: the plan and 256 MiB, or on CUDA 1 GiB. On CUDA torch's allocator may round each buffer up.
         background: three numbers in 0..1, or a tensor of three.
         output: "uint8" = round(255 clamp(c, 0, 1)), "float32", or "float64", which is computed in that precision. Float
-            outputs of "direct" and "classic" are differentiable once in the five fields and in the background. Where
-            gradients are wanted, these are refused: "sorted", quality, threads, stats, out, and view_filter of
-            "classic".
+            outputs of "direct" and "classic" are differentiable once in the five fields and in the background. With
+            gradients these are refused: "sorted", quality, threads, stats, out, and view_filter of "classic".
         quality: of "direct": "exact", "high", "fast", "draft" or a Quality: how much error is allowed for less time.
         threads: of the CPU, 1..1024; None: torch's.
         stats: a dict to fill with stages_ms, pairs, evaluations, evaluations_per_subpixel, work_bytes, gaussians_culled
-            and colour_error. On CUDA the stages then wait for each other, and there are no evaluations (None). "direct"
-            adds skipped: Gaussians not drawn by reason, tiles and lattices; on the CPU also samples that ended early
-            and orders of colours, on CUDA the kernel. "sorted" adds memory_bytes and memory_bytes_unchunked by stage:
-            geometry, image (the sorted sub-pixels) and binning; of the largest chunk of views, and of all views at
-            once.
-        out: of "direct": an image of the same size, type and device that is overwritten and returned, such as the frame
-            before. On a CPU a new image of 88 MB costs 10 to 25 ms, in which the system finds its memory.
-        antialiased: for scenes that were trained so, see `render`; of any method. "direct" takes up to half as long
-            again. On CUDA it then uses neither lattices nor half precision, whatever the quality.
-        view_filter: of any method with a rig: angular anti-aliasing, the width in views of a box of camera positions
-            that each sub-pixel is averaged over; 0: none, 1: a view. Points that move between views by more than their
-            size then blur along the rows, in place of separate copies for an eye between views; the zero plane stays
-            sharp (Zwicker et al., "Antialiasing for automultiscopic 3D displays", 2006). Each splat is widened by the
-            variance of the box, and its opacity is lowered by the compensation. Takes as long as antialiased.
+            and colour_error. On CUDA the stages then wait for each other, and evaluations are not counted (None).
+            "direct" adds skipped: Gaussians not drawn by reason, tiles and lattices. On the CPU it also has samples
+            that ended early and orders of colours, on CUDA the kernel. "sorted" adds memory_bytes, the bytes of the
+            largest chunk of views, and memory_bytes_unchunked, the bytes of all views at once. Their stages are
+            geometry, image (the sorted sub-pixels) and binning.
+        out: of "direct": an image of the same size, type and device to overwrite and return, such as the frame before.
+            On a CPU the allocation of a new image of 88 MB costs 10 to 25 ms.
+        antialiased: for scenes trained with anti-aliasing, see `render`; any method. "direct" takes up to 50 % longer.
+            On CUDA it then uses neither lattices nor half precision at any quality.
+        view_filter: width of angular anti-aliasing, in views; 0: none. Any method with a rig. Each sub-pixel is
+            averaged over a box of camera positions of this width. Points that move between views by more than their
+            size then blur along the rows. Without the filter an eye between views sees separate copies. The zero plane
+            stays sharp (Zwicker et al., "Antialiasing for automultiscopic 3D displays", 2006). Each splat is widened by
+            the variance of the box, and its opacity is lowered by the compensation. Takes as long as antialiased.
 
     Returns:
         The image, of the type of `output`.
 
     Raises:
-        InputError: for arguments of other types, shapes or values, and for arguments of another method.
+        InputError: an argument has a wrong type, shape or value, or belongs to another method.
     """
     check_options(method, views, output)
     check_types(gaussians, panel, rig, cameras, stats, antialiased)

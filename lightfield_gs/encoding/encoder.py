@@ -7,47 +7,45 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.arrays import Colour, background_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options, check_view_filter, refuse_gradients, wants_gradients
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder_frames import STAGES, CpuFrameCache, CudaFrameCache
-from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.gaussians import Gaussians
 
 
 class Encoder:
-    """Draw the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
+    """Draw images of a panel one after the other, for animation, video or editing, by method "direct" of `encode`.
 
-    Frames that show what the frame before shows are not drawn again, and the image is the same to the bit. `stats`
-    tells: {"frames": n, "reused": {stage: frames that did without it}}. There are no gradients.
+    An unchanged frame is not drawn again, and its image is the same to the bit. `stats` counts this: {"frames": n,
+    "reused": {stage: number of frames that skipped it}}. There are no gradients.
 
     `rig` and `background` may be set between frames, and the rig altered: a moving zero plane, another cone or pose.
-    The other arguments are read-only, for stages and graphs were made for them.
+    The other arguments are read-only, because stages and graphs depend on them.
 
-    On the CPU values are compared with copies, so any change is seen. Each image is a tensor of its own. If nothing has
-    changed, the image is copied; if only the background has changed, only the composite runs.
+    On the CPU the encoder compares values with copies, so it sees any change. Each image is a tensor of its own. If
+    nothing has changed, the image is copied; if only the background has changed, only the composite runs.
 
     On CUDA a comparison would wait for the device. The whole frame is one CUDA graph, captured for the tensors of the
-    first call, and replayed as long as the same tensors come; their values may change. Then nothing waits for the
-    device, and values are checked at the capture alone. Other tensors make another capture, and so does a rig that is
-    seen a second time. The first time a rig is seen, the same kernels are launched one by one, with colours as fine as
-    the rigs so far needed. Bytes may then be rounded otherwise than by `encode`, which goes by its own rig. The same
-    holds for a frame in which a scene outgrows the capacity of the frames before: its tiles share one list. The next
-    frame has capacity.
+    first call. Later calls with the same tensors replay it; their values may change. Then nothing waits for the device,
+    and values are checked at the capture alone. Other tensors make another capture, and so does the second frame of a
+    rig. For the first frame of a rig the same kernels are launched one by one, with colours as fine as the rigs so far
+    needed. The rounding to bytes may then differ from `encode`, which chooses colours by its own rig. The same holds
+    for a frame in which a scene outgrows the capacity of the frames before: its tiles share one list. The next frame
+    has enough capacity.
 
     Args:
         panel: as of `encode`, and so are rig, views, background, output, quality, antialiased and view_filter.
-        versioned: promise that values change by torch's in-place operations alone, which torch counts. Then the same
-            tensors count as unchanged, and order and bins are kept if sh alone changes, but not for another rig. torch
-            does not count changes through .data, DLPack, CUDA graphs and other kernels: call `forget` after those.
-            Inference tensors count nothing and are always drawn.
+        versioned: promise that only torch's in-place operations change values; torch counts them. Then a tensor without
+            new operations counts as unchanged. Order and bins are kept if only sh changes, but not for another rig.
+            torch does not count changes through .data, DLPack, CUDA graphs and other kernels: call `forget` after
+            those. Inference tensors have no count and are always drawn.
 
     Raises:
         InputError: for arguments of other types or values.
@@ -103,7 +101,7 @@ class Encoder:
 
     @property
     def versioned(self) -> bool:
-        """Whether values were promised to change by torch's own in-place operations alone."""
+        """Whether only torch's own in-place operations change values, as promised."""
         return self._versioned
 
     @property

@@ -4,9 +4,9 @@ On the CPU the input of a frame is copied, and the next frame's compared with th
 per cent of a frame, and misses no change. Project, order and bin take 0.2 % of a frame at 8K, the composite the rest.
 So only two cases count: nothing has changed, or only the background has.
 
-On CUDA a frame is a graph, and stages are spared where torch can tell that their input is unchanged. Order and bin take
-half the time of a frame of a million Gaussians (6 of 11 ms on an H100 at 8K; 0.3 of 2.4 ms for 65,536 Gaussians). A
-change of colours alone does without them.
+On CUDA a frame is a graph, and a stage is skipped if torch can tell that its input is unchanged. For a million
+Gaussians order and bin take half the frame: 6 of 11 ms on an H100 at 8K. For 65,536 Gaussians they take 0.3 of 2.4 ms.
+If only colours change, they are skipped.
 """
 
 from __future__ import annotations
@@ -16,15 +16,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.arrays import Colour, background_tensor
+from lightfield_gs.base.device import capture_graph, device_guard
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrame, DirectFrames, known_frames
 from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import Workspace
+from lightfield_gs.rasterizer.workspace_cuda import Workspace
 from lightfield_gs.scene.gaussians import Gaussians
 
 STAGES = ("project", "order", "bin", "composite")
@@ -109,7 +108,7 @@ class _Input:
     def changed_since(self, before: _Input | None) -> set[int]:
         """Return the indices of the tensors whose values may have changed.
 
-        On another stream all of them: there this frame's work does not follow that of the last.
+        On another stream all values count as changed: this frame's work does not wait there for the last frame's.
         """
         if before is None or before.stream != self.stream:
             return set(range(len(self.tensors)))
@@ -135,10 +134,10 @@ class CudaFrameCache:
         self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
         self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
         self.captured: _Capture | None = None
-        self.moving: DirectFrames | None = None  # draw what is seen by a view for the first time
+        self.moving: DirectFrames | None = None  # draw a rig for the first time
         self.frames: DirectFrames | None = None  # drew the last image
         self.image: Tensor | None = None
-        self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
+        self.shown: tuple[_Input, int | None] | None = None  # the input of the image, and its own version
         self.last_view: LenticularCamera | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
@@ -166,7 +165,7 @@ class CudaFrameCache:
         return self.image, kept
 
     def _on_device(self, background: Colour, like: Tensor) -> Tensor:
-        """Return a background [3] on the device: the user's own, or one that is kept.
+        """Return a background [3] on the device: the user's own tensor, or a cached one.
 
         The kept one is overwritten, so that the graphs that read it stay valid.
         """
@@ -194,7 +193,7 @@ class CudaFrameCache:
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
             job = DirectRender(fields, background, given.view, self.antialiased)
-            with job.scene.guard:
+            with device_guard(job.scene.device):
                 if self.image is None or self.image.device != background.device:
                     self.image = job.new_image(self.as_bytes)
                 if moved:
@@ -230,7 +229,7 @@ class _Capture:
     def replay(self, given: _Input, versioned: bool) -> set[str]:
         """Draw; return the stages that were not repeated."""
         kept = versioned and given.changed_since(self.drawn) <= {_SH, _BACKGROUND}
-        with self.job.scene.guard:
+        with device_guard(self.job.scene.device):
             graph = self.graph
             if kept:
                 graph = self.recolour = self.recolour or self._graph(True)

@@ -27,22 +27,22 @@ def prune(
 ) -> Gaussians:
     """Remove the Gaussians that contribute least to the image that a panel shows of a scene by a rig.
 
-    A Gaussian contributes its weights, alpha times the transmittance before it, in all sub-pixels. The smallest sums
-    are left out, as long as together they stay within contribution_cut of the sum of an opaque image. For colours in
-    0..1 and any background the mean of |image - image of the whole scene| is then at most contribution_cut, and 1e-4,
-    at which samples end. A sample errs by at most the sum of the weights left out there. Proof: take them away one by
-    one, the farthest first. Each still has its weight w in a sample, and what it hid shows in its place: the sample
-    changes by w (behind - own colour).
+    A Gaussian contributes its weights, alpha times the transmittance before it, in all sub-pixels. The Gaussians with
+    the smallest sums are left out, while their total stays within contribution_cut of the sum of an opaque image. For
+    colours in 0..1 and any background the mean absolute error against the whole scene is then at most contribution_cut
+    + 1e-4. The 1e-4 is the transmittance at which samples end. A sample errs by at most the sum of the weights left out
+    there. Proof: remove the Gaussians one by one, the farthest first. Each still has its weight w in a sample, and the
+    Gaussians behind show in its place: the sample changes by w (behind - own colour).
 
-    It takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
-    rig's may show what was left out.
+    Pruning takes the time and memory of a training step on one image of the panel. Viewpoints outside the rig may show
+    gaps.
 
     Args:
         gaussians: [N, ...], float32, or float64 on the CPU.
-        panel: whose image counts.
-        rig: of the viewpoints.
+        panel: the panel of the image.
+        rig: the viewpoints.
         contribution_cut: 0..1.
-        antialiased: for scenes that were trained so, see `render`.
+        antialiased: for scenes trained with anti-aliasing, see `render`.
         view_filter: of the image, see `encode`.
 
     Raises:

@@ -17,20 +17,20 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor, to_bytes
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.image_render import PINHOLE, Aperture
-from lightfield_gs.rasterizer.scene import SceneTensors, float_and_byte_addresses
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import CpuWorkspace
+from lightfield_gs.rasterizer.workspace import CpuWorkspace, RenderSize, SceneTensors, float_and_byte_addresses
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_VIEWS, _MOST_NUMBERED = 4096, (1 << 31) - 1  # of a chunk: views; splats, and lists
-# Bytes of a chunk: for a splat (a footprint of 32, a colour of 16, a depth), for a pair, and for a list of pairs; and
-# what the parts may begin later than the one before ends, with the state
+# Bytes of a chunk: for a splat (footprint 32, colour 16, depth 4), for an intersection, for a list of intersections,
+# and for the gaps between the parts with the state
 _SPLAT_BYTES, _PAIR_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
 _STATE = struct.Struct("<Q4xI")  # SortedState: pairs, the long lists, and splats drawn
 
@@ -67,7 +67,7 @@ class CudaStages:
 
 
 class SortedWorkspace:
-    """The stages of workspace.Workspace for one chunk.
+    """The stages of workspace.CpuWorkspace for one chunk.
 
     Its memory is one buffer, and one more for the lists once the host, which waits, knows the number of intersections.
     """
@@ -85,7 +85,7 @@ class SortedWorkspace:
         _core.cuda.project_sorted(self.native, self.scene.native(), cameras, self.stream)
 
     def order_and_bin(self, admit: Callable[[], bool]) -> bool:
-        """List the intersections and order them; see workspace.Workspace."""
+        """List the intersections and order them; see workspace.CpuWorkspace."""
         cuda, stats = _core.cuda, self.stats
         with stats.stage("bin"):
             cuda.count_sorted(self.native, self.stream)
@@ -169,7 +169,7 @@ class _CpuStages:
     """The stages of a chunk on the CPU, and the bytes that they take."""
 
     default_work = 1 << 28  # bytes beside the plan where no budget is given; with more, views take no less time
-    reserve = 16  # 1 / reserve of the budget is left for pages used in part and for what the C library needs itself
+    reserve = 16  # 1 / reserve of the budget is left for partly used pages and for the C library
     most_views = 4096  # in a chunk
 
     def __init__(self, scene: SceneTensors, plan: SortedPlan, threads: int):
@@ -187,12 +187,13 @@ class _CpuStages:
         lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * pairs
         order = min(self.threads, views) * n * 4 * self.number
         bins = 8 * views * self.bands + self.threads * 8 * n
-        # A vector that grows may be twice as long as needed, beside the one it replaces
+        # A growing vector may be twice as long as needed, beside its old memory
         tile_lists = 24 * self.bands + self.threads * (32768 + 3 * (most * (8 + 4 * tiles) + 16 * (tiles + 1)))
         return lists + max(order, bins, tile_lists)
 
     def workspace(self, scene: SceneTensors, views: int, stats: Stats) -> CpuWorkspace:
-        return CpuWorkspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, self.threads)
+        size = RenderSize(views, self.plan.width_px, self.plan.height_px)
+        return CpuWorkspace(scene, size, stats, self.threads)
 
     def counts(self, work: CpuWorkspace) -> Counts:
         per_band = work.band_offsets.diff()
@@ -264,7 +265,7 @@ def encode_sorted(
     out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
     if plan.hidden:
         out[:] = to_bytes(background.clone()) if as_bytes else background
-    with scene.guard:
+    with device_guard(scene.device):
         threads = threads or torch.get_num_threads()
         _Encoding(scene, cameras, plan, budget, background, threads, stats, antialiased, aperture).run(out)
     return out
@@ -355,7 +356,7 @@ class _Encoding:
     def _draw(self, first: int, views: int, out: Tensor) -> bool:
         """Draw shown views first .. first + views - 1 if they fit, and note their memory; return whether they fit."""
         plan, stats = self.plan, Stats(device=self.stats.device)
-        fits = self.budget is None and views == 1  # without a budget one view may take what it takes
+        fits = self.budget is None and views == 1  # without a budget one view may take any memory
         if not fits and self._exceeds(self._memory(first, views, (0, 0))):
             return False
         with stats.stage("plan"):
@@ -411,7 +412,10 @@ class _Encoding:
         )
 
     def _count_view(self, place: int) -> Counts:
-        """Count the intersections of one view, and bound those of a band, some Gaussians at a time to save memory."""
+        """Count the intersections of one view, and bound the count of a band.
+
+        Take some Gaussians at a time to save memory.
+        """
         cameras = self._native_cameras(place, 1)
         pairs = most = 0
         for first in range(0, self.scene.count, _PROBE):

@@ -13,8 +13,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import panel_lens
-from lightfield_gs.panels.panel import MAX_VIEWS, Panel
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel, panel_lens
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels that are drawn together; every list is filled up to whole blocks
 _SUBPIXELS_PER_TILE = 224  # of one view, on the average
@@ -26,13 +25,13 @@ class SortedPlan:
     """The sub-pixels of each view, made once per panel and used for any number of images.
 
     Sub-pixels are coded (view, tile, column, row, channel) and sorted. The list of a (view, tile) holds 16 bits for
-    each of its sub-pixels, and is filled up to a multiple of BLOCK (the paper's (-1, -1)).
+    each of its sub-pixels. It is padded to a multiple of BLOCK (the paper's (-1, -1)).
 
-    A view has 1/N of the sub-pixels, so tiles grow with N. They are as high as a square that holds one block of a
-    view's sub-pixels: a power of two, on the CPU always the 16 rows of a band. They are as wide as it takes to hold 224
-    of them, seven of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
+    A view has 1/N of the sub-pixels, so tiles grow with N. A tile is as high as a square with one block of a view's
+    sub-pixels, a power of two. On the CPU it always has 16 rows, a band. Its width is chosen for 224 sub-pixels, seven
+    of the eight blocks that are drawn at a time. No tile is larger than 2^14 pixels.
 
-    shown: numbers of the views that some sub-pixel shows, int64 [V], ascending.
+    shown: indices of the views that some sub-pixel shows, int64 [V], ascending.
     hidden: whether some sub-pixel shows no view (-1 in the map).
     """
 
@@ -95,7 +94,7 @@ class SortedPlan:
     def bytes(self, first: int = 0, last: int | None = None) -> int:
         """Return the bytes of the starts and codes of the lists of shown views first .. last - 1."""
         last = self.count if last is None else last
-        starts = self.starts.numpy()  # of which single numbers are read faster than of a tensor
+        starts = self.starts.numpy()  # single numbers are read faster than from a tensor
         codes = int(starts[last * self.tiles] - starts[first * self.tiles])
         return 8 * ((last - first) * self.tiles + 1) + 2 * codes
 

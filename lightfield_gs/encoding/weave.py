@@ -72,30 +72,30 @@ def weave(
 ) -> Tensor:
     """Interlace M views of any size to the image [H, W, 3] of a panel, in their type: uint8, uint16 or float32 (0..1).
 
-    A sub-pixel shows the point of the picture where its pixel lies, as in `encode`. Colours there are bilinear; a view
-    that is larger than it will be seen is averaged first; where sizes agree, colours are copied.
+    A sub-pixel shows the point of the picture where its pixel lies, as in `encode`. Colours there are bilinear. A view
+    that is larger than its picture on the panel is averaged first; where sizes agree, colours are copied.
 
     Args:
         views: [M, h, w, 3], the left-most camera's first, as in quilts; or a ViewSource. Of a ViewSource at most 1 GiB
             is held at a time, or twice as many views as a sub-pixel mixes if that is more.
         panel: its lens says which view each sub-pixel shows.
-        interpolation: of a sub-pixel that falls between two views: "linear" mixes them, "nearest" takes one.
-        place: "integer": of the panel's integer view; "continuous": of its exact x. If M is the panel's N, integer
-            places need no interpolation: every sub-pixel is that of one view, as `interlace` has it.
-        view_filter: angular anti-aliasing, 0 (none) to 65536: the width, in views of the panel, of a box around its
-            place that each sub-pixel is the mean over. Points far from the panel then do not flicker as the eye moves,
-            and become softer (Halle, "Holographic stereograms as discrete imaging systems", 1994; Zwicker et al.,
-            "Antialiasing for automultiscopic 3D displays", 2006). Each view stands for the places nearest to it. If M
-            is N, 1 does nothing and 2 mixes 1/4, 1/2, 1/4 of three views; if M is 2 N, 1 is the mean of two views.
-        view_map: int32 [H, W, 3], in place of the panel's lens: one of the M views, 0 being the right-most camera's, or
-            -1 for the background.
+        interpolation: "linear" mixes the two views beside a sub-pixel, "nearest" takes one of them.
+        place: "integer": a sub-pixel looks from its integer view; "continuous": from its exact x. If M is the panel's
+            N, integer places need no interpolation: every sub-pixel comes from one view, as in `interlace`.
+        view_filter: width of angular anti-aliasing in views of the panel, 0 (none) to 65536. Each sub-pixel is the mean
+            over a box of this width around its place. Points far from the panel then do not flicker as the eye moves,
+            and become softer. (Halle, "Holographic stereograms as discrete imaging systems", 1994; Zwicker et al.,
+            "Antialiasing for automultiscopic 3D displays", 2006.) Each view stands for the places nearest to it. If M
+            is N, 1 does nothing and 2 mixes 1/4, 1/2, 1/4 of three views. If M is 2 N, 1 is the mean of two views.
+        view_map: int32 [H, W, 3], in place of the panel's lens: the index of a view, 0 for the right-most camera, or -1
+            for the background.
         aspect: width by height of a view as it is seen; None: of square pixels.
         fit: "cover" fills the panel and cuts off the rest, "contain" shows all before the background, "stretch"
             distorts.
         crop: fractions 0..1 of a view that are cut off first, at its left, top, right and bottom.
-        shift: how far the right-most camera's view moves to the right against the left-most one's, -1..1 widths of a
-            view; views between move in proportion. Above 0 the scene moves back behind the panel, below 0 out of it.
-            Beside a view then shows the background, or with "cover" it is cut off.
+        shift: movement of the right-most camera's view to the right against the left-most one's, -1..1 widths of a
+            view. Views between move in proportion. Above 0 the scene moves back behind the panel, below 0 out of the
+            panel. The gap beside a view shows the background, or with "cover" is cut off.
         background: red, green and blue in 0..1.
         device: cpu or cuda, where the image is made.
 
@@ -103,7 +103,7 @@ def weave(
         The image, on the device.
 
     Raises:
-        InputError: for views that differ in size or type, and for other values than these.
+        InputError: views differ in size or type, or an argument is out of its range.
     """
     source = _source(views)
     _check(panel, interpolation, place, background, device)
@@ -131,7 +131,7 @@ def _box(panel: Panel, count: int, table: np.ndarray | None, interpolation: str,
 def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most_mixed: int) -> Iterator[Held]:
     """Yield views in groups that fit into memory.
 
-    Each group but the first begins with the last views of the one before: as many as a sub-pixel mixes, less one.
+    Groups overlap by the number of views that a sub-pixel mixes, less one.
     """
     if isinstance(source, _Stack) and source.views.device == first.device and source.views.shape[1:] == first.shape:
         yield Held(source.views.contiguous(), 0, source.count)  # they are all held anyway

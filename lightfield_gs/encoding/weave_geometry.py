@@ -12,8 +12,7 @@ import numpy as np
 from lightfield_gs import _core
 from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import panel_lens
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import Panel, panel_lens
 
 _ROWS = 16  # of the panel at a time
 
@@ -135,7 +134,7 @@ def find_window(
         raise InputError(f"fit must be {', '.join(FITS)}, got {shown(fit)}")
     shift = real_number("shift", shift, -1, 1)
     if not is_row(crop, 4):
-        raise InputError(f"crop must be shares of left, top, right and bottom, got {shown(crop)}")
+        raise InputError(f"crop must be fractions of left, top, right and bottom, got {shown(crop)}")
     left, top, right, bottom = (real_number("crop", part, 0, 1) for part in crop)
     width, height = 1 - left - right, 1 - top - bottom
     if fit == "cover":  # what a shift uncovers beside the outermost views is cut off

@@ -111,17 +111,8 @@ def save(path: Path, trainer: Trainer, identity: Identity, history: list[dict[st
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 
-    groups = {
-        "fields": trainer.state.tensors(),
-        "counters": trainer.counters.tensors(),
-        "tally": trainer.statistics.tensors(),
-        "extra": trainer.extra,
-    }
-    tensors = {
-        f"{group}.{name}": tensor.detach().to("cpu").contiguous()
-        for group, named_tensors in groups.items()
-        for name, tensor in named_tensors.items()
-    }
+    owned = {f"fields.{name}": tensor for name, tensor in trainer.state.tensors().items()} | _targets(trainer)
+    tensors = {name: tensor.detach().to("cpu").contiguous() for name, tensor in owned.items()}
     metadata = {"version": _VERSION, "step": trainer.done, "history": history, **asdict(identity)}
     with atomic_path(path) as temporary:
         try:
@@ -145,17 +136,11 @@ def restore(path: Path, trainer: Trainer, identity: Identity) -> list[dict[str, 
         metadata, on_host = _read(path)
         identity.check(path, metadata)
         tensors = {name: tensor.to(trainer.device) for name, tensor in on_host.items()}
-        trainer.state = GaussianState.from_tensors(_strip_prefix("fields", tensors))
+        fields = {name.removeprefix("fields."): t for name, t in tensors.items() if name.startswith("fields.")}
+        trainer.state = GaussianState.from_tensors(fields)
         trainer.statistics = DensityStatistics(trainer.state.count, trainer.settings, trainer.device)
-        targets = {
-            "tally": trainer.statistics.tensors(),
-            "counters": trainer.counters.tensors(),
-            "extra": trainer.extra,
-        }
-        for prefix, owned in targets.items():
-            stored = _strip_prefix(prefix, tensors)
-            for name, own in owned.items():
-                own.copy_(stored[name])
+        for name, own in _targets(trainer).items():
+            own.copy_(tensors[name])
         trainer.done = int(metadata["step"])
         return list(metadata["history"])
 
@@ -193,5 +178,7 @@ def _explain_damage(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: expected a checkpoint of a fit, but {words}; {_WAY_OUT}") from None
 
 
-def _strip_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(f"{prefix}."): t for name, t in tensors.items() if name.startswith(f"{prefix}.")}
+def _targets(trainer: Trainer) -> dict[str, Tensor]:
+    """Return the tensors that a checkpoint stores beside the Gaussians, and that restoring writes to."""
+    groups = {"counters": trainer.counters.tensors(), "tally": trainer.statistics.tensors(), "extra": trainer.extra}
+    return {f"{group}.{name}": tensor for group, tensors in groups.items() for name, tensor in tensors.items()}

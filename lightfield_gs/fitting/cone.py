@@ -21,21 +21,20 @@ from lightfield_gs.fitting.evaluate import ConeAngles
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.pinhole import nearest_rotation
-from lightfield_gs.panels.framing import framing_comment
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, framing_comment
 
 # Photographs within half the cone and this margin count fully. Objects before and behind the zero plane are seen at
 # other angles than the pivot. Views at the cone's edge lie between photographs, too.
 MARGIN_DEG = 5.0
-# Beyond, weights fall as a cosine over FALL_DEG to a floor: photographs far outside still show where objects are, but
-# not their look from the panel.
+# Beyond, weights fall as a cosine over FALL_DEG to a floor. Photographs far outside still show the places of objects,
+# but not their look from the panel.
 FALL_DEG, FLOOR = 20.0, 0.05
 _LEAST_SPREAD_DEG = 3.0  # of axes; below it their intersection is too uncertain
 _IN_FRONT = 0.9  # the fraction of cameras that must have the intersection before them
 _FEWEST = 3  # cameras, and of points ten times as many, to learn a depth from
 
-# The direction of down in a stored photograph, (x, y), by the quarter turns clockwise that make it upright, and by Exif
+# The direction (x, y) of down in a stored photograph: by the quarter turns clockwise that make it upright, and by Exif
 # orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.
 _DOWN = ((0, 1), (1, 0), (0, -1), (-1, 0))
 _STORED_DOWN = {2: _DOWN[0], 3: _DOWN[2], 4: _DOWN[2], 5: _DOWN[1], 6: _DOWN[1], 7: _DOWN[3], 8: _DOWN[3]}
@@ -96,8 +95,8 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
     """Place a cone round a photograph of a capture.
 
     The pivot is on the centre camera's axis, at the median depth of the points in the middle third, each way, of its
-    photograph: a panel is sharpest there, and the surface of the subject should be. With few such points it is at the
-    depth of the intersection of the axes of the cameras in the cone, which lies within a subject seen from around.
+    photograph: a panel is sharpest there, and the surface of the subject should be. With few such points the axes of
+    the cameras in the cone intersect at the pivot's depth, within a subject photographed from around.
 
     Args:
         capture: the photographs and cameras.
@@ -206,7 +205,7 @@ def _directions(centres: np.ndarray, pivot: np.ndarray) -> np.ndarray:
 
 
 def _angles(directions: np.ndarray, index: int) -> np.ndarray:
-    """Return [C] degrees, angles of directions from that of `index`; exact near 0, unlike an arc cosine."""
+    """Return [C], degrees, the angles of directions from direction `index`; exact near 0, unlike an arc cosine."""
     cosines = directions @ directions[index]
     sines = np.linalg.norm(np.cross(directions, directions[index]), axis=1)
     return np.degrees(np.arctan2(sines, cosines))

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import rotations
-from lightfield_gs.fitting.optimizer import MOST_LOGIT, GaussianState, RawParameters
+from lightfield_gs.fitting.optimizer import MOST_LOGIT, GaussianState
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.random import Purpose, normals, uniforms
 from lightfield_gs.fitting.settings import FitSettings
@@ -41,9 +41,9 @@ class DensityStatistics:
     Attributes:
         seen: [N] uint8, 1 if a Gaussian was drawn since the round before the last. Regularisers skip the others: they
             would melt Gaussians that no photograph of some rounds shows.
-        gradients: [N], for adaptive density, sums over images of the norm of the gradient of an image's own loss by the
-            projected mean, in halves of the image.
-        drawn: [N], for adaptive density, the number of these images.
+        gradients: [N], for adaptive density. For each image the loss of this image has a gradient by the projected
+            mean, in halves of the image; its norms are summed.
+        drawn: [N], the number of these images.
     """
 
     def __init__(self, count: int, settings: FitSettings, device: torch.device | str):
@@ -88,7 +88,7 @@ class DensityStatistics:
             sums.zero_()
 
     def sort(self, order: Tensor) -> None:
-        """Reorder the Gaussians: the one at order[i] moves to i."""
+        """Reorder the Gaussians: Gaussian order[i] moves to i."""
         for sums in self.tensors().values():
             if len(sums):
                 sums.copy_(sums[order])
@@ -198,13 +198,9 @@ def _copy(state: GaussianState, sources: Tensor, targets: Tensor) -> None:
 
 def _append(state: GaussianState, sources: Tensor) -> GaussianState:
     """Return the Gaussians with copies of `sources` behind them, whose moments are zero."""
-    values = RawParameters(*(torch.cat([tensor, tensor[sources]]) for tensor in state.values))
-    first, second = (
-        RawParameters(*(torch.cat([t, t.new_zeros(len(sources), *t.shape[1:])]) for t in moments))
-        for moments in (state.first, state.second)
-    )
-    scales, opacities = (torch.cat([t, t[sources]]) for t in (state.scales, state.opacities))
-    return GaussianState(values, first, second, scales, opacities)
+    extended = state.map(lambda tensor: torch.cat([tensor, tensor[sources]]))
+    _zero_moments(extended, slice(state.count, None))
+    return extended
 
 
 def _zero_moments(state: GaussianState, rows: Tensor | slice) -> None:
@@ -222,8 +218,8 @@ def refine_adaptive(
     """Clone, split and prune Gaussians.
 
     The rest keeps its order. Clones stand behind it, then the first and the second parts of the split Gaussians, all
-    with moments of zero. At settings.cap_max only the Gaussians with the largest gradients grow. A scene of which
-    nothing would be left stays as it is.
+    with moments of zero. At settings.cap_max only the Gaussians with the largest gradients grow. If no Gaussian would
+    be left, the scene stays as it is.
 
     Args:
         state: the Gaussians.

@@ -16,7 +16,7 @@ from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.rasterizer.image_render import ImageBuffers
-from lightfield_gs.rasterizer.scene import GradientRequest
+from lightfield_gs.rasterizer.workspace import GradientRequest
 from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.gaussians import Gaussians
 

@@ -13,11 +13,10 @@ import numpy as np
 import torch
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.checks import checked_path, expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.fitting import checkpoint, memory
 from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.cone import Display, place_display, rig_path
@@ -49,15 +48,15 @@ class FitResult:
 
     Attributes:
         gaussians: the scene in the capture's coordinates, float32 on the CPU.
-        settings: of the fit.
+        settings: the settings of the fit.
         steps: number of steps done, fewer than settings.steps if the fit was stopped.
-        scores: of the held-out photographs; None if there are none.
-        history: of all evaluations: step, psnr_db, ssim, gaussians.
+        scores: scores of the held-out photographs; None if there are none.
+        history: all evaluations: step, psnr_db, ssim, gaussians.
         stopped: whether `stop` ended the fit.
-        display: the panel that the scene was fitted for.
-        angles: of the held-out photographs, if they are scored by angle.
+        display: the panel that the scene is fitted for.
+        angles: scores of the held-out photographs by angle, if asked for.
         pruning: the result of pruning for the panel; None without a display, or if the fit was stopped.
-        window_scores: by the pixels of held-out photographs that the display can show, before and after pruning.
+        window_scores: scores of the pixels of held-out photographs that the display can show, before and after pruning.
     """
 
     gaussians: Gaussians
@@ -115,26 +114,26 @@ def fit(
 ) -> FitResult:
     """Fit Gaussians to posed photographs of a static scene (Kerbl et al. 2023).
 
-    The same capture, settings and device give the same bits. Several processes that torchrun starts must all make the
-    same call. They split the photographs of a step (batch_size), one GPU each. The first one writes and prints; all
+    The same capture, settings and device give the same bits. Under torchrun every process must make the same call. The
+    processes split the photographs of a step (batch_size), one GPU each. The first process writes and prints; all
     return the result.
 
     Args:
         capture: a folder (COLMAP's sparse/0 or a transforms.json, and the photographs), or a result of read_capture.
-        steps: how many.
+        steps: number of steps.
         cap_max: number of Gaussians at the end, or at most with "adaptive" density.
         density: "mcmc" or "adaptive".
-        test_every: k holds out the middle one of every k photographs for scores; None holds out none; "own" holds out
+        test_every: k holds out the middle one of every k photographs for scores; None holds out none. "own" holds out
             the capture's own test photographs, or one of every 8.
         test_names: the photographs to hold out instead.
         cone: a panel, its name or file, or the angle of the default panel's cone in degrees, 1..179. The fit is then
             for the views of this panel, see Display, and prunes Gaussians that it does not show.
         centre: name of the photograph in the middle of the cone; None: the most central one.
-        score_cone: full angle in degrees of the cone in which held-out photographs are scored by angle; None: that of
-            `cone`.
+        score_cone: full angle in degrees of the cone in which held-out photographs are scored by angle; None: the angle
+            of `cone`.
         contribution_cut: 0..1, of pruning for the panel, see prune_for_panel.
         device: "auto", "cpu" or "cuda".
-        folder: for checkpoints, scores.json and pictures. A fit that was stopped goes on from there, to the same bits.
+        folder: for checkpoints, scores.json and pictures. A stopped fit goes on from there, to the same bits.
         fresh: start over. For this and the following arguments see RunOptions.
         checkpoint_every: steps between checkpoints.
         evaluate_every: steps between evaluations.
@@ -142,11 +141,11 @@ def fit(
         stop_early: end once evaluations are no better.
         tensorboard: write scalars for TensorBoard.
         progress: print lines and a bar.
-        stop: is called between steps; True ends the fit.
+        stop: function called between steps; True ends the fit.
         settings: further fields of FitSettings.
 
     Raises:
-        InputError: there is no capture, a setting is outside its range, or the folder is that of another fit.
+        InputError: there is no capture, a setting is outside its range, or the folder belongs to another fit.
     """
     chosen = make_settings(steps=steps, cap_max=cap_max, density=density, **settings)
     where = None if folder is None else checked_path(folder)
@@ -166,21 +165,13 @@ def fit(
             read, train, test, chosen, options, own, group, (cone, centre, score_cone)
         )
         run.go()
-        scene, pruning, window_scores = run.trainer.state.gaussians().detach(), None, None
+        trainer, pruning, window_scores = run.trainer, None, None
+        scene = trainer.state.gaussians().detach()
         if display is not None and not run.stopped:
             scene, pruning, window_scores = prune_run(run, normalization, display, cut)
         scene = _remove_origin(normalization.restore(scene.to("cpu")))
     return FitResult(
-        scene,
-        chosen,
-        run.trainer.done,
-        run.scores,
-        run.history,
-        run.stopped,
-        display,
-        run.angles,
-        pruning,
-        window_scores,
+        scene, chosen, trainer.done, run.scores, run.history, run.stopped, display, run.angles, pruning, window_scores
     )
 
 
@@ -241,9 +232,7 @@ def _prepare(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {device}: "
         f"{settings.steps} steps, {trainer.state.count} Gaussians to begin with, {settings.cap_max} at most"
     )
-    if (words := _describe_dropout(settings, len(train))) is not None:
-        progress.say(words)
-    for line in messages:
+    for line in (*_describe_dropout(settings, len(train)), *messages):
         progress.say(line)
     return Run(trainer, held_out, identity, options, progress, angles), normalization, display
 
@@ -251,7 +240,7 @@ def _prepare(
 def _drop_masked_out(
     images: PosedImages, held_out: PosedImages | None, masks: Masks
 ) -> tuple[PosedImages | None, list[int]]:
-    """Drop held-out photographs of which masks leave nothing to score, and report photographs without pixels.
+    """Drop held-out photographs without pixels to score under their masks, and report photographs without pixels.
 
     Returns:
         The other held-out photographs, None if there are none, and their indices.
@@ -278,16 +267,15 @@ def _drop_masked_out(
     return held_out.select(indices) if held_out is not None and indices else None, indices
 
 
-def _describe_dropout(settings: FitSettings, photographs: int) -> str | None:
+def _describe_dropout(settings: FitSettings, photographs: int) -> list[str]:
     """Return a line about dropout for a fit to so many photographs, if there is something to say."""
     if settings.dropout > 0:
-        return f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"
-    if photographs > _FEW_PHOTOGRAPHS:
-        return None
-    return (
+        return [f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"]
+    words = (
         f"steps leave out no Gaussians: with {photographs} photographs a dropout of 0.2 gains up to 1 dB or loses up "
         "to 1.5, by the scene; compare the PSNR of photographs held out"
     )
+    return [words] if photographs <= _FEW_PHOTOGRAPHS else []
 
 
 def _remove_origin(gaussians: Gaussians) -> Gaussians:

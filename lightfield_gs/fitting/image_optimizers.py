@@ -129,10 +129,10 @@ class ExposureOptimizer:
 
 
 class PoseOptimizer:
-    """Refines the cameras' poses, which structure from motion knows to a pixel or so.
+    """Refine the cameras' poses, which structure from motion knows to a pixel or so.
 
     A small regulariser pulls each camera to its first pose. The mean motion of all cameras is removed, so that held-out
-    cameras and the display keep their places in the scene; a common change of scale is not removed. Sums are float64:
+    cameras and the display keep their places in the scene. A common change of scale is not removed. Sums are float64:
     tens of thousands of small rotations have to stay a rotation.
 
     Attributes:

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.fitting.random import Purpose, uniforms
 from lightfield_gs.fitting.settings import FitSettings
@@ -53,10 +52,8 @@ def initialize_gaussians(
 
 def neighbour_distances(points: np.ndarray) -> Tensor:
     """Return [P] float64, the root mean square distance of each point [P,3] to its three nearest others; positive."""
-    try:
-        from scipy.spatial import cKDTree
-    except ImportError:
-        raise InputError("fitting needs scipy, which is not installed: pip install 'lightfield-gs[fit]'") from None
+    from scipy.spatial import cKDTree
+
     found, _ = cKDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(points)), workers=-1)
     squares = (found[:, 1:] ** 2).mean(1) if len(points) > 1 else np.ones(1)
     return torch.from_numpy(np.sqrt(np.maximum(squares, 1e-7**2)))

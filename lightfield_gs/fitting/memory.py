@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import torch
 
-from lightfield_gs.base.cuda import free_memory
+from lightfield_gs.base.device import free_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.fitting.settings import FitSettings

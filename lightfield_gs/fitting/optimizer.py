@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,13 +19,14 @@ from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
-from lightfield_gs.fitting.native import optional_address, run_stage, select_stages
+from lightfield_gs.base.stages import optional_address, run_stage, select_stages
 from lightfield_gs.scene.gaussians import Gaussians
 
 MOST_LOG_SCALE = _core.MOST_LOG_SCALE  # the update keeps log_scales within -20..20: 2e-9 .. 5e8 scene units
 MOST_LOGIT = _core.MOST_LOGIT  # and logits within -15..15, so that opacities stay below 1 in float32 as well
 BETAS, EPSILON = (0.9, 0.999), 1e-15  # Kerbl et al. 2023
 _GROUPS = ("values", "first", "second")
+_COLUMNS = "means_lr scales_lr quats_lr opacities_lr sh0_lr shN_lr noise_lr opacity_reg scale_reg".split()
 
 
 class RawParameters(NamedTuple):
@@ -110,12 +112,9 @@ class GaussianState:
 
     def map(self, change: Callable[[Tensor], Tensor]) -> GaussianState:
         """Return a state with `change` of every tensor, moments too: other Gaussians, or another order."""
-        values, first, second = (
-            RawParameters(*(change(t).contiguous() for t in group)) for group in (self.values, self.first, self.second)
-        )
-        return GaussianState(
-            values, first, second, change(self.scales).contiguous(), change(self.opacities).contiguous()
-        )
+        groups = (self.values, self.first, self.second, (self.scales, self.opacities))
+        *raw, drawn = ([change(tensor).contiguous() for tensor in group] for group in groups)
+        return GaussianState(*(RawParameters(*tensors) for tensors in raw), *drawn)
 
     def refresh(self) -> None:
         """Compute scales and opacities again, after log_scales or logits were set."""
@@ -186,19 +185,10 @@ def update_table(
         InputError: a number is negative or not finite, or a row has another length.
     """
     steps = whole_number("steps", steps, 1, 2**31)
-    rates = {
-        "means_lr": means_lr,
-        "scales_lr": scales_lr,
-        "quats_lr": quats_lr,
-        "opacities_lr": opacities_lr,
-        "sh0_lr": sh0_lr,
-        "shN_lr": shN_lr,
-    }
-    others = {"noise_lr": noise_lr, "opacity_reg": opacity_reg, "scale_reg": scale_reg}
+    values = (means_lr, scales_lr, quats_lr, opacities_lr, sh0_lr, shN_lr, noise_lr, opacity_reg, scale_reg)
     corrections = torch.tensor(bias_corrections(steps, _check_betas(betas)), dtype=torch.float64)
-    columns = [_column(name, value, steps) for name, value in rates.items()]
-    columns += [*corrections, *(_column(name, value, steps) for name, value in others.items())]
-    return torch.stack(columns, 1).to(device=device, dtype=dtype).contiguous()
+    columns = [_column(name, value, steps) for name, value in zip(_COLUMNS, values)]
+    return torch.stack([*columns[:6], *corrections, *columns[6:]], 1).to(device=device, dtype=dtype).contiguous()
 
 
 def update(
@@ -243,7 +233,7 @@ def update(
         InputError: another shape, dtype or device, a parameter that is not contiguous, or on the CPU a step outside the
             table.
     """
-    job = _Job(values, first, second, gradients, scales, opacities)
+    stages, buffers, _held = _native_buffers(values, first, second, gradients, scales, opacities)
     like, device = values.means, values.means.device
     rows = table.shape[0] if isinstance(table, Tensor) and table.dim() == 2 else 0
     table = check_tensor("table", table, (rows, _core.STEP_COLUMNS), like.dtype, device)
@@ -253,10 +243,10 @@ def update(
     if not like.is_cuda and not 0 <= int(step) < rows:
         raise InputError(f"step must be a row of the table, 0..{rows - 1}, got {int(step)}")
     if seen is not None:
-        seen = check_tensor("seen", seen, (job.count,), torch.uint8, device)
+        seen = check_tensor("seen", seen, (len(like),), torch.uint8, device)
     beta1, beta2 = _check_betas(betas)
-    native = job.stages.Update(
-        **job.buffers(),
+    native = stages.Update(
+        **buffers,
         seen=optional_address(seen),
         table=table.data_ptr(),
         rows=rows,
@@ -267,53 +257,37 @@ def update(
         epsilon=real_number("epsilon", epsilon, 1e-30, 1),
         seed=whole_number("seed", seed, 0, 2**64 - 1),
     )
-    run_stage("update", job.stages, device, native)
+    run_stage("update", stages, device, native)
 
 
-class _Job:
-    """The checked tensors of N Gaussians."""
-
-    def __init__(
-        self,
-        values: RawParameters,
-        first: RawParameters,
-        second: RawParameters,
-        gradients: Gradients,
-        scales: Tensor,
-        opacities: Tensor,
-    ):
-        means, sh = values.means, values.sh
-        expect("means", means, Tensor)
-        expect("sh", sh, Tensor)
-        if means.dim() != 2 or means.shape[1] != 3:
-            raise InputError(f"means must be [N,3], got {list(means.shape)}")
-        if sh.dim() != 3 or sh.shape[1] not in (1, 4, 9, 16):
-            raise InputError(f"sh must be [N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
-        self.stages, self.count, harmonics = select_stages("means", means), means.shape[0], sh.shape[1]
-        self.degree = SH_COEFFICIENTS.index(harmonics)
-        n, like = self.count, (means.dtype, means.device)
-        raw = {"means": (n, 3), "log_scales": (n, 3), "quaternions": (n, 4), "logits": (n,), "sh": (n, harmonics, 3)}
-        drawn = {"scales": (n, 3), "opacities": (n,)}
-        shapes = {**raw, **drawn}
-        for what, tensors in (("", values), ("first moments of ", first), ("second moments of ", second)):
-            for name, tensor in zip(RawParameters._fields, tensors):
-                check_tensor(what + name, tensor, shapes[name], *like, writes=True)
-        for name, tensor in (("scales", scales), ("opacities", opacities)):
-            check_tensor(name, tensor, shapes[name], *like, writes=True)
-        self.raw, self.drawn = (values, first, second), (scales, opacities)
-        self.gradients = [
-            check_tensor(f"gradient of {name}", tensor, shapes[name], *like)
-            for name, tensor in zip(Gradients._fields, gradients)
-        ]
-
-    def buffers(self) -> dict:
-        """Return the native buffers, which hold as long as this job does."""
-        values, first, second = (self.stages.Parameters(*(t.data_ptr() for t in tensors)) for tensors in self.raw)
-        gradients = self.stages.Gaussians(self.count, self.degree, *(g.data_ptr() for g in self.gradients))
-        scales, opacities = (t.data_ptr() for t in self.drawn)
-        return dict(
-            gradients=gradients, parameters=values, first=first, second=second, scales=scales, opacities=opacities
-        )
+def _native_buffers(
+    values: RawParameters, first: RawParameters, second: RawParameters, gradients: Gradients, *drawn: Tensor
+) -> tuple[ModuleType, dict[str, Any], list[Tensor]]:
+    """Check the tensors of N Gaussians; return the native stages, the buffers, and gradients that must outlive them."""
+    means, sh = values.means, values.sh
+    expect("means", means, Tensor)
+    expect("sh", sh, Tensor)
+    if means.dim() != 2 or means.shape[1] != 3:
+        raise InputError(f"means must be [N,3], got {list(means.shape)}")
+    if sh.dim() != 3 or sh.shape[1] not in SH_COEFFICIENTS:
+        raise InputError(f"sh must be [N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
+    stages, n, like = select_stages("means", means), len(means), (means.dtype, means.device)
+    widths = {"means": (3,), "log_scales": (3,), "scales": (3,), "quaternions": (4,), "sh": (sh.shape[1], 3)}
+    groups = ("", values), ("first moments of ", first), ("second moments of ", second)
+    named = [(what + name, name, t) for what, group in groups for name, t in zip(RawParameters._fields, group)]
+    for what, name, tensor in [*named, *((name, name, t) for name, t in zip(("scales", "opacities"), drawn))]:
+        check_tensor(what, tensor, (n, *widths.get(name, ())), *like, writes=True)
+    held = [
+        check_tensor(f"gradient of {name}", tensor, (n, *widths.get(name, ())), *like)
+        for name, tensor in zip(Gradients._fields, gradients)
+    ]
+    buffers = {
+        name: stages.Parameters(*(t.data_ptr() for t in tensors))
+        for name, tensors in (("parameters", values), ("first", first), ("second", second))
+    }
+    buffers |= {name: t.data_ptr() for name, t in zip(("scales", "opacities"), drawn)}
+    degree = SH_COEFFICIENTS.index(sh.shape[1])
+    return stages, {**buffers, "gradients": stages.Gaussians(n, degree, *(t.data_ptr() for t in held))}, held
 
 
 def _check_betas(betas: tuple[float, float]) -> tuple[float, float]:

@@ -26,7 +26,7 @@ from lightfield_gs.fitting.evaluate import Scores
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.rasterizer.image_render import ImageBuffers
-from lightfield_gs.rasterizer.scene import GradientRequest
+from lightfield_gs.rasterizer.workspace import GradientRequest
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
 # The mean error of colours 0..1 by pruning, 1/39 of a step of 8 bits. `prune` allows three times as much; here nobody

@@ -16,7 +16,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.native import run_stage, select_stages
+from lightfield_gs.base.stages import run_stage, select_stages
 
 
 class Purpose(IntEnum):
@@ -70,7 +70,7 @@ def dropout(rates: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
 
     With few photographs some Gaussians explain only one of them, and stand in the way of images between them. Each step
     draws another random part, so that no Gaussian can hide behind others, and all get gradients. See Park et al.,
-    "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025; csrc/math/fit/dropout.h.
+    "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025; csrc/math/fit/random.h.
 
     It is off by default, since the gain depends on the scene more than on the number of photographs. Measured were 0.2
     against 0, 7,000 steps, 9 to 12 photographs, PSNR of held-out photographs (docs/benchmarks.md). Bananas: +0.6 to

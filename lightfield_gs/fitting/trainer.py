@@ -1,25 +1,78 @@
-"""The steps of a fit in their order, and the changes between them: degree of harmonics, density, order in memory."""
+"""The training loop of a fit: its steps, and the changes between them: degree of harmonics, density, order in memory.
+
+The calls of a step are the same on every device. Everything that changes from step to step is read from tensors by the
+number of the step, which is a tensor too. So a step on CUDA waits for nothing, and a CUDA graph can repeat it. Only the
+device knows the number of (tile, Gaussian) intersections of an image. A step with more than its capacity changes
+nothing, nor do the steps after it, until the host has looked and raised the capacity.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.density import DensityStatistics, morton_order, refine_adaptive, refine_mcmc, reset_opacities
 from lightfield_gs.fitting.distributed import ALONE, Group
 from lightfield_gs.fitting.image_optimizers import ExposureOptimizer, PoseOptimizer
-from lightfield_gs.fitting.optimizer import GaussianState
+from lightfield_gs.fitting.optimizer import GaussianState, Gradients, update
+from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.posed_images import PosedImages
+from lightfield_gs.fitting.random import dropout
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import FitSettings
-from lightfield_gs.fitting.step import Step, StepCounters
+from lightfield_gs.rasterizer.image_render import ImageBuffers, ImageRender
+from lightfield_gs.rasterizer.workspace import GradientRequest
 
 _LOOK_EVERY = 100  # steps after which the host waits for the device
 # Allocate 1.25 x the largest number of intersections seen, and 65536; allocate again when less than 10 % is left.
 _SLACK, _LEAST_SLACK, _LEAST_CAPACITY = 1.25, 1.1, 1 << 16
+
+
+@dataclass
+class StepCounters:
+    """The progress of a fit, on its device; [1] int64 each, except losses.
+
+    Attributes:
+        step: the next step.
+        intersections: the most that a step needed since the host looked.
+        overflow: 1 once a step needed more than its capacity.
+        skipped: number of Gaussians that kept their values since their gradients were not numbers.
+        losses: [steps] float32, of each step.
+    """
+
+    step: Tensor
+    intersections: Tensor
+    overflow: Tensor
+    skipped: Tensor
+    losses: Tensor
+
+    @classmethod
+    def start(cls, steps: int, device: torch.device | str) -> StepCounters:
+        """Return the counters of a fit that begins."""
+        step, intersections, overflow, skipped = (torch.zeros(1, dtype=torch.int64, device=device) for _ in range(4))
+        return cls(step, intersections, overflow, skipped, torch.zeros(steps, device=device))
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors by their names in checkpoints."""
+        own = {"step": self.step, "pairs": self.intersections, "lost": self.overflow}
+        return {**own, "skipped": self.skipped, "losses": self.losses}
+
+
+class _StepGradients(NamedTuple):
+    """The part of some photographs in a step, float32."""
+
+    gaussians: Gradients
+    sums: Tensor  # see DensityStatistics.measure
+    loss: Tensor  # [1]
+    exposure: Tensor  # of all photographs, empty if it is not optimised
+    poses: Tensor  # of all photographs, empty if they are not optimised
 
 
 class Trainer:
@@ -59,14 +112,14 @@ class Trainer:
             PoseOptimizer(images.world_to_camera, settings.steps, settings.poses_lr) if settings.poses else None
         )
         # Other optimised tensors by name: a checkpoint stores them, and writes to them to restore the fit
-        self.extra: dict[str, torch.Tensor] = {
+        self.extra: dict[str, Tensor] = {
             f"{name}.{part}": tensor
             for name, own in (("exposure", self.exposure), ("poses", self.poses))
             if own is not None
             for part, tensor in own.tensors().items()
         }
-        self._own_order = group.split(self.schedule.order)
-        self._host_order = self._own_order.cpu()
+        self._order = group.split(self.schedule.order)
+        self._host_order = self._order.cpu()
         self._check_same()
         self.done = 0
         self._capacity: int | None = None
@@ -94,10 +147,7 @@ class Trainer:
 
     def _segment_end(self, until: int) -> int:
         """Return the next step after which something else is due, or `until` if that comes first."""
-        step = self.done + 1
-        while step < until and not self._something_due(step):
-            step += 1
-        return step
+        return next((step for step in range(self.done + 1, until) if self._something_due(step)), until)
 
     def _something_due(self, step: int) -> bool:
         settings = self.settings
@@ -139,35 +189,22 @@ class Trainer:
                 self._run_cuda(count)
             else:
                 for _ in range(count):
-                    self._step(None).run()
+                    self._step(None)
             self._look(count)
-
-    def _step(self, capacity: int | None) -> Step:
-        return Step(
-            self.state,
-            self.images,
-            self.schedule,
-            self.settings,
-            self.counters,
-            self.statistics,
-            capacity,
-            order=self._own_order,
-            exposure=self.exposure,
-            poses=self.poses,
-            group=self.group,
-        )
 
     def _run_cuda(self, count: int) -> None:
         self._stage(0)
         if self._capacity is None:  # the first step of all finds the number of intersections
-            self._step(None).run()
+            self._step(None)
             return
         tensors = [*self.state.tensors().values(), *self.statistics.tensors().values()]
         key = (self.state.count, self._capacity, *(t.data_ptr() for t in tensors))
         if self._graph is None or key != self._graph_key:
             self._graph = None  # frees its memory before the next one is made
-            self._step(self._capacity).run()  # calls that run for the first time must not be captured
-            self._graph, self._graph_key = self._capture(), key
+            self._step(self._capacity)  # calls that run for the first time must not be captured
+            torch.cuda.synchronize(self.device)
+            self._graph, _ = capture_graph(partial(self._step, self._capacity))
+            self._graph_key = key
         else:
             self._graph.replay()
         for ahead in range(1, count):
@@ -178,11 +215,6 @@ class Trainer:
         """Copy the photographs of a step, `ahead` of the next one, to the device if they are on the host."""
         if self.images.on_host:
             self.images.stage(self._host_order[min(self.done + ahead, self.settings.steps - 1)])
-
-    def _capture(self) -> torch.cuda.CUDAGraph:
-        """Return a step as a graph. Capturing does not run it."""
-        torch.cuda.synchronize(self.device)
-        return capture_graph(self._step(self._capacity).run)[0]
 
     def _look(self, begun: int) -> None:
         """Wait for the device; learn how many of `begun` steps are done, and raise the capacity if they need more.
@@ -201,3 +233,91 @@ class Trainer:
             raise InputError(
                 f"step {self.done}: the loss is no number any more; a lower rate or other photographs may help"
             )
+
+    # --- One step
+
+    def _step(self, capacity: int | None) -> None:
+        """Do the next step.
+
+        Args:
+            capacity: for (tile, Gaussian) intersections, on CUDA; None: the host waits for their number.
+        """
+        counters = self.counters
+        chosen = self._order.index_select(0, counters.step)[0]
+        found = self._gradients(chosen, capacity)
+        self.group.sum_([*found.gaussians, *found[1:]])
+        counters.losses.index_copy_(0, counters.step, found.loss)
+        kept = 1 - counters.overflow
+        self.statistics.add(found.sums, kept)
+        update(
+            self.state.values,
+            self.state.first,
+            self.state.second,
+            found.gaussians,
+            self.state.scales,
+            self.state.opacities,
+            table=self.schedule.numbers,
+            step=torch.where(kept > 0, counters.step, -1),
+            skipped=counters.skipped,
+            seed=self.settings.seed,
+            seen=self.statistics.seen,
+        )
+        if self.exposure is not None:
+            self.exposure.update(found.exposure, counters.step, kept)
+        if self.poses is not None:
+            self.poses.update(found.poses, counters.step, kept)
+        counters.step += kept
+
+    def _gradients(self, chosen: Tensor, capacity: int | None) -> _StepGradients:
+        """Return the part of photographs `chosen` [V] in the sums over all photographs of the step."""
+        images, poses = self.images, self.poses
+        background = self.schedule.backgrounds.index_select(0, self.counters.step).expand(len(chosen), 3).contiguous()
+        world_to_camera = images.world_to_camera if poses is None else poses.world_to_camera
+        gaussians, antialiased = self.state.gaussians(), self.settings.antialiased
+        rates, factors = self.schedule.dropouts, None
+        if rates is not None:
+            factors = dropout(rates, self.counters.step, self.settings.seed, self.state.count)
+            gaussians = replace(gaussians, opacities=gaussians.opacities * factors)
+        job = images.render_job(gaussians, chosen, world_to_camera, background, antialiased, capacity=capacity)
+        rendered = job.draw()
+        loss, g_image, g_exposure = self._compare(rendered.image[0], chosen, background)
+        request = GradientRequest(self.statistics.screen_numbers, cameras=poses is not None)
+        gradients = job.backward(rendered, ImageBuffers(g_image[None], None, None), request)
+        self._count_intersections(job, capacity)
+        g_gaussians = Gradients(*(g[0] for g in gradients.fields))
+        if factors is not None:
+            g_gaussians = g_gaussians._replace(opacities=g_gaussians.opacities * factors)
+        return _StepGradients(
+            g_gaussians,
+            self.statistics.measure(job.splats, gradients.screen, images),
+            loss[None],
+            g_exposure,
+            loss.new_zeros(0) if poses is None else poses.sum_gradients(gradients.cameras, chosen).to(loss.dtype),
+        )
+
+    def _compare(self, image: Tensor, chosen: Tensor, background: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Compare renders [V,H,W,3] with photographs.
+
+        A photograph over the background is over the exposed background: exposure belongs to the camera, and transparent
+        pixels are to say nothing about it.
+
+        Returns:
+            The loss over the batch size, and its gradients by the renders and by the exposure of all photographs.
+        """
+        exposure, batch_size = self.exposure, self.settings.batch_size
+        behind = background if exposure is None else exposure.apply(background, chosen)
+        exposed = image if exposure is None else exposure.apply(image, chosen)
+        photos, weights = self.images.targets(chosen, behind)
+        loss, gradient = photo_loss_and_gradient(exposed, photos, weights, self.settings.ssim_lambda)
+        loss, gradient = loss / batch_size, gradient / batch_size
+        if exposure is None:
+            return loss, gradient, loss.new_zeros(0)
+        return loss, *exposure.backward(image, gradient, chosen)
+
+    def _count_intersections(self, job: ImageRender, capacity: int | None) -> None:
+        """Count intersections, and set `overflow` if they exceed the capacity in any process: all stop together."""
+        counters, intersections = self.counters, job.intersections_on_device
+        self.group.max_(intersections)
+        torch.maximum(counters.intersections, intersections, out=counters.intersections)
+        if capacity is not None:
+            counters.overflow |= intersections > capacity

@@ -13,8 +13,8 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.paths import checked_path
 
 # Names of temporary files: the stem, a number, the suffix; earlier versions had twelve digits for the number
 _TEMPORARY = re.compile(r"\..*\.(partial-\d+|[0-9a-f]{12})(\.[^.]*)?", re.DOTALL)

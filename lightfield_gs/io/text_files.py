@@ -1,4 +1,4 @@
-"""Text files, and the JSON values and YAML mappings in them."""
+"""Text files, the JSON values and YAML mappings in them, and the package's own configurations."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
 
+_PACKAGE = Path(__file__).resolve().parents[1]
 MOST_BYTES = 1 << 16  # of a YAML file, whose reader takes up to a second for them
 
 
@@ -170,3 +171,33 @@ def write_mapping(path: str | Path, data: dict[str, Any]) -> None:
     with atomic_path(path) as temporary:
         lines = [f"{key}: {json.dumps(value)}\n" for key, value in data.items()]
         temporary.write_text("".join(lines), encoding="utf-8")
+
+
+# Configurations, installed or in a source checkout
+
+
+def config_folder(kind: str) -> Path:
+    """Return the folder of the configurations of one kind: "panels", "models" or "training".
+
+    Raises:
+        InputError: neither the installed package nor a source checkout has it.
+    """
+    for root in (_PACKAGE / "configs", _PACKAGE.parent / "configs"):
+        if (root / kind).is_dir():
+            return root / kind
+    raise InputError(f"no folder configs/{kind} in {_PACKAGE} or beside it; reinstall lightfield-gs")
+
+
+def config_names(kind: str) -> list[str]:
+    """Return the names of the configurations of one kind, sorted."""
+    return sorted(path.stem for path in config_folder(kind).glob("*.yaml"))
+
+
+def config_path(kind: str, name: str) -> Path:
+    """Return the path of configs/<kind>/<name>.yaml; raise InputError with the known names, the nearest first."""
+    names = config_names(kind)
+    if name in names:
+        return config_folder(kind) / f"{name}.yaml"
+    near = difflib.get_close_matches(name, names, 1)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    raise InputError(f"unknown name '{name}' in configs/{kind}; {hint}known: {', '.join(names)}, or give a file")

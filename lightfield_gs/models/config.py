@@ -9,8 +9,7 @@ from typing import Any
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import config_path
-from lightfield_gs.io.text_files import check_keys, read_mapping
+from lightfield_gs.io.text_files import check_keys, config_path, read_mapping
 from lightfield_gs.models.unet import UNetConfig, check_field_types
 
 INPUT_CHANNELS = {"rgb": 3, "rgb_mask_ray": 6}
@@ -28,13 +27,13 @@ class ModelConfig:
             computes features at half the resolution, for four Gaussians a feature.
         features: channels between U-Net and heads; 0: as many as the heads predict, as in the original.
         composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
-        layers: Gaussians per pixel, each layer behind the one before; 1 for "absolute".
+        layers: Gaussians per pixel, each layer behind its predecessor; 1 for "absolute".
         sh_degree: degree of the spherical harmonics, 0..3.
         near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
         base_depth: depth of the untrained first layer ("delta" only).
         photo_focal: focal length assumed for photos, in units of the side of the square round the object.
-        symmetric: average the predictions of the picture and of its mirror image, so that a mirrored picture gives
-            mirrored Gaussians, for twice the work of the U-Net.
+        symmetric: average the predictions of the picture and of its mirror image, for twice the work of the U-Net. A
+            mirrored picture then gives mirrored Gaussians.
         unet: the backbone.
     """
 

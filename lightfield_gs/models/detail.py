@@ -222,8 +222,9 @@ def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
         Optical depths, 1 where the object is opaque, and colours, which blurred are about the photo's.
     """
     mask = texels.mask
-    # Optical depths of overlapping texels add up, and only they may be blurred and sharpened: half an opacity has
-    # much less than half the optical depth. It is reduced further, since spread beyond the outline is not undone.
+    # Optical depths of overlapping texels add up, so they are blurred and sharpened, not opacities. Half an opacity has
+    # much less than half the optical depth. The depth is reduced further, since spread beyond the outline is not
+    # undone.
     depth = -torch.log1p(-_MOST_OF_SHEET * mask) / _OPTICAL_DEPTH * mask
     soft = blur(torch.cat([texels.colour * mask, mask, depth], 1), deviation)
     near = soft[:, :3] / soft[:, 3:4].clamp_min(1e-3)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.base.stages import run_stage
 from lightfield_gs.models.detail import DetailLevel, SheetSurface, sheet_look, surface_look
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
@@ -80,7 +81,7 @@ def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int
             disparity=disparity.data_ptr(),
             harmonics=harmonics.data_ptr(),
         )
-        _run("surface", job, mask)
+        run_stage("surface", _core, mask.device, job)
     return surface
 
 
@@ -114,18 +115,10 @@ def lay_texels(
             surface=scratch[5 * texels :].data_ptr(),
             out=_native(fields),
         )
-        _run("sheet", job, fine)
+        run_stage("sheet", _core, fine.device, job)
 
 
 def _native(fields: list[Tensor]) -> _core.float32.Gaussians:
     """Return Gaussians [N,...] in the native module's form."""
     degree = SH_COEFFICIENTS.index(fields[4].shape[1])
     return _core.float32.Gaussians(len(fields[0]), degree, *(field.data_ptr() for field in fields))
-
-
-def _run(stage: str, job: _core.Surface | _core.Sheet, photo: Tensor) -> None:
-    if photo.is_cuda:
-        with torch.cuda.device_of(photo):
-            getattr(_core.cuda, stage)(job, torch.cuda.current_stream().cuda_stream)
-    else:
-        getattr(_core, stage)(job, torch.get_num_threads())

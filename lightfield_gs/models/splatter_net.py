@@ -21,9 +21,8 @@ from torch import Tensor, nn
 
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
-from lightfield_gs.base.checks import expect
+from lightfield_gs.base.checks import checked_path, expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
 from lightfield_gs.io.text_files import parse_json
@@ -43,7 +42,7 @@ _CONFIG_KEY = "lightfield_gs.model_config"
 
 
 class SplatterNet(nn.Module):
-    """Predicts `layers` Gaussians for every pixel of a square picture of an object.
+    """Predict `layers` Gaussians for every pixel of a square picture of an object.
 
     See ModelConfig for the choices.
     """
@@ -71,7 +70,7 @@ class SplatterNet(nn.Module):
     ) -> Gaussians:
         """Predict the Gaussians of B pictures in the axes of their own cameras (OpenCV). Differentiable.
 
-        The U-Net obeys autocast and may be of lower precision; heads, composer and sheet are always float32.
+        The U-Net obeys autocast and may run in lower precision; heads, composer and sheet are always float32.
 
         Args:
             images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1.
@@ -83,7 +82,7 @@ class SplatterNet(nn.Module):
             Gaussians with leading B, float32: the H' * W' of the sheet, then layers * H * W.
 
         Raises:
-            InputError: unless H and W are multiples of config.size_step.
+            InputError: H or W is no multiple of config.size_step.
         """
         for name, size in zip(("height", "width"), images.shape[-2:]):
             self.config.check_size(f"{name} of the images", size)
@@ -132,7 +131,7 @@ class SplatterNet(nn.Module):
             Gaussians in the axes of the photo's camera (at the origin, z forward; the object is near z = 1.3).
 
         Raises:
-            InputError: for other shapes, types or values, and for an empty mask.
+            InputError: shape, type or values of `rgba` are invalid, or its mask is empty.
         """
         photo = checked_photo(rgba)
         expect("level", level, DetailLevel, type(None))
@@ -176,7 +175,7 @@ class SplatterNet(nn.Module):
     def visible_gaussians(
         self, cropped: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
     ) -> Gaussians:
-        """Return all_gaussians of a cropped photo without those too faint to be drawn. Waits for the device."""
+        """Return the Gaussians of a cropped photo that are bright enough to be drawn. Wait for the device."""
         return visible(self.all_gaussians(cropped, self.photo_intrinsics(), fine, level))
 
     @property
@@ -217,7 +216,7 @@ class SplatterNet(nn.Module):
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> SplatterNet:
-        """Load a checkpoint of save(), in eval mode, float32. None: the one in the package. Raises InputError."""
+        """Load a checkpoint of save(), in eval mode, float32. None: the package's own checkpoint. Raises InputError."""
         config, weights = read_weights(checked_path(path) if path is not None else PRETRAINED)
         with torch.device("meta"):  # no time for initial values, and no memory for a damaged configuration
             net = cls(config)

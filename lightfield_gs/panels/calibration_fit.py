@@ -1,11 +1,11 @@
 """The lens of a panel, estimated from photographs of bars on it, taken from known viewpoints.
 
-The bars are drawn for a profile `start`: a sub-pixel that shows view x of it has the phase x/N. Take an eye at (x_e,
-y_e, z), and a point of the panel s sub-pixels to the right of and r rows below its middle. Through the true lens the
-eye sees there the phase (mod 1)
+The bars are drawn for a profile `start`: a sub-pixel that shows view x of it has the phase x/N. An eye at (x_e, y_e, z)
+looks at a point s sub-pixels to the right of and r rows below the panel's middle. Through the true lens it sees the
+phase (mod 1)
     start's D/P_e - D/P_e + 1/2 - (xi (z - L) + xi_e (L + L_g)) / (E (z + L_g)),   D = D_mid + s + 3 r tan(slant)
-with xi = (s + 3 r tan(slant)) p_sub and xi_e = x_e - y_e tan(slant), in mm: from docs/design.md, "What an eye sees",
-for the sub-pixel in the middle of the light that a lens lets through. So the phase is a plane over the panel. Its
+with xi = (s + 3 r tan(slant)) p_sub and xi_e = x_e - y_e tan(slant), in mm. The formula is from docs/design.md, "What
+an eye sees", for the sub-pixel in the middle of the light through a lens. So the phase is a plane over the panel. Its
 slopes give 1/line_number and slant_tan/line_number, its height the phase, by least squares over all viewpoints.
 """
 

@@ -51,11 +51,10 @@ class Viewpoint:
 
     Attributes:
         eye_mm: Position of the camera, (x, y, z) from the panel's middle: right, up, towards the viewer.
-        photos: [H, W, 3], sRGB codes, uint8, uint16 or float32 in 0..1: three of the grey bars with the shifts 0, 1, 2
-            in this order; or one of the bars in red, green and blue.
-        corners_px: Upper left, upper right, lower right and lower left corner of the panel's picture area in the
-            photographs, x right and y down from their upper left corner; None: to be found, which needs dark
-            surroundings.
+        photos: [H, W, 3], sRGB codes, uint8, uint16 or float32 in 0..1. Three photographs show the grey bars with the
+            shifts 0, 1, 2 in this order; or one shows the bars in red, green and blue.
+        corners_px: Corners of the panel's picture area: upper left, upper right, lower right, lower left. x is right
+            and y down from the photograph's upper left corner. None: find them, which needs dark surroundings.
         name: For messages.
     """
 
@@ -96,8 +95,8 @@ class Fringes:
     """The bars over the panel, in cells.
 
     Attributes:
-        wave: Complex [rows, columns], e^(2 pi i phase) where the bars can be seen, else 0; phase is the fraction x/N of
-            the view in the cell's middle.
+        wave: Complex [rows, columns], e^(2 pi i phase) where the bars are visible, else 0. The phase is x/N of the view
+            in the cell's middle.
         corners_px: [4, 2], given or found.
     """
 
@@ -220,7 +219,7 @@ def _edge(light: np.ndarray, level: float, start: np.ndarray, end: np.ndarray) -
     before, after = profile[row, k - 1], profile[row, k]
     place = steps[k - 1] + (steps[k] - steps[k - 1]) * (level - before) / (after - before)
     points = feet[good] + place[:, None] * outwards
-    for _ in range(3):  # without what is not on the line, such as a stand before the edge
+    for _ in range(3):  # without points off the line, as of a stand before the edge
         middle = points.mean(0)
         normal = np.linalg.svd(points - middle)[2][1]
         away = np.abs((points - middle) @ normal)

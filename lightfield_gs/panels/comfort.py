@@ -28,17 +28,18 @@ class PanelDepth:
 
     Attributes:
         depth: View-space z, scene units.
-        edge_px: Displacement in the outermost views against the centre view, s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2)
-            (1 - 1/N), pixels of the panel; to the right in one, to the left in the other.
+        edge_px: Displacement in the outermost views against the centre view, pixels: to the right in one view, to the
+            left in the other. It is s fx (1/Z0 - 1/Z) with s = Z0 tan(cone/2) (1 - 1/N).
         edge_mm: The same in mm.
         eyes_px: Displacement of the right eye's image against the left eye's, to the right, both at the viewing
             distance L, pixels. An eye at x sees the view whose camera has s = Z0 tan(cone/2) x / (L tan(panel's
             cone/2)).
         eyes_mm: The same in mm.
-        behind_mm: Distance behind the panel at which the eyes see the content, L d/(e - d), with d = eyes_mm and e
-            between the eyes; None where it is infinite or the eyes diverge.
-        angle_deg: Convergence of the eyes on the panel less that on the content, 2 atan(e/2L) - 2 atan((e - d)/2L).
-        blur_lenses: Lenses that a point is spread over, 1 within the sharp range (see DepthReport).
+        behind_mm: Distance behind the panel at which the eyes see the content; None where it is infinite or the eyes
+            diverge. It is L d/(e - d), with d = eyes_mm and e between the eyes.
+        angle_deg: Convergence of the eyes on the panel minus their convergence on the content, 2 atan(e/2L) - 2 atan((e
+            - d)/2L).
+        blur_lenses: Number of lenses over which a point is blurred, 1 within the sharp range (see DepthReport).
     """
 
     depth: float
@@ -55,23 +56,25 @@ class PanelDepth:
 class DepthReport:
     """The depth of a scene on a panel, by a rig; see depth_report.
 
-    A lens has P_e sub-pixels, each 1/P_e of the cone wide, and a view is 1/N of the cone: the panel's angular step a is
-    the larger of the two. A lens shows one sample of a direction; lenses are P_e/3 pixels apart. A plane keeps its
-    detail while it moves by at most one sample a step (Zwicker et al., "Antialiasing for automultiscopic 3D displays",
-    2006, on the bandwidth of a display): 2 fx tan(cone/2) |1 - Z0/Z| a <= P_e/3. In mm that is a distance D = lens/(2
-    tan(panel's cone/2) a) to the front and back for a viewer far off, L D/(L +- D) at L. Beyond, a point is spread
-    over, or seen several times within, as many lenses as it moves by.
+    A lens has P_e sub-pixels, each 1/P_e of the cone wide, and a view is 1/N of the cone. The panel's angular step a is
+    the larger angle. A lens shows one sample of a direction; lenses are P_e/3 pixels apart. A plane keeps its detail
+    while it moves by at most one sample a step: 2 fx tan(cone/2) |1 - Z0/Z| a <= P_e/3 (the bandwidth of a display:
+    Zwicker et al., "Antialiasing for automultiscopic 3D displays", 2006). For a viewer far off this depth reaches D =
+    lens/(2 tan(panel's cone/2) a) mm to the front and to the back. For a viewer at L it reaches L D/(L +- D). A point
+    beyond moves by several lenses a step: it is blurred over them, or seen several times.
 
     Attributes:
         zero_depth: View-space z of the panel's plane, scene units.
-        near: The nearest content of the centre view, but for 1 %.
-        far: The farthest content of the centre view, but for 1 %.
-        comfortable: Whether both are within one degree of the panel's plane for the eyes; None: unknown for this panel.
-        amount: Factor of all disparities (Look.depth_amount) at the limit of comfort; None: unknown, or nothing is
-            deep.
-        sharp_depths: View-space z, from and to, that the panel shows as sharp as its own plane; None: however far.
-        sharp_mm: The same before and behind the panel; None: unknown, or however far.
-        unseen: For the left-most and the right-most view, fraction 0..1 of the continuing scene that shows background.
+        near: View-space z of the nearest content of the centre view; 1 % of the content is nearer.
+        far: View-space z of the farthest content of the centre view; 1 % of the content is farther.
+        comfortable: Whether near and far are within one degree of the panel's plane for the eyes; None: unknown for
+            this panel.
+        amount: Factor of all disparities (Look.depth_amount) at the limit of comfort; None: unknown, or the scene is
+            flat.
+        sharp_depths: Range of view-space z that the panel shows as sharp as its own plane; None: the limit is infinite.
+        sharp_mm: The same range in mm before and behind the panel; None: unknown, or infinite.
+        unseen: Fraction 0..1 of the left-most and of the right-most view that shows background where the scene should
+            go on.
     """
 
     zero_depth: float

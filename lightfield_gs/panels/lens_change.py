@@ -15,9 +15,8 @@ from pathlib import Path
 
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.text_files import MOST_BYTES, read_json, read_text
+from lightfield_gs.io.text_files import MOST_BYTES, config_path, read_json, read_text
 from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_values, find_calibration, replace_values
 from lightfield_gs.panels.panel import Panel
 
@@ -74,7 +73,7 @@ def changed(panel: Panel, change: LensChange) -> Panel:
     if change.slope_percent and panel.slant_tan == 0:
         raise InputError("slope: the lenses stand upright, so that their slope is infinite; change slant_tan instead")
     slant = panel.slant_tan / slope
-    per_axis = math.hypot(1, slant) / math.hypot(1, panel.slant_tan)  # 1/cos of the new slant over that of the old
+    per_axis = math.hypot(1, slant) / math.hypot(1, panel.slant_tan)  # ratio of 1/cos of the slants
     line_number = panel.line_number / pitch * per_axis + change.line_number
     try:
         turned = replace(panel, line_number=line_number, slant_tan=slant + change.slant_tan)

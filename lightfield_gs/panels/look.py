@@ -22,21 +22,21 @@ CONES_DEG = (0.0, 179.0)
 class Look:
     """Changes of a rig; the defaults change nothing.
 
-    A point at view-space z = Z is seen in the view with offset s at (docs/design.md, "Where the cameras stand")
+    The view with offset s shows a point at view-space z = Z at (docs/design.md, "Where the cameras stand")
         u(s) = fx X/Z + cx + d(s),    d(s) = s fx (1/Z0 - 1/Z),    |s| <= Z0 tan(cone/2)
 
     Attributes:
-        focus: View-space z, > 0, scene units, of the panel's plane; or (x, y), a point of the picture, after zoom and
-            pan, 0..1 of the panel's width from the left and of its height from the top: the depth of the surface there.
-            None: as in the rig. Only Z0 changes, so that the centre view stays the same picture. The outermost views
-            have d = +-fx tan(cone/2) (1 - Z0/Z), which is 0 at the focus.
+        focus: View-space z of the panel's plane, > 0, scene units; or a point (x, y) of the picture, whose surface
+            comes to lie in the plane. The point is 0..1 of the panel's width from the left and of its height from the
+            top, after zoom and pan. None: as in the rig. Only Z0 changes, so that the centre view stays the same
+            picture. The outermost views have d = +-fx tan(cone/2) (1 - Z0/Z), which is 0 at the focus.
         depth_amount: Factor a of all disparities, 0 (flat: all views alike) to 2; 1: as in the rig. tan(cone/2), and so
             all offsets s and all d(s), become a times as large.
         cone_deg: Full angle of the fan seen from the zero plane, 0..179, before depth_amount; None: as in the rig.
-        zoom: Factor of the size of the picture about the panel's centre, 0.01..100: focal lengths f become zoom f, and
-            c becomes W/2 + zoom (c - W/2). Disparities grow with the picture.
-        pan: (x, y), movement of the picture after that, to the right and down, in widths and heights of the panel: c
-            becomes c + pan W.
+        zoom: Factor of the picture's size about the panel's centre, 0.01..100. Focal lengths f become zoom f, and c
+            becomes W/2 + zoom (c - W/2). Disparities grow with the picture.
+        pan: (x, y), movement of the zoomed picture to the right and down, in widths and heights of the panel. c becomes
+            c + pan W.
 
     Raises:
         InputError: A value is out of its range.

@@ -1,7 +1,7 @@
 """Looking Glass calibrations: visual.json, and the answers of Looking Glass Bridge and its predecessors.
 
-A display keeps its calibration in visual.json, a flat mapping. Programs that ask Bridge for the displays store its
-answer, in which each display has a calibration, as a mapping or as JSON within a string, beside other things.
+A display keeps its calibration in visual.json, a flat mapping. Other programs store Bridge's answer. There each display
+has, beside other data, a calibration as a mapping or as JSON within a string.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lightfield_gs.base.options import DEFAULT_CONE_DEG
 from lightfield_gs.io.text_files import parse_json, read_json
 from lightfield_gs.panels.cells import PATTERNS
 
-_MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
+_MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of these keys is a calibration
 _SERIALS = ("serial", "hwid")  # the keys of a calibration, and of its display
 _NUMBERS = (
     "pitch",
@@ -65,7 +65,7 @@ class _Calibration:
 
 
 def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[str, Any]:
-    """Return the one calibration in `data`, flat: {"pitch": 47.0, ...}; strings of numbers become numbers.
+    """Return the calibration in `data`, flat: {"pitch": 47.0, ...}; strings of numbers become numbers.
 
     Without a cone the result has no viewCone, and the default is assumed.
 
@@ -273,9 +273,9 @@ def panel_fields(
 ) -> dict[str, Any]:
     """Return fields of Panel from visual.json, or from other data with calibrations (see find_calibration).
 
-    Used are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW, screenH, and optionally
-    viewCone (degrees), flipSubp, flipImageX, invView, subpixelCells and CellPatternMode. The view value of a sub-pixel
-    is N (1 - frac(a)), u and v running right and up over the panel, 0..1 (Looking Glass' own shaders):
+    Needed are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW and screenH. Optional
+    are viewCone (degrees), flipSubp, flipImageX, invView, subpixelCells and CellPatternMode. u and v run right and up
+    over the panel, 0..1. By Looking Glass' own shaders the view value of a sub-pixel is N (1 - frac(a)) with
         a = (u + place + v tilt) pitch' - center,  pitch' = pitch W/DPI cos(atan(1/slope)),  tilt = H/(W slope)
     place is c/(3 W) for channel c, 2 - c with flipSubp; of a cell its x/W + y/H tilt. flipImageX turns tilt and c
     round. With P_e = 3 W/pitch' and tan(theta) = -tilt W/H it is D/P_e = a.
@@ -345,7 +345,7 @@ def calibration_values(
 ) -> dict[str, float]:
     """Return the pitch, slope and center with which panel_fields makes this lens of a calibration.
 
-    Centers repeat from lens to lens; the result is the nearest one to that of the calibration.
+    Centers repeat from lens to lens; the result is the center nearest to the calibration's.
 
     Args:
         data: The calibration, see find_calibration.

@@ -1,7 +1,7 @@
 """A slanted-lenticular panel: which of its views every sub-pixel shows.
 
-For row i from the top, column j and stripe k of a sub-pixel within its pixel, left to right, all 0-based
-(Shi et al., Photonics 2025, 12(3), 279, section 3; van Berkel 1999):
+A sub-pixel is at row i from the top, column j and stripe k of its pixel from the left, all 0-based. Then (Shi et al.,
+Photonics 2025, 12(3), 279, section 3; van Berkel 1999)
     D = 3 j + 3 i tan(slant) + k + phase            x = N frac(D / line_number)            n = floor(x)
 evaluated in wrapping 64-bit fixed point, so that every implementation agrees bit for bit. Panels whose sub-pixels do
 not stand in stripes: see lightfield_gs.panels.cells.
@@ -31,16 +31,24 @@ from lightfield_gs.base.options import (
     CellRule,
     SubpixelOrder,
 )
-from lightfield_gs.base.paths import config_path
-from lightfield_gs.io.text_files import read_mapping, write_mapping
-from lightfield_gs.panels.cells import PATTERNS, PERIOD, Cell, cell_numbers, checked_cells
+from lightfield_gs.io.text_files import config_path, read_mapping, write_mapping
+from lightfield_gs.panels.cells import (
+    LENS_WIDTH,
+    PATTERNS,
+    PERIOD,
+    Cell,
+    cell_numbers,
+    cell_table,
+    checked_cells,
+    subpixel_phases,
+)
 from lightfield_gs.panels.looking_glass import panel_fields
+from lightfield_gs.rasterizer.lenticular_camera import Lens
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
 DEFAULT_PANEL = "65in-8k-96v"
 STRIPES: tuple[Cell, ...] = ()  # the sub-pixel cells of a panel that has none
-LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 
 
 @lru_cache(maxsize=64)  # asked for in every frame
@@ -63,16 +71,17 @@ class Panel:
         slant_tan: Tangent of the angle between lens axis and columns; positive leans like "/".
         phase: D_0, position of the panel's first sub-pixel against the lens edge, in sub-pixels.
         subpixel_order: "RGB" or "BGR", left to right.
-        invert_views: True on a panel wired the other way: view 0 goes to the left-most eye.
+        invert_views: True if view 0 goes to the left-most eye, not to the right-most one.
         cone_deg: Full angle that the N views span, in (0, 180).
         viewing_distance_mm: Eye to lens, > 0, or None when not known.
         pixel_pitch_mm: Width (and height) of a pixel, > 0, or None when not known.
         name: For messages and metadata.
-        subpixel_cells: () for stripes, or for each kind of pixel the positions of red, green and blue: three (x, y),
-            right and up, in pixels from the point that `phase` is measured at (Looking Glass: the pixel's centre).
-        cell_pattern: The kind of each pixel, CellPatternMode of Looking Glass, x the column and y the row: 0 all of
-            kind 0; 1 (x + y) mod 2; 2 x mod 2; 3 (y + 2 (x mod 2)) mod 4; 4 y mod 2.
-        cell_rule: "unity", the patterns above; or "webxr", where 2 is y mod 4 and 4 is x mod 2: published programs
+        subpixel_cells: () for stripes, or for each kind of pixel the three positions (x, y) of red, green and blue.
+            They are in pixels, right and up, from the point that `phase` is measured at (Looking Glass: the pixel's
+            centre).
+        cell_pattern: The kind of a pixel in column x and row y, Looking Glass' CellPatternMode. 0: all of kind 0; 1: (x
+            + y) mod 2; 2: x mod 2; 3: (y + 2 (x mod 2)) mod 4; 4: y mod 2.
+        cell_rule: "unity", the patterns above; or "webxr", where 2 is y mod 4 and 4 is x mod 2. Published programs
             disagree.
         cell_rows: "bottom" or "top", the edge that y counts from.
 
@@ -164,7 +173,7 @@ class Panel:
         """Return a panel from a YAML file with the fields of this class, or by the name of one in configs/panels.
 
         Raises:
-            InputError: The file cannot be read, or has an unknown key, or lacks one.
+            InputError: The file cannot be read, has an unknown key, or lacks a key.
         """
         expect("panel", source, str, Path)
         text = str(source)
@@ -193,7 +202,7 @@ class Panel:
     ) -> Panel:
         """Return a panel from its measures in mm.
 
-        Source: Shi et al. 2025, P_e = (L + L_g)/L * P_l / (cos(theta) p_sub); the paper omits p_sub, the width of a
+        Source: Shi et al. 2025, P_e = (L + L_g)/L * P_l / (cos(theta) p_sub). The paper omits p_sub, the width of a
         sub-pixel, a third of pixel_pitch_mm.
 
         Args:
@@ -255,7 +264,7 @@ class Panel:
         Args:
             source: The path, or the parsed content. Its values may be plain or {"value": v}; numbers may be strings.
             views: See Panel.
-            serial: Of the calibration or the display; needed where there are several.
+            serial: Serial number of the calibration or the display; needed where there are several.
             flip_center: Lens widths that `center` gains where flipImageX is set; programs disagree whether 0 or 0.5.
 
         Raises:
@@ -270,7 +279,7 @@ class Panel:
             return Panel(**data)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the known fields as from_yaml reads them; those of cells only where there are any."""
+        """Return the known fields as from_yaml reads them; the fields of cells only if the panel has cells."""
         stripes = () if self.subpixel_cells else ("subpixel_cells", "cell_pattern", "cell_rule", "cell_rows")
         return {key: value for key, value in asdict(self).items() if value is not None and key not in stripes}
 
@@ -283,11 +292,11 @@ class Panel:
     def phase_steps(self) -> tuple[int, int, int]:
         """Return (s0, sx, sy), integers mod 2^64: sub-pixel (i, j, k) has the phase s0 + sx (3 j + k) + sy i.
 
-        On a panel with cells, s0 + 3 sx j + sy i is the phase of a pixel, and subpixel_phases has the additions of its
+        On a panel with cells, s0 + 3 sx j + sy i is the phase of a pixel; subpixel_phases has the offsets of its
         sub-pixels.
 
         The unit is 2^-64 lens widths; steps are computed exactly and rounded up. So a sub-pixel exactly on the border
-        of two views (line_number a whole number, say) falls on the upper one, as floor() demands. The sum is less than
+        of two views (line_number a whole number, say) falls on the upper view, as floor() demands. The sum is less than
         2^-45 lens widths too large.
         """
         return _phase_steps(self.line_number, self.slant_tan, self.phase)
@@ -325,29 +334,53 @@ class Panel:
         return (phase >> np.uint64(11)).astype(np.float64) * (2.0**-53 * self.views)
 
 
-def subpixel_offsets(panel: Panel) -> np.ndarray:
-    """Return D of sub-pixels less D of the first stripe, Fractions [PERIOD, PERIOD, 3] by row, column, channel."""
-    if not panel.subpixel_cells:
-        stripes = [Fraction(panel.stripe_index(channel)) for channel in range(3)]
-        return np.broadcast_to(np.array(stripes, object), (PERIOD, PERIOD, 3))
-    slant = Fraction(panel.slant_tan)
-    offsets = np.array(
-        [[3 * Fraction(x) - 3 * slant * Fraction(y) for x, y in cell] for cell in panel.subpixel_cells], object
+def panel_lens(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
+    """Return the panel's lens before a row of cameras.
+
+    Args:
+        panel: The panel.
+        continuous: Whether sub-pixels see the view at x itself, not the nearest integer view.
+        offset_start: Offset of the camera of view 0, scene units.
+        offset_step: Offset from view to view, scene units.
+    """
+    start, across, down = panel.phase_steps()
+    phase, phases, channels = panel.phase, (), ()
+    if panel.subpixel_cells:
+        table = cell_table(panel)
+        start, phase = start + table.shift, phase + table.shift_subpixels
+        phases, channels = (tuple(part.reshape(-1).tolist()) for part in (table.phases, table.channels))
+    return Lens(
+        panel.width_px,
+        panel.height_px,
+        panel.views,
+        (start % LENS_WIDTH, across, down),
+        float(panel.line_number),
+        float(panel.slant_tan),
+        float(phase),
+        panel.subpixel_order == "BGR",
+        continuous,
+        float(offset_start),
+        float(offset_step),
+        phases,
+        channels,
     )
-    return offsets[cell_numbers(panel.cell_pattern, panel.cell_rule, panel.cell_rows, panel.height_px)]
 
 
-@lru_cache(maxsize=64)  # asked for in every frame
-def subpixel_phases(panel: Panel) -> np.ndarray:
-    """Return `subpixel_offsets` in 2^-64 lens widths, uint64, wrapping.
+def slow_reason(panel: Panel, lattices_on_cuda: bool) -> str | None:
+    """Return why `direct` takes longer for a panel with sub-pixel cells; None where it does not.
 
-    Stripes have whole multiples of the step sx of Panel.phase_steps.
+    Args:
+        panel: The panel.
+        lattices_on_cuda: Whether a frame with lattices is drawn on CUDA.
     """
     if not panel.subpixel_cells:
-        step = panel.phase_steps()[1]
-        phases = [panel.stripe_index(channel) * step % LENS_WIDTH for channel in range(3)]
-        return np.array(phases, np.uint64) + np.zeros((PERIOD, PERIOD, 1), np.uint64)
-    per_subpixel = LENS_WIDTH / Fraction(panel.line_number)
-    # Rounded up, as all phases are
-    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % LENS_WIDTH, 1, 1)
-    return exact(subpixel_offsets(panel)).astype(np.uint64)
+        return None
+    lens = panel_lens(panel).native()
+    if not (lens.stands_in_order() and lens.has_one_order()):
+        return (
+            f"the sub-pixel cells of panel {panel.name} have no one order along the lens: it is drawn by slower "
+            "ways, on the CPU a sub-pixel at a time, on CUDA by tiles of pixels, and without lattices"
+        )
+    if lattices_on_cuda:
+        return "panels with sub-pixel cells are drawn without lattices on CUDA: this quality saves little time"
+    return None

@@ -1,8 +1,8 @@
 """Test patterns that show how well a profile fits its panel: an eye before the panel sees which view reaches it.
 
-All are uint8 [H, W, 3], drawn for the sub-pixels that show a view by `panel`. `fan` and `depth_ramp` draw labelled
-bands, each under another value of one parameter, or at another depth: the band that looks right has the value on its
-label, which `lightfield-gs calibrate nudge` takes.
+All are uint8 [H, W, 3], for the sub-pixels of a view by `panel`. `fan` draws labelled bands, each with another value of
+one parameter; `depth_ramp` draws them at different depths. The label of the best band is the value for `lightfield-gs
+calibrate nudge`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.cells import PERIOD
+from lightfield_gs.panels.cells import PERIOD, subpixel_phases
 from lightfield_gs.panels.lens_change import LensChange, changed
-from lightfield_gs.panels.panel import Panel, subpixel_phases
+from lightfield_gs.panels.panel import Panel
 
 # Three dots wide and five high, row by row
 _GLYPHS = {
@@ -67,7 +67,7 @@ _ROWS_PER_CHUNK = 64
 class PatternConstants:
     """Sizes and colours of the patterns, chosen by hand and not tuned."""
 
-    # sub-pixels of one number: a lens lights about one, so that it covers five sixths of what an eye sees
+    # sub-pixels of one number: a lens lights about one, so that it covers five sixths of an eye's picture
     subpixels_per_number: float = 1.2
     numbers_across: int = 5  # numbers in a row of tiles, about
     lenses_per_dot: int = 2  # width of a dot of a digit, at least, so that it cannot fall between the samples
@@ -106,8 +106,8 @@ def draw(panel: Panel, shade: Shade, rows: slice | None = None, columns: slice |
 
     Args:
         panel: The panel.
-        shade: Function of views x in [0, N), float64 [part, columns, 3], and of the rows `part` of the panel that they
-            are of; it returns 0..1, or bool.
+        shade: Function of views x in [0, N), float64 [part, columns, 3], and of their rows `part` of the panel. It
+            returns 0..1, or bool.
         rows: Rows to draw; None: all.
         columns: Columns to draw; None: all.
     """
@@ -203,7 +203,7 @@ def _number_tiles(panel: Panel, different: np.ndarray) -> tuple[np.ndarray, tupl
 
 
 def _tiling(size_px: int, tile_dots: int, dot_px: int) -> _Tiling:
-    """Return whole tiles in the middle of so many pixels, or one that is cut."""
+    """Return whole tiles in the middle of this number of pixels, or one cut tile."""
     tile_px = tile_dots * dot_px
     covered = max(1, size_px // tile_px) * tile_px
     position = np.arange(size_px) + (covered - size_px) // 2
@@ -254,10 +254,10 @@ def fan(panel: Panel, parameter: Fan, span: float | None = None, bands: int | No
 
     Args:
         panel: The panel.
-        parameter: "pitch": rows of the hues of `sweep`, changed by -span..span percent; for an eye at the viewing
-            distance the right one has one colour from left to right. "slope": the same in columns; the right one is
+        parameter: "pitch": rows of the hues of `sweep`, changed by -span..span percent. For an eye at the viewing
+            distance the right row has one colour from left to right. "slope": the same in columns; the right column is
             even from top to bottom. "centre": rows that are white in the middle quarter of the views, moved by lens
-            widths; straight in front the right one is the brightest.
+            widths. Seen from straight in front, the right row is the brightest.
         span: Largest change; None: 0.5 percent for pitch, 2.5 for slope, 0.5 lens widths (all of them) for centre.
         bands: An odd number, 3..99; None: as many as leave space for labels, at most 11.
 
@@ -294,9 +294,9 @@ def _band_shade(parameter: Fan, fraction: np.ndarray) -> np.ndarray:
 def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = None) -> np.ndarray:
     """Draw upright stripes in rows of different depth, each labelled with its disparity: uint8 [H, W, 3].
 
-    The disparity is the distance in pixels by which the stripes of the right-most view lie to the left of those of the
-    left-most: positive in front of the panel, 0 in it, negative behind it. The rows with sharp stripes show the depth
-    that the panel can show.
+    The disparity is how far, in pixels, the stripes of the right-most view lie to the left of the stripes of the
+    left-most view. It is positive in front of the panel, 0 in its plane, negative behind it. The rows with sharp
+    stripes show the depth that the panel can show.
 
     Args:
         panel: The panel.

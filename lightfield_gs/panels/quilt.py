@@ -1,7 +1,7 @@
 """Quilts: all views of a light field as the tiles of one picture, as Looking Glass has them.
 
-The name says how it is divided: NAME_qs<columns>x<rows>a<aspect>.png. View 0 is that of the left-most camera and lies
-at the bottom left; views go on to the right, then up (Looking Glass, "Quilts", docs.lookingglassfactory.com).
+The name says how it is divided: NAME_qs<columns>x<rows>a<aspect>.png. View 0, of the left-most camera, lies at the
+bottom left. Views go on to the right, then up (Looking Glass, "Quilts", docs.lookingglassfactory.com).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _LIKE_A_SUFFIX = re.compile(r"_qs\d", re.IGNORECASE)
 class QuiltLayout:
     """The tiles of a quilt.
 
-    Pixels at the right and at the top that do not divide belong to no tile.
+    The pixels left over at the right and at the top belong to no tile.
 
     Attributes:
         columns: Columns of tiles, 1 or more.
@@ -91,7 +91,7 @@ class QuiltLayout:
         return slice(bottom - height, bottom), slice(along * width, (along + 1) * width)
 
     def panel(self, cone_deg: float, like: Panel | None = None) -> Panel:
-        """Return a panel with the views of the quilt, as high as a tile and of the views' aspect, for framing.
+        """Return a panel for framing: it has the quilt's views and their aspect, and is as high as a tile.
 
         Args:
             cone_deg: Full angle of the fan.

@@ -1,26 +1,52 @@
-"""The rig behind a panel's views: its files, and automatic framing; see rig_geometry.py for the cameras."""
+"""The rig behind a panel's views: its cameras, an off-axis fan (Shi et al. 2025), and rigs that files bring along.
+
+The plane z = zero_depth is the same in all views. A stored framing is a line in the header of a file of Gaussians:
+"lightfield-gs rig: {"rig": {...}, "width_px": ..., "height_px": ...}". The rig is in the file's own axes; the size is
+the panel's. SHARP (Mescheder et al., 2025) writes elements of numbers beside the vertices: extrinsic (16, world to
+camera, by rows), intrinsic (9, by rows), image_size (2).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lightfield_gs.base.errors import named
-from lightfield_gs.io.text_files import read_mapping, write_mapping
-from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig_geometry import RigGeometry
+from lightfield_gs.base.checks import (
+    check_fields,
+    checked_field,
+    expect,
+    is_row,
+    number_pair,
+    real_number,
+    shown,
+    whole_number,
+)
+from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.captures.camera_files import FileCamera
+from lightfield_gs.io.text_files import parse_json, read_mapping, write_mapping
+from lightfield_gs.panels.panel import Panel, panel_lens
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture, LenticularCamera
 from lightfield_gs.scene.axes import DEFAULT_UP
 
 if TYPE_CHECKING:
+    from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
+
+_MARGIN = 0.15  # fraction of the image beyond each edge within the limits: the "frustum + 30 %" of Gaussian splatting
+_KEY = "lightfield-gs rig:"
+_PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and their numbers of values
+_WAY_OUT = "give up=, camera= or rig=, which go before it"
 
 
 @dataclass(eq=False)
-class Rig(RigGeometry):
-    """The centre camera of the fan; the cameras of the views stand beside it on its x-axis, with its rotation.
+class Rig:
+    """The cameras of the views: a fan on the x-axis of its centre camera, all with the same rotation.
 
     Rig.frame makes a rig that shows a scene on a panel.
 
@@ -36,6 +62,16 @@ class Rig(RigGeometry):
         InputError: A value is out of its range.
     """
 
+    world_to_camera: np.ndarray
+    focal_px: tuple[float, float] = checked_field(number_pair, 1e-3, 1e9)
+    principal_point_px: tuple[float, float] = checked_field(number_pair, -1e9, 1e9)
+    zero_depth: float = checked_field(real_number, 1e-6, 1e12)
+    cone_deg: float | None = checked_field(real_number, 0, 179.999, default=None)
+
+    def __post_init__(self) -> None:
+        self.world_to_camera = _rigid(self.world_to_camera)
+        check_fields(self, "rig: ")
+
     @staticmethod
     def frame(
         gaussians: Gaussians,
@@ -47,18 +83,18 @@ class Rig(RigGeometry):
     ) -> Rig:
         """Return a rig that shows a scene on the panel: the whole scene, or its subject.
 
-        Content is the area that the visible Gaussians cover, without the outermost 0.01 % of their opacity on each
-        side, and without up to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's
-        height, or of its width where that is met first; the panel takes 90 degrees at most. The zero plane is at the
-        harmonic mean of near and far, the depths beyond which 5 % of the opacity lies.
+        The content is the area that the visible Gaussians cover. The outermost 0.01 % of their opacity on each side is
+        left out, or 0.1 % or 1 % where it lies far out. The content is centred. It fills 92 % of the panel's height, or
+        of its width if that is the limit; the panel takes 90 degrees at most. The zero plane is at the harmonic mean of
+        near and far; 5 % of the opacity lies beyond each of them.
 
-        The content is only the subject (lightfield_gs.panels.subject) in three cases: a gap surrounds the densest part
-        of the scene; the scene surrounds a small dense part; or a hull that is closed on all sides has something in it.
+        In three cases the content is only the subject (lightfield_gs.panels.content). A gap surrounds the densest part
+        of the scene. The scene surrounds a small dense part. A hull that is closed on all sides has something in it.
 
         A new camera looks at the content from in front. The content's height takes the angle that the panel subtends
-        for its viewer, kept within 20..50 degrees, or 30 when unknown; the camera goes nearer where something is in
-        between. With a given camera and nothing visible near the harmonic mean, the zero plane is at the depth in the
-        middle of the picture.
+        for its viewer, kept within 20..50 degrees, or 30 if unknown. The camera goes nearer if something is in between.
+        If a given camera sees nothing near the harmonic mean, the zero plane is at the depth in the middle of the
+        picture.
 
         Args:
             gaussians: One set.
@@ -71,9 +107,9 @@ class Rig(RigGeometry):
         Raises:
             InputError: `gaussians` is a batch or empty, or none lies in front of the camera.
         """
-        from lightfield_gs.panels.scene_framing import fit_scene
+        from lightfield_gs.panels.framing import fit_scene
 
-        return Rig(**vars(fit_scene(gaussians, panel, world_to_camera, up, notes)))
+        return fit_scene(_unfitted(), gaussians, panel, world_to_camera, up, notes)
 
     @staticmethod
     def from_yaml(path: str | Path) -> Rig:
@@ -100,3 +136,281 @@ class Rig(RigGeometry):
     def to_yaml(self, path: str | Path) -> None:
         """Write the rig as from_yaml reads it, every digit kept, atomically."""
         write_mapping(path, self.to_dict())
+
+    def relative_to(self, origin: Sequence[float]) -> Rig:
+        """Return the same cameras for coordinates relative to `origin`, three numbers in scene units.
+
+        rig.relative_to(gaussians.origin) turns a rig in a file's coordinates into the rig of its Gaussians with that
+        origin; the negated origin goes back. Double precision.
+        """
+        if not any(origin):
+            return self
+        matrix = self.world_to_camera.copy()
+        matrix[:3, 3] += matrix[:3, :3] @ np.asarray(origin, np.float64)
+        return replace(self, world_to_camera=matrix)
+
+    # The fan
+
+    def half_width(self, panel: Panel) -> float:
+        """Return the largest offset of the fan's cameras, zero_depth * tan(cone / 2), scene units."""
+        cone_deg = panel.cone_deg if self.cone_deg is None else self.cone_deg
+        return self.zero_depth * math.tan(math.radians(cone_deg) / 2)
+
+    def offset(self, x: float | np.ndarray, panel: Panel) -> float | np.ndarray:
+        """Return the offset s of view x in [0, N], scene units to the right of the centre camera.
+
+        s(x) = 2 Z0 tan(cone/2) (1/2 - x/N): view 0 goes to the right-most eye; mirrored by panel.invert_views. An
+        integer view n is at x = n + 1/2.
+        """
+        sign = -1.0 if panel.invert_views else 1.0
+        return sign * 2 * self.half_width(panel) * (0.5 - x / panel.views)
+
+    def offset_range(self, panel: Panel) -> tuple[float, float]:
+        """Return the smallest and the largest offset over x in [0, N]."""
+        return -self.half_width(panel), self.half_width(panel)
+
+    def jacobian_limits(self, panel: Panel) -> tuple[float, float, float, float]:
+        """Return (lo_x, hi_x, lo_y, hi_y), the limits of X/Z and Y/Z in the projection's Jacobian, centre camera.
+
+        They are the panel's frustum and 15 % of the image beyond each edge. In x the fan's largest offset over
+        zero_depth widens them, so that all views share one set of limits.
+        """
+        (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
+        width, height = panel.width_px, panel.height_px
+        widen = self.half_width(panel) / self.zero_depth
+        return (
+            -(cx + _MARGIN * width) / fx - widen,
+            (width - cx + _MARGIN * width) / fx + widen,
+            -(cy + _MARGIN * height) / fy,
+            (height - cy + _MARGIN * height) / fy,
+        )
+
+    def cameras(self, panel: Panel, views: Sequence[int] | None = None) -> Cameras:
+        """Return the cameras of integer views, float64, in their order: at x = n + 1/2.
+
+        Args:
+            panel: The panel.
+            views: Integers in 0..N-1; None: all N.
+
+        Raises:
+            InputError: A view is outside 0..N-1.
+        """
+        expect("panel", panel, Panel)
+        if views is None:
+            return self.cameras_at(panel, np.arange(panel.views) + 0.5)
+        if not is_row(views):
+            raise InputError(f"views must be whole numbers in a row, got {shown(views)}")
+        numbers = np.array([whole_number("views", view, -1 << 31, 1 << 31) for view in views], np.int64)
+        if numbers.size and not (0 <= numbers.min() and numbers.max() < panel.views):
+            raise InputError(f"views must be 0..{panel.views - 1}, got {numbers.min()}..{numbers.max()}")
+        return self.cameras_at(panel, numbers + 0.5)
+
+    def cameras_at(self, panel: Panel, x: Sequence[float] | np.ndarray) -> Cameras:
+        """Return the cameras at view coordinates, float64, in their order.
+
+        They share the rotation; translation t_x - s and principal point cx + fx s / Z0 leave z = zero_depth without
+        parallax.
+
+        Args:
+            panel: The panel.
+            x: View coordinates in [0, N].
+
+        Raises:
+            InputError: A coordinate is outside 0..N.
+        """
+        import torch
+
+        from lightfield_gs.scene.cameras import Cameras
+
+        expect("panel", panel, Panel)
+        positions = _float64(x)
+        if positions is None or positions.ndim != 1 or not ((positions >= 0) & (positions <= panel.views)).all():
+            raise InputError(f"x must be a row of numbers in 0..{panel.views}, got {shown(x)}")
+        offsets = cast(np.ndarray, self.offset(positions, panel))
+        poses, focals, centres, limits = (
+            np.repeat(np.asarray(one, np.float64)[None], len(offsets), 0)
+            for one in (self.world_to_camera, self.focal_px, self.principal_point_px, (*self.jacobian_limits(panel), 0))
+        )
+        poses[:, 0, 3] -= offsets
+        centres[:, 0] += self.focal_px[0] / self.zero_depth * offsets
+        limits[:, 4] = offsets
+        return Cameras(
+            torch.from_numpy(poses),
+            torch.from_numpy(focals),
+            torch.from_numpy(centres),
+            panel.width_px,
+            panel.height_px,
+            jacobian_limits=torch.from_numpy(limits),
+        )
+
+    def reduced(self, panel: Panel, width_px: int) -> tuple[Panel, Rig]:
+        """Return the same view of the scene on a panel of another width; a panel is never enlarged."""
+        scale = min(1.0, width_px / panel.width_px)
+        width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
+        scales = width / panel.width_px, height / panel.height_px
+        (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
+        focal, centre = (fx * scales[0], fy * scales[1]), (cx * scales[0], cy * scales[1])
+        return replace(panel, width_px=width, height_px=height), replace(
+            self, focal_px=focal, principal_point_px=centre
+        )
+
+
+def _float64(values: Any) -> np.ndarray | None:
+    """Return a copy of `values` as a float64 array; None where they are no real numbers."""
+    try:
+        array = np.asarray(values)
+        return None if array.dtype.kind in "cSU" else np.array(array, np.float64)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        return None
+
+
+def _rigid(given: Any) -> np.ndarray:
+    """Return a matrix as float64 [4, 4] with a proper rotation; raise InputError for any other."""
+    matrix = _float64(given)
+    if matrix is None or matrix.shape != (4, 4):
+        came = shown(given) if matrix is None else f"shape {list(matrix.shape)}"
+        raise InputError(f"rig: world_to_camera must be 4 rows of 4 numbers, got {came}")
+    if not np.isfinite(matrix).all():
+        raise InputError("rig: world_to_camera has numbers that are not finite")
+    if not np.abs(matrix[3] - (0, 0, 0, 1)).max() <= 1e-6:
+        raise InputError(f"rig: the last row of world_to_camera must be 0 0 0 1, got {matrix[3].tolist()}")
+    rotation = matrix[:3, :3]
+    if not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-4 or np.linalg.det(rotation) < 0:
+        raise InputError(
+            "rig: world_to_camera must begin with a rotation (orthonormal, determinant +1); "
+            "scale, shear or mirroring is not allowed"
+        )
+    return matrix
+
+
+# The cameras as values of the rasterizer
+
+
+def view_aperture(panel: Panel, rig: Rig, view_filter: float) -> Aperture:
+    """Return the aperture of each camera of a rig for encode's view_filter: a box of that many views."""
+    step = 2 * rig.half_width(panel) / panel.views
+    return Aperture(view_filter * step / math.sqrt(12), float(rig.zero_depth)) if view_filter > 0 else PINHOLE
+
+
+def lenticular_camera(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LenticularCamera:
+    """Return the cameras and the lens by which the sub-pixels of a panel see a scene.
+
+    Args:
+        panel: The panel.
+        rig: Its rig.
+        continuous: See panel_lens.
+        view_filter: See encode.
+    """
+    start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
+    pose = np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist()
+    optics = (float(v) for v in (*rig.focal_px, *rig.principal_point_px))
+    limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
+    lens = panel_lens(panel, continuous, start, (end - start) / panel.views)
+    aperture = view_aperture(panel, rig, view_filter).deviation
+    return LenticularCamera(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
+
+
+# Rigs of photos
+
+
+def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
+    """Return the rig of a photo's Gaussians, which are in the axes of its camera. It shows all Gaussians, however wide.
+
+    Raises:
+        InputError: As in Rig.frame.
+    """
+    from lightfield_gs.panels.content import photo_extent
+    from lightfield_gs.panels.framing import checked_scene
+
+    return frame_extent(photo_extent(checked_scene(gaussians, panel)).tolist(), panel)
+
+
+def frame_extent(extent: Sequence[float], panel: Panel) -> Rig:
+    """Return the rig that shows the content of a photo_extent; raise InputError if it has no weight."""
+    from lightfield_gs.panels.framing import fit_rig
+
+    return fit_rig(_unfitted(), extent, panel)
+
+
+def _unfitted() -> Rig:
+    """Return a rig at the origin that is yet to be fitted to a scene."""
+    return Rig(np.eye(4), (1.0, 1.0), (0.0, 0.0), 1.0)
+
+
+# Rigs that a file of Gaussians brings along
+
+
+def framing_comment(rig: Rig, panel: Panel) -> str:
+    """Return the line of a header that stores a framing; rig: in the file's coordinates."""
+    return f"{_KEY} " + json.dumps({"rig": rig.to_dict(), "width_px": panel.width_px, "height_px": panel.height_px})
+
+
+def stored_framing(comments: Iterable[str], panel: Panel) -> tuple[Rig, str] | None:
+    """Return the framing in a header, fitted to the panel, and a description of it; None without one.
+
+    Raises:
+        InputError: The framing cannot be read.
+    """
+    if (stored := _stored(comments)) is None:
+        return None
+    rig, (width, height) = stored
+    if (width, height) == (panel.width_px, panel.height_px):
+        return rig, "the framing stored in the file"
+    camera = FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)
+    focal, centre = camera.fitted(panel.width_px, panel.height_px)
+    return (
+        replace(rig, focal_px=focal, principal_point_px=centre),
+        f"the framing stored in the file, made for {width} x {height}",
+    )
+
+
+def stored_size(comments: Iterable[str]) -> tuple[int, int] | None:
+    """Return width and height of the panel of a stored framing; None without one.
+
+    Raises:
+        InputError: The framing cannot be read.
+    """
+    stored = _stored(comments)
+    return None if stored is None else stored[1]
+
+
+def _stored(comments: Iterable[str]) -> tuple[Rig, tuple[int, int]] | None:
+    lines = [comment.strip() for comment in comments if comment.strip().startswith(_KEY)]
+    if not lines:
+        return None
+    try:
+        data = parse_json(lines[-1][len(_KEY) :])
+        width, height = (whole_number(f"{_KEY} {name}", data[name], 1, 1 << 20) for name in ("width_px", "height_px"))
+        return Rig(**data["rig"]), (width, height)
+    except (InputError, ValueError, TypeError, KeyError) as error:
+        raise InputError(f"its stored framing is none ({' '.join(str(error).split())[:100]}); {_WAY_OUT}") from None
+
+
+def photo_camera(elements: Mapping[str, np.ndarray]) -> FileCamera | None:
+    """Return the camera of the photo that the Gaussians were made from; None where the file has none.
+
+    Raises:
+        InputError: It is no pinhole camera.
+    """
+    if not all(name in elements for name in _PHOTO):
+        return None
+    numbers = {}
+    for name, count in _PHOTO.items():
+        array = elements[name]
+        numbers[name] = np.concatenate([np.ravel(array[field]) for field in array.dtype.names or ()] or [np.empty(0)])
+        if len(numbers[name]) != count or not np.isfinite(numbers[name].astype(np.float64)).all():
+            raise InputError(
+                f"its element {name} is none of a camera: expected {count} finite numbers, got "
+                f"{len(numbers[name])}; {_WAY_OUT}"
+            )
+    pose, k = (
+        numbers[name].astype(np.float64).reshape(size, size) for name, size in (("extrinsic", 4), ("intrinsic", 3))
+    )
+    try:
+        width, height = (real_number("image_size", float(side), 1, 1 << 20) for side in numbers["image_size"])
+        rig = Rig(pose, (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2]), 1.0)
+    except InputError as error:
+        raise InputError(
+            f"its elements extrinsic, intrinsic and image_size are no camera ({error}); {_WAY_OUT}"
+        ) from None
+    return FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -13,12 +13,14 @@ from torch import Tensor
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.panels.extent import select
+from lightfield_gs.panels.content import select
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig_geometry import RigGeometry, reduced
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
+
+if TYPE_CHECKING:
+    from lightfield_gs.panels.rig import Rig
 
 _SIZE_PX = 256  # width of the pictures, so large that thin things do not blend with their background
 _FRACTION_SIZE_PX = 128  # width of the pictures that measure a visible fraction
@@ -47,7 +49,7 @@ class VisibilityConstants:
     patch: float = 0.01  # side of the square around the point, in shorter sides of the panel
     least_patch_px: float = 2.0  # side of the square at least, pixels of the panel
     patch_samples: int = 16  # samples of the square, each way
-    # least fraction of the square that a surface fills: thin things count before what is behind
+    # least fraction of the square that a surface fills: thin things count before surfaces behind them
     surface_fraction: float = 0.25
 
     # Views past the scene
@@ -58,7 +60,7 @@ class VisibilityConstants:
 _CONSTANTS = VisibilityConstants()
 
 
-def subject_depth(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> float | None:
+def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
     """Return the depth of the nearest subject in the middle of the centre camera's picture, scene units.
 
     Returns:
@@ -68,7 +70,7 @@ def subject_depth(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> float
     return None if surfaces is None else _subject_front(*surfaces)
 
 
-def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> float | None:
+def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
     """Return `subject_depth` if the visible scene is deep and empty near the zero plane, else None."""
     surfaces = _disparities(gaussians, panel, rig)
     if surfaces is None:
@@ -97,7 +99,7 @@ def _nearest(disparities: Tensor, weights: Tensor, fraction: float) -> float:
     return float(ordered[torch.searchsorted(sums, fraction * sums[-1:]).clamp_max(len(ordered) - 1)])
 
 
-def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: RigGeometry) -> float:
+def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
     """Return the fraction 0..1 of the content that the cameras see past the rest of the scene.
 
     It is the least of the outermost two cameras and the centre one, against the content alone.
@@ -105,7 +107,7 @@ def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig
     both = from_tensors(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values()))
     white = torch.zeros(both.count, 1, 3).to(both.means)
     white[: content.count], white[content.count :] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT
-    small_panel, small_rig = reduced(panel, rig, _FRACTION_SIZE_PX)
+    small_panel, small_rig = rig.reduced(panel, _FRACTION_SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
     with torch.no_grad():
         alone = cast(Tensor, render(degree_zero(content), cameras.select([0]), alpha=True).alpha).sum((1, 2))
@@ -113,9 +115,9 @@ def visible_fraction(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig
     return float((surfaces / alone.clamp_min(1e-9)).min())
 
 
-def _disparities(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> tuple[Tensor, Tensor] | None:
+def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, Tensor] | None:
     """Return 1 / depth [M] of the surfaces in a small picture, and weights [M], larger in its middle."""
-    small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
+    small_panel, small_rig = rig.reduced(panel, _SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2])
     with torch.no_grad():
         images = render(degree_zero(gaussians), cameras, alpha=True, depth=True)
@@ -142,12 +144,12 @@ def degree_zero(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians, sh=gaussians.sh[..., :1, :])
 
 
-def depth_at(gaussians: Gaussians, panel: Panel, rig: RigGeometry, point: tuple[float, float]) -> float:
+def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, float]) -> float:
     """Return the view-space z, scene units, of the nearest opaque surface that the centre camera sees at a point.
 
-    It is the nearest depth by which a quarter of a small square around the point (1 % of the panel's shorter side) is
-    opaque, alpha 0.5 or more, if only the Gaussians up to it are drawn. Neither the background nor haze in front moves
-    it, as they would a mean depth.
+    The Gaussians up to this depth make a quarter of a small square around the point opaque (alpha 0.5 or more). The
+    square's side is 1 % of the panel's shorter side. Background and haze would move a mean depth, but do not move this
+    one.
 
     Args:
         gaussians: One set, in the rig's coordinates.
@@ -191,7 +193,7 @@ def _opaque_fraction(alpha: torch.Tensor) -> float:
     return float((alpha >= _CONSTANTS.opaque).double().mean())
 
 
-def _patch(panel: Panel, rig: RigGeometry, x: float, y: float) -> Cameras:
+def _patch(panel: Panel, rig: Rig, x: float, y: float) -> Cameras:
     """Return the centre camera, cropped to a small square around the point."""
     centre = rig.cameras_at(panel, [panel.views / 2])
     side = max(_CONSTANTS.least_patch_px, _CONSTANTS.patch * min(panel.width_px, panel.height_px))
@@ -214,7 +216,7 @@ class ViewCoverage:
 
     Attributes:
         near: View-space z, scene units, that 1 % of the surfaces in the centre view are nearer than.
-        far: View-space z that 1 % of them are farther than.
+        far: View-space z; 1 % of the surfaces are farther.
         background: For views 0 and N-1, the fraction 0..1 of the continuing scene that shows background.
     """
 
@@ -223,7 +225,7 @@ class ViewCoverage:
     background: tuple[float, float]
 
 
-def view_coverage(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> ViewCoverage:
+def view_coverage(gaussians: Gaussians, panel: Panel, rig: Rig) -> ViewCoverage:
     """Measure depths and background of a rig's views, in pictures 256 pixels wide.
 
     Take two neighbouring pixels of a row that show surfaces in the centre view and stand apart in an outermost view.
@@ -239,7 +241,7 @@ def view_coverage(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> ViewC
         InputError: The centre camera sees nothing.
     """
     check_single(gaussians)
-    small_rig = reduced(panel, rig, _SIZE_PX)[1]
+    small_rig = rig.reduced(panel, _SIZE_PX)[1]
     outermost = [0.5, panel.views - 0.5]
     alpha, depth = _pictures(gaussians, panel, rig, [panel.views / 2, *outermost])
     opaque = min(_CONSTANTS.opaque, float(alpha[0].max()) / 2)
@@ -258,7 +260,7 @@ def view_coverage(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> ViewC
     return ViewCoverage(float(near), float(far), (fractions[0], fractions[1]))
 
 
-def background_fraction(gaussians: Gaussians, panel: Panel, rig: RigGeometry) -> float | None:
+def background_fraction(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
     """Return the fraction 0..1 of background in an outermost view, the larger of the two.
 
     One picture of 256 pixels width is enough to return None, three are drawn otherwise.
@@ -289,11 +291,9 @@ def background_warning(fraction: float) -> str | None:
     )
 
 
-def _pictures(
-    gaussians: Gaussians, panel: Panel, rig: RigGeometry, places: list[float]
-) -> tuple[np.ndarray, np.ndarray]:
+def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float]) -> tuple[np.ndarray, np.ndarray]:
     """Return alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
-    small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
+    small_panel, small_rig = rig.reduced(panel, _SIZE_PX)
     with torch.no_grad():
         images = render(
             degree_zero(gaussians.detach()), small_rig.cameras_at(small_panel, places), alpha=True, depth=True

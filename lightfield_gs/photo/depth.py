@@ -156,7 +156,7 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
 def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
     """Return the largest difference between two channels of pixels [H, W, C], by the range of both.
 
-    It is infinite where one of them is finite and the other is not.
+    It is infinite where one value is finite and the other is not.
     """
     both = pixels[..., [one, other]].astype(np.float32)
     finite = np.isfinite(both)
@@ -207,7 +207,7 @@ def _check_numbers(path: str | Path, values: np.ndarray) -> np.ndarray:
     return np.asarray(values if values.ndim == 2 else values.squeeze())
 
 
-FARTHEST = 1e12  # scene units: what is farther counts as not measured
+FARTHEST = 1e12  # scene units: farther values count as not measured
 
 
 @dataclass
@@ -239,18 +239,19 @@ def read_depth(
     """Read view-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
     Args:
-        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), the depth channel of an EXR, a .npy of numbers [H, W], or a
-            .npz with one; axes of length 1 are dropped.
+        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), an EXR with a depth channel, a .npy [H, W], or a .npz with
+            one array. Axes of length 1 are dropped.
         kind: The meaning of the numbers v: "distance", v = z / scale; "ray", the same along the pixel's ray; or
             "disparity" (inverse distance), v = scale / z. NaN, negative numbers, the distance 0 and infinite
             disparities are no measurement.
         scale: 0.001 for millimetres to metres; for disparities in pixels focal length times baseline. None: 1, for
             floats.
-        limits: (near, far) in place of a scale: z, or with "disparity" 1/z, runs linearly between them over the full
-            scale of the file, 0..255, 0..65535 or 0..1 for floats. Distance has near at 0, disparity far at 0. With the
-            larger one first it is the other way round.
+        limits: (near, far) in place of a scale. z, or with "disparity" 1/z, runs linearly between them over the file's
+            full scale: 0..255, 0..65535, or 0..1 for floats. Distance has near at 0, disparity far at 0. (far, near)
+            reverses the scale.
         invalid: The meaning of infinite distances, of numbers for the sky (1e10, 65504, 65535) and of the disparity 0:
-            "far", at twice the largest measured distance, or with limits at the far one; or "hole", not measured.
+            "far" or "hole". A "far" pixel is at twice the largest measured distance, or with limits at the far limit; a
+            "hole" is not measured.
         rays: Of a "ray", see `ray_lengths`: the lengths [H, W] of the rays up to z = 1, for a map of this height and
             width.
 

@@ -74,8 +74,8 @@ def slopes(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor
 def snap_mixed(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
     """Return the depth map with its smoothed edges made sharp again, [H, W].
 
-    A pixel between two surfaces, with an edge to both sides along its row or column, lies on neither: it takes the
-    depth of the neighbour that is nearer in disparity. Thin things, nearer or farther than both neighbours, stay.
+    A pixel with an edge on both sides along its row or column lies on neither surface. It takes the depth of the
+    neighbour that is nearer in disparity. Thin things, nearer or farther than both neighbours, stay.
     """
     for _ in range(_CONSTANTS.snap_passes):
         depth = _snap_columns(depth, focal_px[0])
@@ -124,7 +124,7 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
     """Return the matte of the pixels beside the edges of a photo.
 
     A mixed pixel is I = a F + (1 - a) B. F and B are the mean colours of the two surfaces close by, outside the band of
-    mixed pixels, and a = (I - B).(F - B) / |F - B|^2. Where these colours differ no more than each of them varies,
+    mixed pixels, and a = (I - B).(F - B) / |F - B|^2. Where the two colours differ by no more than their own variation,
     colour says nothing, and the depth map decides: the ratio of the two draws a to 0 or 1.
 
     Args:

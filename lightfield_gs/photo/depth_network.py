@@ -47,15 +47,15 @@ def depth_from_network(
 ) -> np.ndarray:
     """Estimate view-space z [H, W] of each pixel of a photo, float32: a depth for `from_depth`.
 
-    The network sees the photo reduced to the size of its training. Its map is brought to the photo's size with the
-    photo's edges (joint bilateral upsampling, Kopf et al. 2007, by weighted medians). The same photo gives the same
-    bits on the same machine with as many threads. Float32 throughout; the last model is kept in memory.
+    The network sees the photo reduced to the size of its training. Joint bilateral upsampling (Kopf et al. 2007, by
+    weighted medians) enlarges its map along the photo's edges. The same photo gives the same bits on the same machine
+    with the same number of threads. All arithmetic is float32; the last model stays in memory.
 
     Args:
         image: [H, W, 3], or [H, W, 4] whose alpha is ignored; uint8, or floating point in 0..1.
         model: The name of a depth-estimation model on huggingface.co, or a folder with one (config.json,
-            preprocessor_config.json, *.safetensors). The default, Depth Anything V2 Small (Apache-2.0), is 99 MB; the
-            package huggingface_hub fetches it at first use and caches it, and no connection is needed afterwards.
+            preprocessor_config.json, *.safetensors). The default, Depth Anything V2 Small (Apache-2.0), is 99 MB. The
+            package huggingface_hub fetches it at first use and caches it; later uses need no connection.
         device: "cpu", "cuda" or "auto".
         kind: The meaning of the model's numbers, "distance" (z) or "disparity" (a + b / z, a and b unknown). None: by
             its configuration.
@@ -253,7 +253,7 @@ def _quiet() -> Iterator[None]:
     """Silence the messages of transformers on loading and running."""
     try:
         from transformers.utils import logging
-    except ImportError:  # the one who called says so
+    except ImportError:  # the caller says so
         yield
         return
     level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()

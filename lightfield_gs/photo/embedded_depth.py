@@ -60,7 +60,7 @@ class EmbeddedDepth:
 
 
 def find_embedded_depth(path: str | Path) -> EmbeddedDepth | None:
-    """Return the depth map in the XMP of a photo, or behind its picture; None without one that can be read.
+    """Return the depth map in the XMP of a photo, or behind its picture; None without a readable map.
 
     Raises:
         InputError: The file cannot be read.

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.arrays import Colour, background_tensor
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cuda import capture_graph
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
@@ -20,28 +20,26 @@ from lightfield_gs.models import crop
 from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
-from lightfield_gs.panels import framing
-from lightfield_gs.panels.lens import lenticular_camera
+from lightfield_gs.panels.content import photo_extent
 from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, frame_extent, frame_photo, lenticular_camera
 from lightfield_gs.photo.detail_level import DEFAULT_BUDGET, detail_level
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 
 
 class PhotoEncoder:
-    """Draw the object in a photo for a panel: SplatterNet.predict, frame_photo and `encode`, without detours.
+    """Draw the object in a photo for a panel: SplatterNet.predict, frame_photo and `encode` in one faster call.
 
     On CUDA the U-Net runs in bfloat16. Crop, network and framing are CUDA graphs, captured for the first photo of each
-    size, and the host waits for the device once a photo, for the position of the object.
+    size. The host waits for the device once a photo, for the position of the object.
 
     Args:
-        net: On the device to work on; its weights are copied when the encoder is made.
+        net: The network, on the device to work on. The encoder copies its weights when it is made.
         panel: See `encode`.
         views: See `encode`.
         background: See `encode`.
@@ -92,8 +90,8 @@ class PhotoEncoder:
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
         """Return the image [H, W, 3] of a photo, on the network's device.
 
-        Afterwards `gaussians` and `rig` are those of the image. On CUDA the next call overwrites the Gaussians, and
-        those too faint to be visible are among them.
+        Afterwards `gaussians` and `rig` belong to the image. On CUDA the next call overwrites the Gaussians, and those
+        too faint to be visible are among them.
 
         Args:
             rgba: A photo as SplatterNet.predict takes it.
@@ -122,7 +120,7 @@ class PhotoEncoder:
         with stats.stage("network"):
             self.gaussians = self.net.visible_gaussians(cropped, fine, level)
         with stats.stage("framing"):
-            self.rig = self._looked(framing.frame_photo(self.gaussians, self.panel), self.gaussians)
+            self.rig = self._looked(frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
             return encode(
                 self.gaussians,
@@ -175,7 +173,7 @@ class _Capture:
             lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level), warm_up=True
         )
         self._framing, self.numbers = capture_graph(
-            lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]), warm_up=True
+            lambda: torch.cat([self.checks, photo_extent(self.gaussians)]), warm_up=True
         )
 
     def takes(self, photo: Tensor) -> bool:
@@ -198,7 +196,7 @@ class _Capture:
         values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)
         crop.check_object(has_object)
-        return framing.frame_extent(extent, panel)
+        return frame_extent(extent, panel)
 
     def _cropped(self) -> tuple[Tensor, Tensor | None, Tensor]:
         size = self.net.config.image_size_px

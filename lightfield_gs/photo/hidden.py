@@ -75,10 +75,10 @@ class _HiddenRun:
 def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> Hidden:
     """Find the surfaces behind others, for cameras to the left and to the right of the photo's.
 
-    A far surface continues along the row behind a near one, as far as a camera at the end of a cone of 60 degrees looks
-    behind the edge, a quarter of the width at most. It keeps its slope from before the edge. Its colours are a membrane
-    that is held at its visible pixels: a solution of Poisson's equation, so that planes continue as planes and linear
-    gradients as themselves, where they are held from both sides.
+    A far surface continues along the row behind a near one. It ends where a camera at the end of a cone of 60 degrees
+    sees no more of it, at most after a quarter of the width. It keeps its slope from before the edge. Its colours are a
+    membrane, held at the visible pixels: a solution of Poisson's equation. So planes and linear gradients continue
+    unchanged between visible pixels on both sides.
 
     Args:
         image: [H, W, 3], 0..1.

@@ -35,7 +35,7 @@ class InpaintingConstants:
     few_pixels: int = 1 << 12  # pixels of a hole up to which there is no coarser level
     tolerance: float = 1e-4  # residual by the first one: a thousandth of a colour step is not visible
     part_values: int = 1 << 10  # values summed by one thread
-    # weight of the first guess by that of a neighbour: it decides only where nothing else holds a hole
+    # weight of the first guess relative to a neighbour: it decides only where nothing else holds a hole
     anchor: float = 1e-5
 
     # The patches
@@ -63,7 +63,7 @@ def solve_membrane(
     anchor: float = _CONSTANTS.anchor,
     iterations: int = _CONSTANTS.iterations,
 ) -> Tensor:
-    """Solve Poisson's equation on a hole: return the values [H, W, C] with those of the hole replaced.
+    """Solve Poisson's equation on a hole: return the values [H, W, C] with new values in the hole.
 
     It minimises the sum of |v_q - v_p - g_pq|^2 over linked neighbours p, q, at least one of them in the hole (Perez et
     al., "Poisson image editing", 2003, equation 7).
@@ -73,8 +73,8 @@ def solve_membrane(
         hole: bool [H, W].
         linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows are neighbours.
         slope: g along columns and rows, [H, W] each, the same for all channels; None: 0.
-        anchor: Weight of the first guess by that of a neighbour; a large one keeps values farther than 1 / sqrt(anchor)
-            pixels from everything known.
+        anchor: Weight of the first guess relative to a neighbour. A large weight keeps values that are more than 1 /
+            sqrt(anchor) pixels from all known pixels.
         iterations: Steps where a coarser level has been solved.
     """
     index = hole.flatten().nonzero()[:, 0]
@@ -138,7 +138,7 @@ def _coarser_correction(
 def _graph(
     hole: Tensor, index: Tensor, linked: Sequence[Tensor], slope: Sequence[Tensor] | None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return pixels beside those of the hole, int64, weights 0 or 1 of the links, and steps g to them: [4, M] each."""
+    """Return the neighbours of the hole's pixels, int64, the weights 0 or 1 of links, and the steps g: [4, M] each."""
     width = hole.shape[1]
     neighbours, weights, guides = [], [], []
     for dim, stride in ((0, width), (1, 1)):

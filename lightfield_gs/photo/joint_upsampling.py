@@ -105,10 +105,10 @@ def upsample(values: Tensor, photo: Tensor, value_range: float) -> Tensor:
     """Return a map of disparities at its photo's size, float32 [H, W], with edges where the photo has them.
 
     Away from edges it is bilinear. Around them, each pixel takes a weighted median of the disparities nearby. A vote
-    counts more the nearer it is, the more its colour is that of the pixel, and the less it lies on a soft edge itself
-    (joint bilateral upsampling: Kopf et al. 2007; as a weighted median, which makes no depth between near and far: Ma
-    et al., "Constant time weighted median filtering for stereo matching and beyond", 2013). The votes that agree with
-    the median are averaged, so that slopes stay smooth.
+    counts more if it is near and of similar colour, and less if it lies on a soft edge itself (joint bilateral
+    upsampling: Kopf et al. 2007). A weighted median makes no depth between near and far (Ma et al., "Constant time
+    weighted median filtering for stereo matching and beyond", 2013). The votes that agree with the median are averaged,
+    so that slopes stay smooth.
 
     Args:
         values: Disparities [h, w].

@@ -42,7 +42,7 @@ _CONSTANTS = CutOutConstants()
 
 
 def has_same_shape(shape: Sequence[int], other: Sequence[int]) -> bool:
-    """Return whether two sizes, height and width, are those of the same picture, reduced or not."""
+    """Return whether two sizes, height and width, fit the same picture, reduced or not."""
     ratio = shape[0] * other[1] / (shape[1] * other[0])
     return abs(ratio - 1) <= _CONSTANTS.same_shape
 
@@ -165,16 +165,16 @@ def load_photo(
 ) -> np.ndarray:
     """Load a photo as float32 RGBA [H, W, 4] in 0..1, sRGB, upright, alpha straight: 1 on the object, 0 beside it.
 
-    Without a mask, the photo's own alpha is the cut-out, or else the object on a plain background. Specks beside the
-    object are left out. Alpha that covers nearly everything is no cut-out by itself. An object that hardly differs from
-    its plain background is refused.
+    Without a mask the photo's own alpha is the cut-out, or else the object on a plain background is. Specks beside the
+    object are left out. Alpha that covers nearly everything does not count as a cut-out. An object that hardly differs
+    from its plain background is refused.
 
     Args:
         path: The photo.
         mask: The cut-out, an image of the photo's size: its alpha, else its brightness.
         remove_background: Whether the package rembg finds the object.
         whole: Whether the whole picture is the object.
-        map_orientation: "stored" or "upright", of a mask whose size does not tell whether it is turned like the photo.
+        map_orientation: "stored" or "upright": the orientation of a mask whose size does not tell.
 
     Raises:
         InputError: There is no cut-out, or nothing in it.

@@ -74,7 +74,7 @@ def fit_to_panel(
         focal_px: (fx, fy), pixels of the photo.
         principal_point_px: (cx, cy), pixels of the photo.
         panel: The panel.
-        fit: "cover": the photo fills the panel, and the rest is cropped; "contain": all of it is on the panel.
+        fit: "cover": the photo fills the panel, and the rest is cropped; "contain": the whole photo is on the panel.
         widest_tan: tan(cone / 2) of the outermost views; None: the panel's.
         zoom: Factor of the size of the picture.
         on_near: Whether the zero plane may move anywhere from near on afterwards; the margin is enough for that.
@@ -120,7 +120,7 @@ def extend_with_margin(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Extend an image and its depths by a margin of the same texture.
 
-    The depths are those of the photo's border, the smoother the farther from it.
+    The depths continue the photo's border, and become smoother with the distance from it.
 
     Args:
         image: [H, W, 3], of the surfaces behind the things in front, as hidden.fill_hidden returns it.

@@ -19,8 +19,8 @@ _STRIP_PIXELS = 1 << 19  # in floating point at a time: eight bytes times all pi
 class PlainPhotoConstants:
     """Thresholds of the cut-out. Distances of colours are Euclidean, channels in 0..1.
 
-    All are chosen by hand and not tuned on a data set, unless a comment says otherwise; tests/photo/test_photos.py has
-    the pictures that they must tell apart.
+    Unless a comment says otherwise, they are chosen by hand and not tuned on a data set. tests/photo/test_photos.py has
+    pictures that they must tell apart.
     """
 
     # The border, which has to be plain
@@ -149,9 +149,8 @@ class PlainCut:
 
     Attributes:
         alpha: float32 [H, W] in 0..1, 1 on the object.
-        faded: Fraction 0..1 of the object, and of the gaps between its parts, that went with the background although
-            its colour differs, as of a pale body.
-        holes: Fraction of the same through which the background shows.
+        faded: Fraction 0..1 of the object and its gaps that was cut off although its colour differs, as of a pale body.
+        holes: Fraction of the same area through which the background shows.
     """
 
     alpha: np.ndarray
@@ -168,10 +167,10 @@ def plain_background_mask(rgb: np.ndarray) -> np.ndarray | None:
 def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     """Cut the object out of a photo with a plain background.
 
-    The background has about the border's colour. It is connected to the border, or to a patch of just that colour that
-    is large enough to be a hole of the object, as in a handle; smaller spots inside the object stay opaque. The edge is
-    soft: alpha rises with the distance in colour. Where the border is noisy, colours are means over a few pixels.
-    Photos of more than 16 megapixels are cut out by the means of blocks of 2 x 2 pixels and more.
+    The background has about the border's colour. It is connected to the border. A patch inside the object counts too if
+    it has exactly this colour and is as large as a hole, as in a handle. Smaller spots stay opaque. The edge is soft:
+    alpha rises with the distance in colour. Where the border is noisy, colours are means over a few pixels. Photos of
+    more than 16 megapixels are cut out by the means of blocks of 2 x 2 pixels and more.
 
     Args:
         rgb: [H, W, 3], uint8 or floats in 0..1.

@@ -85,25 +85,25 @@ def from_depth(
     """Return the Gaussians of a photo with known depths: one per pixel, in its camera's axes (OpenCV, at the origin).
 
     Each Gaussian lies in the surface, with a standard deviation of 0.65 pixels as its own camera sees it. Its
-    covariance is that of the pixel through the inverse of the projection's Jacobian (Zwicker et al., "EWA splatting",
-    2002, inverted), so that a slanted surface stays closed when seen from the side. A surface that is seen at less than
-    5 degrees is torn instead; smoothed edges of the depth map are made sharp first. Behind an edge the far side
-    continues in a second layer, with a smooth depth and the texture of the picture (photo/hidden.py,
-    photo/inpainting.py). Outlines are soft where the photo's are (photo/depth_edges.py).
+    covariance is the pixel's, mapped by the inverse of the projection's Jacobian (EWA splatting, Zwicker et al. 2002,
+    inverted). So a slanted surface stays closed when seen from the side. A surface seen at less than 5 degrees is torn
+    instead; smoothed edges of the depth map are made sharp first. Behind an edge the far side continues in a second
+    layer, with a smooth depth and the picture's texture (photo/hidden.py, photo/inpainting.py). Outlines are soft where
+    the photo's are (photo/depth_edges.py).
 
     Args:
         image: [H, W, 3], or [H, W, 4] with straight alpha, floating point in 0..1, an array or a tensor; the work is
             done on its device.
-        depth: [H, W], the view-space z of each pixel (not its distance along the ray), scene units; anything but
-            1e-12..1e12 counts as not measured.
+        depth: [H, W], the view-space z of each pixel (not its distance along the ray), scene units. Values outside
+            1e-12..1e12 count as not measured.
         focal_px: (fx, fy), pixels; None: the longer side takes 60 degrees.
         principal_point_px: (cx, cy), pixels from the outer corner of the first pixel; None: the middle.
         margin_px: (left, top, right, bottom), pixels around the photo that are made of its texture, as
             `lightfield_gs.photo.margin.fit_to_panel` returns them for a panel.
 
     Returns:
-        Float32 Gaussians of SH degree 0: those of the pixels row by row, without pixels that have no depth or no
-        opacity, then those of outlines, of the hidden layer, and of the margin.
+        Float32 Gaussians of SH degree 0. First come the pixels with a depth and an opacity, row by row; then outlines,
+        the hidden layer and the margin.
 
     Raises:
         InputError: Shapes, types or values are invalid, or no pixel has a depth.

@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import check_tensor
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.rasterizer.lenticular_camera import CameraNumbers, LenticularCamera
 from lightfield_gs.rasterizer.operators import differentiable_once, operator_schema
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.scene import SceneTensors
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import Workspace, make_workspace
+from lightfield_gs.rasterizer.workspace import RenderSize, SceneTensors
+from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, Workspace
 
 # Orders of the polynomials for colours that vary over a rig. float64 takes the higher one: it is there to be exact
 COLOUR_ORDER, EXACT_COLOUR_ORDER = 8, 16
@@ -55,19 +56,10 @@ class DirectRender:
 
     def workspace(self, stats: Stats, threads: int, quality: Quality = EXACT) -> Workspace:
         """Run the stages before the composite, and return their workspace."""
-        with self.scene.guard:
+        with device_guard(self.scene.device):
             with stats.stage("project"):
-                work = make_workspace(
-                    self.scene,
-                    1,
-                    self.width,
-                    self.height,
-                    stats,
-                    threads,
-                    direct=True,
-                    colour_order=self.colour_order,
-                    compensated=self.compensated,
-                )
+                size = RenderSize(1, self.width, self.height, True, self.colour_order, self.compensated)
+                work = WORKSPACES[self.scene.device.type](self.scene, size, stats, threads)
                 stats.colour_error = work.project_direct(self.native, quality)
             work.order_and_bin()
         return work
@@ -127,7 +119,7 @@ def _forward(*arguments: Any) -> Tensor:
     """
     render = _unpack(arguments)
     work, out = render.workspace(Stats(), torch.get_num_threads()), render.new_image()
-    with render.scene.guard:
+    with device_guard(render.scene.device):
         work.composite_direct(render.native, EXACT, render.background, out)
     return out
 
@@ -157,7 +149,7 @@ def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
     like = render.scene.dtype, render.scene.device
     image, g_image = (check_tensor(name, t, shape, *like) for name, t in zip(drawn._fields, drawn))
     work = render.workspace(Stats(), torch.get_num_threads())
-    with render.scene.guard:
+    with device_guard(render.scene.device):
         fields, parts = work.direct_backward(render.native, render.background, image, g_image)
     return (*(g.squeeze(0) for g in fields), parts.sum(0))
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import differentiable_once, is_eager, operator_schema
-from lightfield_gs.rasterizer.scene import GradientRequest, RenderState
+from lightfield_gs.rasterizer.workspace import GradientRequest, RenderState
 
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
 _DIFFERENTIABLE = 12  # the arguments of a render without screen, which its backward takes too
@@ -40,8 +40,8 @@ def render_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
 def render_images(*arguments: Any) -> _Images:
     """Render B scenes before V cameras each (Kerbl et al. 2023): the operator of this name.
 
-    It is differentiable in all tensors but intrinsics and limits. The gradient of screen is that of the projected
-    means, in 1 / pixels; of 4 numbers the last two are sums over pixels of absolute values (Ye et al., "AbsGS", 2024).
+    It is differentiable in all tensors but intrinsics and limits. screen receives the gradient of the projected means,
+    in 1 / pixels. With 4 numbers the last two are sums over pixels of absolute values (Ye et al., "AbsGS", 2024).
 
     Args:
         arguments: of ImageArguments.
@@ -118,7 +118,7 @@ def _(*arguments):
 
 
 class _DrawnArguments(NamedTuple):
-    """The arguments of the backward behind those of the render: its outputs, their gradients, and the request.
+    """The arguments of the backward pass after the arguments of the render: outputs, their gradients, and the request.
 
     Attributes:
         screen_numbers: 0, 2 or 4, of the screen.
@@ -215,13 +215,14 @@ class _RenderImages(torch.autograd.Function):
 
 
 def _is_for_cuda(means: Tensor) -> bool:
-    """Whether the stages are those of CUDA, whose backward has two halves."""
+    """Return whether the stages run on CUDA, where the backward pass has two halves."""
     return means.is_cuda
 
 
-# On CUDA a render is two nodes of autograd. Autograd frees the tensors of a node once its backward is done: images,
-# splats and lists are gone when the gradients of the Gaussians are made. With few Gaussians the device waits for the
-# host, so arguments are checked once for both nodes, and scenes without a batch stay so: a view of each is a node too.
+# On CUDA a render is two nodes of autograd. Autograd frees the tensors of a node after its backward pass. So images,
+# splats and lists are freed before the gradients of the Gaussians are computed. With few Gaussians the device waits for
+# the host, so arguments are checked once for both nodes, and scenes without a batch stay so: a view of each is a node
+# too.
 
 
 def _render_in_two_nodes(

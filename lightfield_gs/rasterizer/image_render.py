@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
@@ -12,11 +11,12 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.scene import GradientRequest, ImageGradients, RenderState, SceneTensors
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import make_workspace
-from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, project_images_backward
+from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
+from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, CudaWorkspace, project_images_backward
 
 # Of the memory beside the images: cameras go in chunks that take about so much, or one at a time if one takes more
 CHUNK_BYTES = 1 << 29
@@ -65,21 +65,6 @@ class ImageBuffers(NamedTuple):
     image: Tensor
     alpha: Tensor | None
     depth: Tensor | None
-
-
-class Aperture(NamedTuple):
-    """The camera positions that an image is averaged over, along the camera's x-axis; scene units.
-
-    Attributes:
-        deviation: Standard deviation of the positions.
-        zero_depth: Depth at which the average leaves points unmoved.
-    """
-
-    deviation: float
-    zero_depth: float
-
-
-PINHOLE = Aperture(0.0, math.inf)
 
 
 class ImageInputs:
@@ -142,7 +127,7 @@ class ImageInputs:
         Args:
             sums: Result of ImageRender.backward_sums.
         """
-        with self.scene.guard:
+        with device_guard(self.scene.device):
             return project_images_backward(self.scene, self.cameras, sums, request)
 
 
@@ -177,17 +162,10 @@ class ImageRender:
         self.inputs, self.scene, self.stats = inputs, inputs.scene, stats or Stats()
         like = self.scene.dtype, self.scene.device
         self.background = check_tensor("background", background, (*inputs.lead, 3), *like)
-        with self.scene.guard:
-            self.work = make_workspace(
-                self.scene,
-                inputs.images,
-                inputs.width,
-                inputs.height,
-                self.stats,
-                threads or torch.get_num_threads(),
-                state=state,
-                capacity=capacity,
-            )
+        with device_guard(self.scene.device):
+            size = RenderSize(inputs.images, inputs.width, inputs.height, capacity=capacity)
+            make = WORKSPACES[self.scene.device.type]
+            self.work = make(self.scene, size, self.stats, threads or torch.get_num_threads(), state)
             if state is None:
                 with self.stats.stage("project"):
                     self.work.project_images(inputs.cameras)
@@ -214,10 +192,10 @@ class ImageRender:
         """Return the images.
 
         Args:
-            out: Contiguous memory for some of them; None stands for new memory.
+            out: Contiguous memory for some outputs; None stands for new memory.
         """
         scene, given = self.scene, out or (None, None, None)
-        with scene.guard, self.stats.stage("composite"):
+        with device_guard(scene.device), self.stats.stage("composite"):
             image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self.inputs.shapes))
             native = scene.core.Images(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
             self.work.composite_images(self.inputs.cameras, self.background, native)
@@ -232,7 +210,7 @@ class ImageRender:
             request: which gradients.
         """
         native, native_gradients = self._natives(images, gradients)
-        with self.scene.guard:
+        with device_guard(self.scene.device):
             return self.work.images_backward(self.inputs.cameras, self.background, native, native_gradients, request)
 
     def backward_sums(self, images: ImageBuffers, gradients: ImageBuffers, absolute: bool) -> tuple[Tensor, Tensor]:
@@ -243,7 +221,7 @@ class ImageRender:
             gradient of the background in parts [I * parts, 3].
         """
         native, native_gradients = self._natives(images, gradients)
-        with self.scene.guard:
+        with device_guard(self.scene.device):
             work = cast(CudaWorkspace, self.work)
             return work.composite_images_backward(self.background, native, native_gradients, absolute)
 
@@ -277,7 +255,7 @@ def draw_in_chunks(
     threads: int | None = None,
     aperture: Aperture = PINHOLE,
 ) -> ImageBuffers:
-    """Draw one scene before V cameras without gradients, some cameras at a time; every bit is that of one draw.
+    """Draw one scene before V cameras without gradients, some cameras at a time, to the same bits as in one draw.
 
     Beside the images it takes memory for as many cameras as fit CHUNK_BYTES. Each takes 192 bytes a Gaussian, and 4 a
     pixel for each of alpha and depth that is not asked for.

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.arrays import Colour, check_tensor
+from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_operators import (
@@ -20,19 +20,18 @@ from lightfield_gs.rasterizer.image_operators import (
 )
 from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
 from lightfield_gs.rasterizer.operators import refuse_tangents
-from lightfield_gs.rasterizer.scene import background_tensor
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
 
 
 class RenderedImages(NamedTuple):
-    """The images of `render`; None where a field was not asked for. It unpacks in this order.
+    """The images of `render`, a named tuple; None where a field was not asked for.
 
     Attributes:
         image: [..., C, H, W, 3], over the background.
         alpha: [..., C, H, W], 0..1.
-        depth: [..., C, H, W], the expected view-space z of the Gaussians that cover a pixel, in scene units; 0 where
-            none does.
+        depth: [..., C, H, W], the expected view-space z of the Gaussians that cover a pixel, scene units; 0 where there
+            are none.
         radii: [..., C, N], of the splats in pixels, without gradients; 0 where a Gaussian is not drawn.
     """
 
@@ -55,7 +54,7 @@ def render(
 ) -> RenderedImages:
     """Render ordinary images of Gaussians (Kerbl et al. 2023).
 
-    They are differentiable once, in the five fields of the Gaussians, the background and cameras.world_to_camera.
+    The images are differentiable once, in the five fields of the Gaussians, the background and cameras.world_to_camera.
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
@@ -64,12 +63,12 @@ def render(
         background: three numbers in 0..1, or a tensor that broadcasts to [..., C, 3], whose values need only be finite.
         alpha: also return alpha.
         depth: also return depth.
-        antialiased: for scenes that were trained so (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode). The
-            opacity of a Gaussian that 0.3 px^2 of blur widens is lowered by the compensation, the root of the ratio of
-            the determinants of its projected covariance.
+        antialiased: for scenes trained with anti-aliasing (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode).
+            The blur of 0.3 px^2 widens each Gaussian, and the compensation lowers its opacity. The compensation is the
+            root of the ratio of the determinants of the projected covariance without and with blur.
         screen: zeros [..., C, N, 2] that ask for gradients. The image does not depend on them. Their .grad is the
-            gradient of the loss by the projected means (x right, y down), in 1 / pixels. Of [..., C, N, 4] the last two
-            are sums over pixels of the absolute values of each pixel's part (Ye et al., "AbsGS", 2024).
+            gradient of the loss by the projected means (x right, y down), in 1 / pixels. With [..., C, N, 4] the last
+            two numbers are the sums over pixels of absolute gradients (Ye et al., "AbsGS", 2024).
         radii: also return radii: half the longest extent of the region where a Gaussian's alpha is 1/255 or more.
 
     Returns:

@@ -12,6 +12,21 @@ from lightfield_gs.base.errors import InputError
 _LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 
 
+class Aperture(NamedTuple):
+    """The camera positions that an image is averaged over, along the camera's x-axis; scene units.
+
+    Attributes:
+        deviation: Standard deviation of the positions.
+        zero_depth: Depth at which the average leaves points unmoved.
+    """
+
+    deviation: float
+    zero_depth: float
+
+
+PINHOLE = Aperture(0.0, math.inf)
+
+
 class NativeCamera(NamedTuple):
     """A LenticularCamera as the native code takes it."""
 
@@ -25,16 +40,16 @@ class Lens:
 
     Attributes:
         width_px, height_px, views: 1..65536.
-        phases: The phase of the first sub-pixel, and its growth from one sub-pixel to the next and from one row to the
-            next; whole numbers of 2^-64 lens widths, modulo 2^64.
+        phases: The phase of the first sub-pixel, and its steps from sub-pixel to sub-pixel and from row to row. All are
+            integers in units of 2^-64 lens widths, modulo 2^64.
         line_number: Width of a lens along a row, sub-pixels, > 0.
         slant_tan, phase: As of a Panel, phase in sub-pixels.
         bgr: Whether blue is the left-most sub-pixel.
         continuous: Whether cameras stand at x itself in place of floor(x) + 1/2.
         offset_start, offset_step: The camera of view coordinate x stands at offset_start + offset_step * x, scene
             units.
-        cell_phases, cell_channels: Sub-pixel cells by row mod 4, column mod 4 and index within the pixel: the phases of
-            the sub-pixels beyond those of stripes, and their image channels. (): stripes.
+        cell_phases, cell_channels: Sub-pixel cells by row mod 4, column mod 4 and index within the pixel: phases
+            relative to stripes, and image channels. (): stripes.
 
     Raises:
         InputError: no lens has these values.
@@ -89,7 +104,7 @@ class Lens:
 class CameraNumbers(NamedTuple):
     """A LenticularCamera as arguments of a torch operator, whose schema knows neither structs nor unsigned integers.
 
-    The fields are those of LenticularCamera and of its Lens. Phases are the signed integers of the same 64 bits.
+    The fields are the fields of LenticularCamera and of its Lens. Phases are the signed integers of the same 64 bits.
     """
 
     world_to_camera: list[float]

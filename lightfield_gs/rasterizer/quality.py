@@ -1,4 +1,4 @@
-"""How much of a light-field image may be given up for time: knobs, and named settings of them."""
+"""The quality of a light-field image: knobs that trade accuracy for time, and named settings."""
 
 from __future__ import annotations
 
@@ -15,35 +15,34 @@ OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
 
 @dataclass(frozen=True)
 class Quality:
-    """Knobs that trade errors, of colours in 0..1, for run time; by default nothing is given up.
+    """Knobs that trade errors of colours in 0..1 for run time. The defaults are exact.
 
     Attributes:
-        opacity_cut: 1/255..0.5. A Gaussian leaves samples alone where its alpha is below the cut. Opacities rise by cut
+        opacity_cut: 1/255..0.5. A Gaussian skips the samples where its alpha is below the cut. Opacities rise by cut
             - 1/255 (to 0.99 at most), which keeps the integral of alpha. A sample that K Gaussians would have reached
-            changes by at most K cut. Approximate evaluation leaves out whole patches of samples, and opacities rise by
-            as much less: the same cut then costs about 6 dB less.
-        transmittance_stop: 1e-4..0.5. A sample ends before its transmittance would fall below the stop. The Gaussian
-            that ends it takes the light that is left: an error of at most the stop. Pays where scenes are deep and
-            opaque.
-        colour_error: 0..1, of the polynomials that stand for spherical harmonics over the rig, hence of the image.
-            Interpolation may err by this, and as much again may be left out with the highest powers. Near the cameras,
-            where no polynomial is so good, colours are exact. 0: all colours are exact.
+            changes by at most K cut. Approximate evaluation skips whole patches of samples, and raises opacities by
+            less: the same cut then costs about 6 dB less.
+        transmittance_stop: 1e-4..0.5. A sample ends before its transmittance would fall below the stop. The last
+            Gaussian takes the light that is left: an error of at most the stop. Pays in deep opaque scenes.
+        colour_error: 0..1. Polynomials replace spherical harmonics over the rig. Their interpolation may err by this,
+            and the highest powers that are left out by as much again. Near the cameras, where no polynomial is so good,
+            colours are exact. 0: all colours are exact.
         lattice_error: 0..1. Where the light field is smooth, it is evaluated on a coarse lattice in (x, y, view) and
             interpolated. As a check the middle of every cell is evaluated too. Nodes are moved by two thirds of the
-            errors round them, on CUDA only if those are too large: so bends err to both sides. A lattice is accepted if
-            three errors are small. In the middles none is larger than this; their root mean square over a run of tiles
-            (on CUDA: a tile) is a fifth of this or less; and no node was moved farther than this. Else the lattice is
-            refined, split or given up. Between nodes and middles the error has no bound. Colours on a lattice end at 0
-            and 1; on the CPU its nodes have 8 bits. On CUDA panels with sub-pixel cells and anti-aliased scenes have no
-            lattices. 0: none.
-        contribution_cut: 0..1. A Gaussian is left out if its alphas, summed over all sub-pixels as if nothing hid it,
-            are less than contribution_cut * sub-pixels / Gaussians. A sample changes by at most the sum of the alphas
-            left out there. The mean of all samples changes by at most this, unless Gaussians are few: the sums are
-            taken as integrals. Pays in captures of many small Gaussians, not where all are alike. `prune` also looks at
-            what hides them, once for a scene, and leaves out more for the same error. 0: none.
-        evaluation_error: 0..1, of the arithmetic. From 0.02 on samples may be evaluated approximately, with some 60 dB:
-            on CUDA with numbers of 16 bits, twice as many at a time; on the CPU in fewer operations, until a
-            transmittance of 0.002. Colours above 1 lose at most that fraction. 0: float32.
+            errors round them, on CUDA only if these errors are too large: so bends err to both sides. A lattice is
+            accepted under three conditions. No error in a middle is larger than this. The root mean square of these
+            errors over a run of tiles (on CUDA: a tile) is at most a fifth of this. No node was moved farther than
+            this. Else the lattice is refined, split or given up. Elsewhere the error has no bound. Colours on a lattice
+            end at 0 and 1; on the CPU its nodes have 8 bits. On CUDA panels with sub-pixel cells and anti-aliased
+            scenes have no lattices. 0: none.
+        contribution_cut: 0..1. A Gaussian is left out if the sum of its alphas over all sub-pixels, without occlusion,
+            is less than contribution_cut * sub-pixels / Gaussians. A sample changes by at most the sum of the alphas
+            left out there. The mean of all samples changes by at most this, unless Gaussians are few, for integrals
+            replace the sums. Pays in captures of many small Gaussians, not where all are alike. `prune` also takes
+            occlusion into account, once for a scene, and leaves out more for the same error. 0: none.
+        evaluation_error: 0..1, error of the arithmetic. From 0.02 on samples may be evaluated approximately, with some
+            60 dB. On CUDA numbers then have 16 bits, two at a time. On the CPU there are fewer operations, and samples
+            end at a transmittance of 0.002. Colours above 1 lose at most that fraction. 0: float32.
 
     Raises:
         InputError: a number is out of its range.

@@ -110,9 +110,8 @@ class Stats:
 def count_culled(gaussians: Gaussians, world_to_camera: np.ndarray, drawn: int, pruned: int) -> dict[str, int]:
     """Count the Gaussians that are not drawn, by the first reason that holds.
 
-    behind: nearer than the near plane. faint: of opacity below 1/255. pruned: by Quality.contribution_cut. outside: of
-    the panel from every camera of the rig; or of no shape (a quaternion of zeros); or nowhere above a raised opacity
-    cut, or with anti-aliasing nowhere above 1/255.
+    behind: nearer than the near plane. faint: opacity below 1/255. pruned: by Quality.contribution_cut. outside: no
+    camera of the rig sees it on the panel, its quaternion is zero, or its alpha is nowhere above the opacity cut.
     """
     pose = torch.as_tensor(world_to_camera, dtype=torch.float64, device=gaussians.means.device)
     behind = gaussians.means.double() @ pose[2, :3] + pose[2, 3] < _core.NEAR_DEPTH
@@ -130,7 +129,7 @@ def direct_counts(counters: _core.Counters, orders: Tensor, splats: Tensor, most
         splats: [1, N, SPLAT_FIELDS].
         most: the highest order.
     """
-    drawn = orders[splats[..., _core.SPLAT_REACH_INDEX] >= 0]  # what is not drawn has a negative reach
+    drawn = orders[splats[..., _core.SPLAT_REACH_INDEX] >= 0]  # Gaussians that are not drawn have a negative reach
     return {
         "colour_orders": torch.bincount(drawn[drawn >= 0], minlength=most + 1).tolist(),
         "colours_exact": int((drawn < 0).sum()),

@@ -1,111 +1,245 @@
-"""The stages of a render and their buffers, on the CPU; workspace_cuda.py has those of CUDA."""
+"""The tensors of a render and its stages on the CPU: checked Gaussians, splats, lists, gradients.
+
+workspace_cuda.py has the stages on CUDA.
+"""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
-from typing import Protocol
+from types import ModuleType
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import check_tensor
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import (
-    GradientRequest,
-    ImageGradients,
-    RenderState,
-    SceneTensors,
-    Splats,
-    float_and_byte_addresses,
-)
 from lightfield_gs.rasterizer.stats import Stats, direct_counts
-from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
 
-class Workspace(Protocol):
-    """The stages of one render: a projection first, then order_and_bin, then a composite or its backward.
+def _devices() -> str:
+    """Return the devices of this build in words for messages."""
+    return "CPU or CUDA" if hasattr(_core, "cuda") else "CPU"
 
-    The lists of a render hold intersections. An intersection is a splat and a tile (on the CPU a band of rows) that the
-    splat may touch. I: the number of images.
+
+def _stages(tensor: Tensor) -> ModuleType:
+    """Return the core's functions for the tensor's precision."""
+    if tensor.dtype == torch.float32:
+        return _core.float32
+    if tensor.dtype == torch.float64:
+        return _core.float64
+    raise InputError(f"the rasterizer takes float32 or float64 tensors, got {tensor.dtype}")
+
+
+def float_and_byte_addresses(out: Tensor) -> tuple[int, int]:
+    """Return where a composite writes floats, and where bytes: the address of `out` for its type, and 0."""
+    return (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+
+
+class SceneTensors:
+    """Checked, contiguous Gaussians [B, N, ...], and the core's view of them."""
+
+    def __init__(self, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor):
+        """Check the fields; see ImageArguments. Raises InputError."""
+        if means.dim() != 3 or means.shape[-1] != 3:
+            raise InputError(f"means must be [scenes, N, 3], got {list(means.shape)}")
+        if means.device.type not in ("cpu", "cuda") or means.is_cuda and not hasattr(_core, "cuda"):
+            raise InputError(f"this build renders on the {_devices()}; got means on {means.device}: use .cpu()")
+        if means.is_cuda and means.dtype != torch.float32:
+            raise InputError(f"on CUDA the rasterizer takes float32 tensors, got {means.dtype}")
+        batch, count = means.shape[:2]
+        if count >= 2**31:
+            raise InputError(f"at most 2^31 - 1 Gaussians, got {count}")
+        if sh.dim() != 4 or sh.shape[2] not in (1, 4, 9, 16):
+            raise InputError(f"sh must be [scenes, N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
+        self.core, self.batch, self.count = _stages(means), batch, count
+        self.dtype, self.device = means.dtype, means.device
+        self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[2]]
+        self.tensors = [
+            check_tensor(name, tensor, (batch, count, *shape), self.dtype, self.device)
+            for name, tensor, shape in (
+                ("means", means, (3,)),
+                ("quaternions", quaternions, (4,)),
+                ("scales", scales, (3,)),
+                ("opacities", opacities, ()),
+                ("sh", sh, (sh.shape[2], 3)),
+            )
+        ]
+
+    def without_values(self) -> SceneTensors:
+        """Return a copy that keeps no tensors alive: enough for a composite and its backward, which read splats."""
+        other = copy.copy(self)
+        other.tensors = []
+        return other
+
+    def native(self) -> _core.float32.Gaussians:
+        """Return the addresses for the core, which are valid as long as this object."""
+        return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))
+
+    def new(self, *shape: int, dtype: torch.dtype | None = None, zero: bool = False) -> Tensor:
+        """Allocate a tensor on the device of the Gaussians, of their dtype unless given; without values, or all 0."""
+        make = torch.zeros if zero else torch.empty
+        return make(shape, dtype=dtype or self.dtype, device=self.device)
+
+    def gradients(self, zero: bool) -> tuple[list[Tensor], _core.float32.Gaussians]:
+        """Allocate the gradients of the five fields, all 0 or without values; return them and the core's view."""
+        grads = [torch.zeros_like(t) if zero else torch.empty_like(t) for t in self.tensors]
+        return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))
+
+
+class RenderSize(NamedTuple):
+    """The images of a render, and the sizes of its buffers.
+
+    Attributes:
+        images: How many images there are.
+        width: Of all images, pixels.
+        height: Likewise.
+        direct: Whether the image is a light-field image.
+        colour_order: Highest order of the polynomials for the colours of a light field over the rig; 0: one colour
+            each.
+        compensated: Whether opacities change over the rig, by the compensation of anti-aliasing or of an aperture.
+        capacity: See ImageRender.
     """
 
-    stats: Stats
-    splats: Splats
-    intersection_count: int
-    intersections_on_device: Tensor
+    images: int
+    width: int
+    height: int
+    direct: bool = False
+    colour_order: int = 0
+    compensated: bool = False
+    capacity: int | None = None
 
-    def state(self) -> RenderState:
-        """Return the state that the backward needs."""
 
-    def project_images(self, cameras: _core.float32.Cameras) -> None:
-        """Project the Gaussians to the splats of I images, one for each camera."""
+class RenderState(NamedTuple):
+    """The state that a render leaves to its backward.
 
-    def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
-        """Project the Gaussians to the splats of a light-field image; return the largest colour error, 0..1."""
+    Attributes:
+        splats: [I, N, SPLAT_FIELDS].
+        colours: [I, N, order + 1, COLOUR_STRIDE].
+        lists: The splats of each tile as bytes, in a layout of the device's own.
+    """
 
-    def order_and_bin(self, admit: Callable[[], bool] = ...) -> bool:
-        """Sort the splats by depth and list the intersections.
+    splats: Tensor
+    colours: Tensor
+    lists: Tensor
+
+    @classmethod
+    def shapes(cls, images: int, count: int, colour_order: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the shapes of splats and colours."""
+        return (images, count, _core.SPLAT_FIELDS), (images, count, colour_order + 1, _core.COLOUR_STRIDE)
+
+    def check(self, scene: SceneTensors, size: RenderSize, least_bytes: int) -> RenderState:
+        """Return the state contiguous. Raises InputError if it is not of such a render."""
+        splats, colours = (
+            check_tensor(f"state: {name}", t, shape, scene.dtype, scene.device)
+            for name, t, shape in zip(self._fields, self, self.shapes(size.images, scene.count, size.colour_order))
+        )
+        if self.lists.dtype != torch.uint8 or self.lists.dim() != 1 or self.lists.numel() < least_bytes:
+            raise InputError(
+                f"state: lists must be {least_bytes} bytes or more, got {list(self.lists.shape)} of {self.lists.dtype}"
+            )
+        return RenderState(splats, colours, self.lists.contiguous())
+
+
+class Splats:
+    """The projected Gaussians of `images` images: written by `project`, read by all later stages."""
+
+    def __init__(self, scene: SceneTensors, size: RenderSize, with_orders: bool, state: RenderState | None):
+        """Allocate the splats, or take them from `state`.
 
         Args:
-            admit: whether to go on; called once `intersection_count` is known, before memory is made for the lists.
-
-        Returns:
-            The answer of admit.
+            scene: the Gaussians.
+            size: of the render.
+            with_orders: whether each Gaussian may have a lower order of colours of its own.
+            state: left by an earlier render.
         """
+        images, n, self.colour_order = size.images, scene.count, size.colour_order
+        if state is None:
+            shapes = RenderState.shapes(images, n, self.colour_order)
+            self.splats, self.colours = (scene.new(*shape) for shape in shapes)
+        else:
+            self.splats, self.colours = state.splats, state.colours
+        self.orders = scene.new(images, n if with_orders else 0, dtype=torch.int32)
+        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if size.compensated else None
+        self.native = scene.core.Splats(
+            images,
+            n,
+            self.colour_order,
+            self.splats.data_ptr(),
+            self.colours.data_ptr(),
+            self.orders.data_ptr(),
+            0 if self.compensations is None else self.compensations.data_ptr(),
+        )
 
-    def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
-        """Composite I images into `out`.
+    def buffers(self) -> list[Tensor]:
+        """Return all tensors, for counting their memory."""
+        extra = [] if self.compensations is None else [self.compensations]
+        return [self.splats, self.colours, self.orders, *extra]
 
-        Args:
-            background: [I, 3].
-        """
 
-    def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
-        """Composite the light-field image into `out` [H, W, 3].
+class GradientRequest(NamedTuple):
+    """The requested gradients of ordinary images, beside those of the five fields and of the background.
 
-        Args:
-            background: [3].
-        """
+    Attributes:
+        screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.
+        cameras: Whether the gradient of world_to_camera is asked for.
+    """
 
-    def images_backward(
-        self,
-        cameras: _core.float32.Cameras,
-        background: Tensor,
-        images: _core.float32.Images,
-        gradients: _core.float32.Images,
-        request: GradientRequest,
-    ) -> ImageGradients:
-        """Return the gradients of the inputs from `gradients`, of the images."""
+    screen_numbers: int = 0
+    cameras: bool = True
 
-    def direct_backward(
-        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
-    ) -> tuple[list[Tensor], Tensor]:
-        """Return the gradients of the five fields, and of the background in parts [parts, 3]."""
+    @property
+    def absolute(self) -> bool:
+        """Whether the sums of absolute values are asked for."""
+        return self.screen_numbers == 4
+
+
+class ImageGradients(NamedTuple):
+    """Gradients of ordinary images.
+
+    Attributes:
+        fields: Gradients of the five fields.
+        background_parts: [I * parts, 3].
+        cameras: [I, 4, 4], or [0, 4, 4].
+        screen: Gradients of the projected means, [I, N, screen_numbers].
+    """
+
+    fields: list[Tensor]
+    background_parts: Tensor
+    cameras: Tensor
+    screen: Tensor
 
 
 class CpuWorkspace:
-    """The stages of one render on the CPU, in float32 or float64; see Workspace."""
+    """The stages of one render on the CPU: a projection first, then order_and_bin, then a composite or its backward.
+
+    The lists of a render hold intersections. An intersection is a splat and a tile (on the CPU a band of rows) that the
+    splat may touch. I: the number of images. CudaWorkspace has the same methods.
+    """
 
     def __init__(
-        self,
-        scene: SceneTensors,
-        images: int,
-        width: int,
-        height: int,
-        colour_order: int,
-        stats: Stats,
-        threads: int,
-        state: RenderState | None = None,
-        compensated: bool = False,
+        self, scene: SceneTensors, size: RenderSize, stats: Stats, threads: int, state: RenderState | None = None
     ):
-        self.scene, self.images, self.stats, self.threads = scene, images, stats, threads
-        self.width, self.height = width, height
-        self.offsets = images * _core.band_count(height) + 1  # where each band's list begins, and the end
+        """Allocate the buffers.
+
+        Args:
+            scene: the Gaussians.
+            size: of the render.
+            stats: filled with times and counts.
+            threads: of the CPU.
+            state: left by an earlier render, in place of project, order and bin.
+        """
+        self.scene, self.images, self.stats, self.threads = scene, size.images, stats, threads
+        self.height = size.height
+        self.offsets = size.images * _core.band_count(size.height) + 1  # where each band's list begins, and the end
         if state is not None:
-            state = state.check(images, scene, colour_order, 8 * self.offsets)
+            state = state.check(scene, size, 8 * self.offsets)
             self._use_lists(state.lists)
-        self.splats = Splats(scene, images, colour_order, True, compensated, state)
+        self.splats = Splats(scene, size, True, state)
 
     def _use_lists(self, lists: Tensor) -> None:
         """Use lists of bytes: band offsets [I * bands + 1] int64, then the splats of the intersections, int32."""
@@ -113,12 +247,15 @@ class CpuWorkspace:
         self.bins = _core.Bins(lists.data_ptr(), lists.data_ptr() + 8 * self.offsets)
 
     def state(self) -> RenderState:
+        """Return the state that the backward needs."""
         return RenderState(self.splats.splats, self.splats.colours, self.lists)
 
     def project_images(self, cameras: _core.float32.Cameras) -> None:
+        """Project the Gaussians to the splats of I images, one for each camera."""
         self.scene.core.project_images(self.scene.native(), cameras, self.splats.native, self.threads)
 
     def project_direct(self, camera: NativeCamera, quality: Quality) -> float:
+        """Project the Gaussians to the splats of a light-field image; return the largest colour error, 0..1."""
         return self.scene.core.project_direct(
             self.scene.native(),
             camera.rig,
@@ -130,6 +267,14 @@ class CpuWorkspace:
         )
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        """Sort the splats by depth and list the intersections.
+
+        Args:
+            admit: whether to go on; called once `intersection_count` is known, before memory is made for the lists.
+
+        Returns:
+            The answer of admit.
+        """
         scene, core, native, threads = self.scene, self.scene.core, self.splats.native, self.threads
         with self.stats.stage("order"):
             # `order` [I, N] begins with the splats that are drawn, nearest first; there are `drawn` [I] of them
@@ -154,6 +299,11 @@ class CpuWorkspace:
         return True
 
     def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
+        """Composite I images into `out`.
+
+        Args:
+            background: [I, 3].
+        """
         self.stats.count(
             self.scene.core.composite_images(
                 self.splats.native, self.bins, cameras, background.data_ptr(), out, self.threads
@@ -161,7 +311,11 @@ class CpuWorkspace:
         )
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
-        """Composite into `out`, of the scene's dtype or uint8; see Workspace."""
+        """Composite the light-field image into `out` [H, W, 3], of the scene's dtype or uint8.
+
+        Args:
+            background: [3].
+        """
         counters = self.scene.core.composite_direct(
             self.splats.native,
             self.bins,
@@ -185,6 +339,7 @@ class CpuWorkspace:
         gradients: _core.float32.Images,
         request: GradientRequest,
     ) -> ImageGradients:
+        """Return the gradients of the inputs from `gradients`, of the images."""
         core, scene = self.scene.core, self.scene
         first, sums, g_background = self._gradient_buffers(_core.image_intersection_gradient_size(request.absolute))
         core.composite_images_backward(
@@ -220,6 +375,7 @@ class CpuWorkspace:
     def direct_backward(
         self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
+        """Return the gradients of the five fields, and of the background in parts [parts, 3]."""
         core, splats = self.scene.core, self.splats
         size = _core.intersection_gradient_size(splats.colour_order, splats.compensations is not None)
         first, sums, g_background = self._gradient_buffers(size)
@@ -254,39 +410,3 @@ class CpuWorkspace:
         self.scene.core.first_intersections(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
         gradients = self.scene.new(self.intersection_count, size, zero=True)
         return first, gradients, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)
-
-
-def make_workspace(
-    scene: SceneTensors,
-    images: int,
-    width: int,
-    height: int,
-    stats: Stats,
-    threads: int,
-    *,
-    direct: bool = False,
-    colour_order: int = 0,
-    compensated: bool = False,
-    state: RenderState | None = None,
-    capacity: int | None = None,
-) -> Workspace:
-    """Return the workspace of the scene's device.
-
-    Args:
-        scene: the Gaussians.
-        images: how many images there are.
-        width: of all images, pixels.
-        height: likewise.
-        stats: filled with times and counts.
-        threads: of the CPU.
-        direct: whether the image is a light-field image.
-        colour_order: see Splats; and so are compensated and state.
-        compensated: see Splats.
-        state: see Splats.
-        capacity: see ImageRender.
-    """
-    if scene.device.type == "cuda":
-        return CudaWorkspace(
-            scene, images, width, height, colour_order, stats, direct, state, compensated=compensated, capacity=capacity
-        )
-    return CpuWorkspace(scene, images, width, height, colour_order, stats, threads, state, compensated)

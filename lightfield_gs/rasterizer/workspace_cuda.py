@@ -1,4 +1,4 @@
-"""The stages of a render on a CUDA device, in float32, and their buffers. See workspace.Workspace."""
+"""The stages of a render on a CUDA device, in float32, and their buffers. See workspace.CpuWorkspace."""
 
 from __future__ import annotations
 
@@ -11,40 +11,39 @@ from torch.nn import functional
 from lightfield_gs import _core
 from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import GradientRequest, ImageGradients, RenderState, SceneTensors, Splats
 from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import (
+    CpuWorkspace,
+    GradientRequest,
+    ImageGradients,
+    RenderSize,
+    RenderState,
+    SceneTensors,
+    Splats,
+)
 
 _ALIGNMENT = 256  # bytes, that of memory from CUDA
 
 
 class CudaWorkspace:
-    """The stages of one render on CUDA; see Workspace. Buffers are of torch's allocator, work is on its stream."""
+    """The stages of one render on CUDA; see CpuWorkspace. Buffers are of torch's allocator, work is on its stream."""
 
     def __init__(
-        self,
-        scene: SceneTensors,
-        images: int,
-        width: int,
-        height: int,
-        colour_order: int,
-        stats: Stats,
-        direct: bool,
-        state: RenderState | None = None,
-        compensated: bool = False,
-        capacity: int | None = None,
+        self, scene: SceneTensors, size: RenderSize, stats: Stats, threads: int, state: RenderState | None = None
     ):
-        self.capacity = capacity
-        self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
-        self.image = _core.cuda.Image(images, width, height, direct)
+        """Allocate the buffers; see CpuWorkspace. No stage uses threads."""
+        self.scene, self.images, self.stats, self.items = scene, size.images, stats, size.images * scene.count
+        self.capacity = size.capacity
+        self.image = _core.cuda.Image(size.images, size.width, size.height, size.direct)
         self.stream = torch.cuda.current_stream(scene.device).cuda_stream
         self.ranges_bytes = 16 * self.image.tiles()  # a range of intersections for each tile
         self.lists_bytes = self.ranges_bytes + 8 * self.items  # these, and a range of gradients for each splat
         if state is None:
             self.keys = scene.new(self.items, dtype=torch.int64)
         else:
-            state = state.check(images, scene, colour_order, self.lists_bytes)
+            state = state.check(scene, size, self.lists_bytes)
             self._use_lists(state.lists)
-        self.splats = Splats(scene, images, colour_order, direct, compensated, state)
+        self.splats = Splats(scene, size, size.direct, state)
 
     def _use_lists(self, lists: Tensor, unsorted: int | None = None) -> None:
         """Use lists, a tensor of bytes.
@@ -53,8 +52,8 @@ class CudaWorkspace:
         A splat's intersections are numbered by slots, in the order of the splats; gradients are written there.
 
         Args:
-            lists: the range of intersections of each tile [tiles, 2] int64, the range of slots of each splat [I, N, 2]
-                int32, then slots and splats of the sorted intersections, int32.
+            lists: the range of intersections of each tile, [tiles, 2] int64; the range of slots of each splat, [I, N,
+                2] int32; slots and splats of the sorted intersections, int32.
             unsorted: address of [4, intersections] int32 that only the filling needs: tiles, sorted tiles, slots and
                 their splats.
         """
@@ -107,7 +106,7 @@ class CudaWorkspace:
         return work, [work.data_ptr() + start for start in starts[:-1]]
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
-        """Sort the splats and list the intersections; see Workspace.
+        """Sort the splats and list the intersections; see CpuWorkspace.
 
         The intersections are counted first. Without a capacity the host learns their number while the device sorts.
         """
@@ -162,7 +161,7 @@ class CudaWorkspace:
         )
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
-        """Composite into `out`, float32; see Workspace. Images of bytes are frames (frame_cuda)."""
+        """Composite into `out`, float32; see CpuWorkspace. Images of bytes are frames (frame_cuda)."""
         _core.cuda.composite_direct(
             self.splats.native,
             self.image,
@@ -177,8 +176,11 @@ class CudaWorkspace:
     def composite_images_backward(
         self, background: Tensor, images: _core.float32.Images, gradients: _core.float32.Images, absolute: bool
     ) -> tuple[Tensor, Tensor]:
-        """The first half of images_backward: sums over the pairs of each splat [I, N, SPLAT_SUMS], from which the
-        gradients of the Gaussians follow, and the gradient of the background in parts [I * parts, 3]."""
+        """Run the first half of images_backward.
+
+        Return sums over the intersections of each splat [I, N, SPLAT_SUMS], and the background's gradient in parts [I *
+        parts, 3]. The gradients of the Gaussians follow from the sums.
+        """
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.intersection_count, cuda.ABSOLUTE_IMAGE_SUMS if absolute else cuda.IMAGE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
@@ -262,3 +264,7 @@ def project_images_backward(
     )
     g_cameras = scene.new(0, 4, 4) if views is None else functional.pad(views.sum(1), (0, 0, 0, 1))
     return out, g_cameras, screen
+
+
+Workspace = CpuWorkspace | CudaWorkspace
+WORKSPACES: dict[str, type[Workspace]] = {"cpu": CpuWorkspace, "cuda": CudaWorkspace}  # by the type of the device

@@ -1,8 +1,8 @@
 """The float64 oracle's arithmetic: one Gaussian, one sample, one formula at a time, as published equations print them.
 
-Sources: Kerbl et al., "3D Gaussian Splatting", 2023 (blending and its thresholds); Zwicker et al., "EWA Splatting",
-2002 (projected covariance); Yu et al., "Mip-Splatting", 2024 (opacities of anti-aliased scenes). Nothing here is shared
-with the native rasterizer.
+Sources: blending and its thresholds from "3D Gaussian Splatting" (Kerbl et al., 2023), the projected covariance from
+"EWA Splatting" (Zwicker et al., 2002), opacities of anti-aliased scenes from "Mip-Splatting" (Yu et al., 2024). The
+native rasterizer shares no code with this module.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ def square(vectors: Tensor) -> Tensor:
 class Projection:
     """One scene before one eye: view-space means and spreads of the visible Gaussians, near ones first.
 
-    With antialiased, opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its
-    light. An aperture of the eye spreads it out too, and it keeps its light likewise.
+    With antialiased, the compensation lowers an opacity by as much as the low pass spreads the Gaussian, so that it
+    keeps its light. An aperture of the eye spreads it out too, and it keeps its light likewise.
     """
 
     def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
@@ -166,8 +166,8 @@ class Projection:
         """Return the variance along the row, px^2, that the aperture adds to Gaussians.
 
         Over the offsets o the column fx (X - o) / Z + shift o of a point has the variance aperture^2 (shift - fx /
-        Z)^2. Its mean over the points at Z + z of the spread is, to first order in z, the variance at Z plus aperture^2
-        (fx / Z^2)^2 times the variance of z.
+        Z)^2. The points of the spread lie at Z + z. To first order in z the mean of this variance is its value at Z
+        plus aperture^2 (fx / Z^2)^2 times the variance of z.
         """
         Z, fx = self.position[gaussian, 2], self.eye.intrinsics[0]
         moved = self.eye.shift_px - fx / Z, fx / Z**2 * self.spread[2][:, gaussian]
@@ -223,7 +223,7 @@ class Projection:
         full = self.alpha(gaussian, Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample]))
         shape = (len(samples.rows), max(1, int(count.max())))
 
-        # Every sample has a row of the table with its Gaussians from near to far; what is missing is transparent.
+        # Every sample has a row of the table with its Gaussians from near to far; missing entries are transparent.
         table = full.new_zeros(shape).index_put((sample, rank), full)
         drawn = table.detach() >= ALPHA_MIN
         table = torch.where(drawn, table, 0.0)

@@ -63,9 +63,9 @@ def view_coordinates(panel: Panel, eyes_mm: np.ndarray) -> np.ndarray:
 class EyeReference:
     """The pictures that eyes at the viewing distance would see of a scene if every view were exact.
 
-    Each is the picture of the camera at the eye, on every sub-pixel of the panel, through the same lenses as the
-    picture to be judged. Spatial sampling is then the same in both, and only the panel's mixing of views differs. The
-    cameras are ordinary pinholes, whatever filter the judged image was made with.
+    A camera at the eye renders every sub-pixel of the panel; the lenses are those of the judged picture. Spatial
+    sampling is then the same in both pictures, and only the panel's mixing of views differs. The cameras are ordinary
+    pinholes, whatever filter the judged image has.
     """
 
     @torch.no_grad()

@@ -155,9 +155,9 @@ def subpixel_colours(
         background: Colour, 0..1.
         antialiased: See lightfield_gs.encode.
         view_filter: See lightfield_gs.encode.
-        return_margin: Whether to return margins [M] as well: the relative distance, at most 0.1, of a decision about
-            the sample from its threshold (alpha = 1/255 or transmittance = 1e-4). Below some 1e-4 a float32 program may
-            rightly decide otherwise.
+        return_margin: Whether to return margins [M] as well. A margin is the relative distance, at most 0.1, of a
+            sample's closest decision from its threshold (alpha = 1/255 or transmittance = 1e-4). Below some 1e-4 a
+            float32 program may rightly decide otherwise.
     """
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
     projection = Projection(Scene.from_gaussians(gaussians), rig_eye(panel, rig, view_filter), antialiased)

@@ -14,8 +14,8 @@ from lightfield_gs.base.errors import InputError
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 DEFAULT_UP = "-y"  # OpenCV axes: y points down
 _PREFIX = "vertical axis"
-# Viewing direction of an upright camera for each vertical axis, so that x stays to the right: +z where y points down,
-# -z where y points up (OpenGL), +y where z points up (Blender). Where x is vertical it is +z.
+# Viewing direction of an upright camera for each vertical axis, with x to the right. It is +z where y points down, -z
+# where y points up (OpenGL), +y where z points up (Blender). Where x is vertical it is +z.
 _FORWARD = {"-y": (0, 0, 1), "y": (0, 0, -1), "z": (0, 1, 0), "-z": (0, -1, 0), "x": (0, 0, 1), "-x": (0, 0, 1)}
 
 

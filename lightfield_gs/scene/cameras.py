@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class Cameras:
-    """C cameras of one image size, or [B, C] of them: C for each of B sets of Gaussians.
+    """The C cameras of one scene, or [B, C] cameras of B scenes; all have one image size.
 
     Instead of focal_px and principal_point_px, K may be given as in other rasterizers, [..., C, 3, 3] without skew:
     Cameras(world_to_camera, K, width_px=..., height_px=...).
@@ -38,12 +38,12 @@ class Cameras:
         width_px: width of the images, 1..65536 pixels.
         height_px: height of the images, 1..65536 pixels.
         jacobian_limits: [..., C, 5] (low_x, high_x, low_y, high_y, offset), limits of X/Z and Y/Z in the projection's
-            Jacobian. They hold at the centre of a rig; the camera is `offset` to the right of it. None: the camera's
-            frustum and 15 % of the image beyond each edge (Kerbl et al.).
+            Jacobian. They hold at the centre of a rig; the camera stands `offset` to the right of the centre. None: the
+            camera's frustum and 15 % of the image beyond each edge (Kerbl et al.).
 
     Raises:
-        InputError: shapes or values make no camera. Values on a device are not checked, which would wait for it:
-            values that are not finite draw a meaningless image.
+        InputError: shapes or values make no camera. Values on a device are not checked, for a check would wait for it:
+            NaN and infinity draw a meaningless image.
     """
 
     world_to_camera: torch.Tensor

@@ -33,8 +33,8 @@ class Gaussians:
         opacities: [..., N] in (0, 1].
         sh: [..., N, K, 3] spherical harmonics of red, green and blue; K = (degree + 1)^2, degree 0..3. The colour is
             max(0, 0.5 + sum), in the (sRGB-coded) colour space of the training images.
-        origin: position of the means' zero in the coordinates of their file, scene units, double precision. Cameras
-            for these Gaussians are given from there too: Rig.relative_to(origin).
+        origin: position of the means' zero in the coordinates of their file, scene units, double precision. Cameras for
+            these Gaussians are relative to it too: Rig.relative_to(origin).
     """
 
     means: torch.Tensor
@@ -105,15 +105,15 @@ class Gaussians:
     def rotated(self, rotation: Any) -> Gaussians:
         """Rotate the Gaussians about the zero of their file: centres, quaternions and harmonics.
 
-        A camera with rotation R renders the same image of these Gaussians as a camera with R @ rotation^T and the same
-        translation of the result. Batch, dtype, device and gradients are kept.
+        The image of a camera stays the same if its rotation R becomes R @ rotation^T, with the same translation. Batch,
+        dtype, device and gradients are kept.
 
         Args:
             rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero); a tensor, an
                 array or numbers.
 
         Raises:
-            InputError: it is no proper rotation.
+            InputError: `rotation` is no proper rotation.
         """
         self.validate_layout()
         means, quaternions, sh, origin = rotated_fields(self.means, self.quaternions, self.sh, self.origin, rotation)
@@ -189,7 +189,7 @@ class Gaussians:
         return scene.gaussians
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Write one set of Gaussians as .ply, .spz or .splat. What the format cannot hold is a warning.
+        """Write one set of Gaussians as .ply, .spz or .splat. Losses by the format are warnings.
 
         lightfield_gs.write_scene describes the arguments.
         """

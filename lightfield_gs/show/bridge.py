@@ -1,8 +1,8 @@
 """Quilts to a Looking Glass display, through Looking Glass Bridge and its local HTTP interface.
 
-Sources: Looking Glass documentation, "Web Application Integration"; the requests of its library Bridge.js
-(github.com/Looking-Glass/bridge.js): each is a PUT of a JSON object to the address of its name, and each answer holds
-`status`, whose value is "Completion" where all is well, and `payload`.
+Sources: Looking Glass documentation, "Web Application Integration", and its library Bridge.js
+(github.com/Looking-Glass/bridge.js). A request is a PUT of a JSON object to the address of the request's name. An
+answer holds `status`, which is "Completion" on success, and `payload`.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import real_number, whole_number
+from lightfield_gs.base.checks import checked_path, real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import checked_path
 
 BRIDGE_URL = "http://localhost:33334"
 _TIMEOUT_S = 10.0
@@ -35,7 +34,7 @@ def cast(
     display: int = _ANY_DISPLAY,
     timeout_s: float = _TIMEOUT_S,
 ) -> None:
-    """Have Bridge show a quilt, a picture or a video in a loop, in place of the last one that this program showed.
+    """Show a quilt, a picture or a looped video by Bridge, in place of this program's last one.
 
     Bridge reads the file itself: the file must stay where it is, and Bridge must run on this computer.
 

@@ -1,4 +1,4 @@
-"""A light field on an ordinary screen: contact sheet of views, look-around animation, what the two eyes see."""
+"""A light field on an ordinary screen: contact sheet of views, look-around animation, pictures of two eyes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.comfort import EYE_SEPARATION_MM
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -43,14 +42,14 @@ def write_preview(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> list[Path]:
-    """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
+    """Write previews of an encoded light field into `folder`, made if absent, and return their paths.
 
-    views.png: twelve views from the left-most to the right-most camera, row by row; of upright panels in two rows, so
+    views.png: twelve views from the left-most to the right-most camera, row by row; upright panels get two rows, so
     that the sheet fills a screen.
     look-around.webp: a camera that goes from left to right and back.
     look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
-    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
-    only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
+    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, for eyes 63 mm apart at the viewing distance. If
+    the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
     Views are rendered at a reduced size; antialiased, view_filter: see `encode`. Raises InputError.
     """
     folder = make_folder(folder)
@@ -87,7 +86,7 @@ def look_around(
     view_filter: float = 0.0,
 ) -> list[np.ndarray]:
     """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
-    small_panel, small_rig = reduced(panel, rig, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
+    small_panel, small_rig = rig.reduced(panel, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
     is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
     positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
     if panel.invert_views:
@@ -157,7 +156,7 @@ _WEBP_QUALITY = 85
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
-    """Writes frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one of them at a time.
+    """Write frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one frame at a time.
 
     The frames are in the file as WebP. Raises InputError where it cannot be written.
     """
@@ -179,8 +178,10 @@ def _data_url(frame: np.ndarray) -> str:
 
 
 def in_rows(pictures: Sequence[np.ndarray], columns: int = 4) -> np.ndarray:
-    """One or more pictures [h, w, 3] in rows of `columns`, from the left and from the top; what is left of the last row
-    is black. A single picture stays as it is."""
+    """Return one or more pictures [h, w, 3] in rows of `columns`, from the left and from the top.
+
+    The rest of the last row is black. A single picture stays as it is.
+    """
     columns = min(columns, len(pictures))
     missing = -len(pictures) % columns
     every = [*pictures, *[np.zeros_like(pictures[0])] * missing]

@@ -14,7 +14,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from lightfield_gs.base.arrays import Colour, to_bytes
-from lightfield_gs.base.cuda import to_numpy
+from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
@@ -23,7 +23,6 @@ from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.scene.gaussians import Gaussians
 
 _EYE_WIDTH_PX = 1920
@@ -109,7 +108,7 @@ class EyeRenderer:
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
         """Render the view on the device of the Gaussians."""
-        small, rig = reduced(self._panel, rig, self.size_px[0])
+        small, rig = rig.reduced(self._panel, self.size_px[0])
         small = replace(small, width_px=self.size_px[0], height_px=self.size_px[1])
         swing = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
         side = -1 if self._panel.invert_views else 1

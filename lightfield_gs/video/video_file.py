@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from torch import Tensor
 
-from lightfield_gs.base.cuda import to_numpy
+from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.video.decoding import av_library

@@ -70,5 +70,5 @@ def test_cores_are_shared_out():
     assert [processes_per_gpu(cores, False, 80 << 30) for cores in (1, 4, 8, 64)] == [1, 1, 2, 4]
     assert processes_per_gpu(64, True, 80 << 30) == 1
     assert [processes_per_gpu(64, False, gib << 30) for gib in (1, 5, 80)] == [1, 2, 4]
-    with pytest.raises(InputError, match="--devices: expected cpu, or GPUs such as cuda:0,cuda:1, got 'gpu'"):
+    with pytest.raises(InputError, match="devices=: expected cpu, or GPUs such as cuda:0,cuda:1, got 'gpu'"):
         choose_workers("gpu", None, None)

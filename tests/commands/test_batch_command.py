@@ -15,9 +15,9 @@ from fit_capture import write_capture
 from PIL import Image
 
 from lightfield_gs import cli
-from lightfield_gs.base.paths import config_path
 from lightfield_gs.batch import manifest
 from lightfield_gs.io.images import read_image
+from lightfield_gs.io.text_files import config_path
 
 pytestmark = pytest.mark.not_sanitized  # what draws is in other processes, and the same as that of `encode`
 PHOTO = Path(__file__).resolve().parents[2] / "lightfield_gs/data/cat.png"

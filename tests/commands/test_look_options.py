@@ -62,7 +62,7 @@ def test_a_flat_rig_can_be_stored(folder, capsys):
         ("--cone 180", "argument --cone: expected 0..179 degrees"),
         ("--zoom 0", "argument --zoom: expected 0.01..100"),
         ("--pan -0.1", "argument --pan: expected 2 numbers"),
-        ("--pan 0,11", "argument --pan: expected shares of the panel's width and height, -10..10"),
+        ("--pan 0,11", "argument --pan: expected fractions of the panel's width and height, -10..10"),
         ("--zoom 2 --method sorted --cameras c.json", "--zoom is about a rig, and --cameras takes its place"),
     ],
 )

@@ -10,7 +10,7 @@ from photo_cases import PANEL, photo, tiny_net
 from PIL import Image
 
 from lightfield_gs import Rig, _core, cli
-from lightfield_gs.base.cuda import HostCopies
+from lightfield_gs.base.device import HostCopies
 from lightfield_gs.models.replayed import ReplayedNet
 from lightfield_gs.models.splatter_net import PRETRAINED, SplatterNet
 from lightfield_gs.photo.detail_level import detail_level

@@ -10,7 +10,7 @@ import torch
 from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene_of
 
 from lightfield_gs import Encoder, Gaussians, Panel, encode
-from lightfield_gs.base.cuda import free_memory
+from lightfield_gs.base.device import free_memory
 from lightfield_gs.rasterizer import frame_cuda
 
 

@@ -37,7 +37,7 @@ def test_a_scene_is_framed_as_on_the_cpu(name, pose):
 def test_the_zero_plane_of_a_given_camera_is_that_of_the_cpu():
     scene = thing((0, 0, 3))
     depths = [
-        framing.frame_from_camera(scene.to(device), PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0)).zero_depth
+        framing.focus_on_scene(Rig(UPRIGHT, (80.0, 80.0), (80.0, 40.0), 1.0), scene.to(device), PANEL).zero_depth
         for device in ("cpu", "cuda")
     ]
     assert depths[1] == pytest.approx(depths[0], rel=0.01)

@@ -14,7 +14,7 @@ from sorted_cases import oracle, random_map, toe_in
 from lightfield_gs import Gaussians, InputError, SortedPlan, _core, encode
 from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.encoding.sorted import CudaStages
-from lightfield_gs.rasterizer.scene import SceneTensors
+from lightfield_gs.rasterizer.workspace import SceneTensors
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)

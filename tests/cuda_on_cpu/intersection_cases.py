@@ -12,7 +12,7 @@ from torch import Tensor
 from lightfield_gs import Cameras
 from lightfield_gs.bench.scenes import sheet, with_harmonics
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageRender
-from lightfield_gs.rasterizer.scene import GradientRequest
+from lightfield_gs.rasterizer.workspace import GradientRequest
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
 SIDE_PX = 272  # 17 x 17 tiles: a splat before all of them has more intersections than one warp adds up

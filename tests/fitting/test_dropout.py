@@ -51,7 +51,7 @@ def test_gradients_of_a_step_are_those_of_what_it_draws():
     trainer = Trainer(first_state(known_scene(), settings), images, settings)
     trainer.counters.step.fill_(3)
     chosen = torch.tensor([1])
-    found = trainer._step(None)._gradients(chosen)
+    found = trainer._gradients(chosen, None)
     factors = dropout(trainer.schedule.dropouts, at(3), settings.seed, 150)
     assert float(trainer.schedule.dropouts[3]) == pytest.approx(0.6) and 40 < int((factors == 0).sum()) < 120
     scene = trainer.state.gaussians()

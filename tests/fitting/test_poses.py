@@ -19,7 +19,7 @@ from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageRender
-from lightfield_gs.rasterizer.scene import GradientRequest
+from lightfield_gs.rasterizer.workspace import GradientRequest
 
 DOUBLE = torch.float64
 

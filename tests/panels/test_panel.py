@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import config_names
+from lightfield_gs.io.text_files import config_names
 from lightfield_gs.panels.panel import Panel
 
 TOY = dict(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import config_names
+from lightfield_gs.io.text_files import config_names
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.patterns import (

@@ -9,6 +9,8 @@ from subject_cases import PANEL, UPRIGHT, blobs, directions, floaters, joined, r
 
 from lightfield_gs import Gaussians, InputError, Panel, Rig
 from lightfield_gs.panels import framing, visibility
+from lightfield_gs.panels.content import content_extent
+from lightfield_gs.panels.rig import frame_extent, frame_photo
 
 
 def place(rig: Rig) -> np.ndarray:
@@ -126,10 +128,11 @@ def test_with_a_pose_the_zero_plane_lies_in_the_subject():
     wall = blobs(random.uniform(-1, 1, (3000, 3)) * [30, 20, 0] + [0, 0, 60], 0.6)
     scene = joined(thing((0, 0, 3)), wall)
     assert Rig.frame(scene, PANEL, UPRIGHT).zero_depth == pytest.approx(3, abs=0.3)
-    given = framing.frame_from_camera(scene, PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0))
+    camera = Rig(UPRIGHT, (80.0, 80.0), (80.0, 40.0), 1.0)
+    given = framing.focus_on_scene(camera, scene, PANEL)
     assert given.zero_depth == pytest.approx(3, abs=0.3) and given.focal_px == (80, 80)
     with pytest.raises(InputError, match="in front"):
-        framing.frame_from_camera(thing((0, 0, -3)), PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0))
+        framing.focus_on_scene(camera, thing((0, 0, -3)), PANEL)
 
 
 def test_what_hides_the_content_counts():
@@ -144,7 +147,7 @@ def test_what_hides_the_content_counts():
 
 def test_a_photo_keeps_its_whole_view_however_wide():
     wide = blobs(np.stack([np.linspace(-3, 3, 400), np.zeros(400), np.ones(400)], 1))
-    rig = framing.frame_photo(wide, PANEL)
+    rig = frame_photo(wide, PANEL)
     assert rig.focal_px[0] < 30 and Rig.frame(wide, PANEL, UPRIGHT).focal_px[0] == pytest.approx(80)
 
 
@@ -159,10 +162,7 @@ def test_some_of_a_photos_many_gaussians_show_how_far_all_reach(width):
     scales = torch.full((count, 3), 1e-3)
     means, turns = torch.stack([x * z, y * z, z], 1), torch.tensor([1.0, 0, 0, 0]).expand(count, 4)
     gaussians = Gaussians(means, turns, scales, opacities, torch.zeros(count, 1, 3))
-    rig, whole = (
-        framing.frame_photo(gaussians, PANEL),
-        framing.frame_extent(framing.content_extent(gaussians).tolist(), PANEL),
-    )
+    rig, whole = (frame_photo(gaussians, PANEL), frame_extent(content_extent(gaussians).tolist(), PANEL))
     assert rig.focal_px == pytest.approx(whole.focal_px, rel=4e-3) and rig.focal_px != whole.focal_px
     assert rig.principal_point_px == pytest.approx(whole.principal_point_px, abs=4e-3 * PANEL.height_px)
     assert rig.zero_depth == pytest.approx(whole.zero_depth, rel=1e-3)

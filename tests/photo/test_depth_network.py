@@ -12,7 +12,8 @@ import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.base.options import DEPTH_MODEL
 from lightfield_gs.io.images import read_info, write_image
-from lightfield_gs.panels.framing import focus_on_subject, frame_photo
+from lightfield_gs.panels.framing import focus_on_subject
+from lightfield_gs.panels.rig import frame_photo
 from lightfield_gs.photo import depth_network
 from lightfield_gs.photo.depth_network import depth_from_network, estimated_depth
 from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z

@@ -13,7 +13,7 @@ from srn_scene import look_at, write_object
 from training_runs import losses, run_config
 
 from lightfield_gs import InputError
-from lightfield_gs.base.paths import config_path
+from lightfield_gs.io.text_files import config_path
 from training import compare, compare_report, compare_trend, loop
 from training.compare import read_experiment
 from training.config import Stage, TrainingConfig

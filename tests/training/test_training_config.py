@@ -11,7 +11,7 @@ import yaml
 from training_runs import losses, run_config
 
 from lightfield_gs import InputError
-from lightfield_gs.base.paths import config_names, config_path
+from lightfield_gs.io.text_files import config_names, config_path
 from lightfield_gs.models import ModelConfig
 from training import train
 from training.config import OptimizerConfig, Stage, TrainingConfig

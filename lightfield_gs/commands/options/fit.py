@@ -17,7 +17,7 @@ from lightfield_gs.io.captures.capture import TestEvery
 Add = Callable[..., argparse.Action]
 _BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
 _MOST = 10_000_000
-# Options, and the settings that they are
+# Names of options, and of their settings
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
 
 
@@ -31,8 +31,8 @@ class CaptureOptions:
         mask_folder: folder of their masks.
         scale: factor of their width.
         longest_px: their longer side at most.
-        test_every: holds out the middle one of every so many.
-        test_list: file with the names of those held out.
+        test_every: number of photographs of which the middle one is held out.
+        test_list: file with the names of the held-out photographs.
         sfm: whether pycolmap finds the cameras.
     """
 
@@ -78,7 +78,7 @@ class ConeOptions:
         cone: the panel, or degrees.
         centre: name of the photograph in the middle of the cone.
         score_cone: angle of the cone for scores, degrees.
-        contribution_cut: mean error that may be made by what is left out.
+        contribution_cut: allowed mean error of the Gaussians that are left out.
     """
 
     cone: str | None = None
@@ -158,27 +158,27 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
         "--mask-folder",
         type=Path,
         metavar="FOLDER",
-        help="of masks named as the photographs, white where these count (default: masks)",
+        help="folder of masks named as the photographs, white on the pixels that count (default: masks)",
     )
     add(
         "--masks",
         choices=MASKS,
         default="ignore",
-        help="what is black in masks, or transparent in photographs: anything may be there (ignore), or the scene is "
-        "to be transparent there (alpha); default ignore",
+        help="meaning of black in masks and of transparent pixels in photographs. ignore: anything may be "
+        "there; alpha: the scene is transparent there; default ignore",
     )
     size = group.add_mutually_exclusive_group().add_argument
     size(
         "--scale",
         type=within(1e-3, 1),
-        metavar="SHARE",
-        help="0..1, shrinks photographs to this share of their width (default 1)",
+        metavar="FRACTION",
+        help="0..1, shrink photographs to this fraction of their width (default 1)",
     )
     size(
         "--longest-px",
         type=whole(16, 1 << 20),
         metavar="PIXELS",
-        help="shrinks photographs whose longer side has more pixels",
+        help="shrink photographs whose longer side has more pixels",
     )
     test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group().add_argument
     test(
@@ -186,15 +186,15 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
         type=_every_or_none,
         default="own",
         metavar="N",
-        help="holds out the middle one of every N photographs, in the order of their names, to score the "
-        "scene by; none: fits to all; own: those that the capture itself keeps for tests (default own, or else 8)",
+        help="hold out the middle one of every N photographs, in the order of their names, to score the scene; "
+        "none: fit to all; own: hold out the capture's own test photographs, else as with 8 (default own)",
     )
-    test("--test-list", type=Path, metavar="FILE", help="holds out those that a text file names, one a line")
+    test("--test-list", type=Path, metavar="FILE", help="hold out the photographs that a text file names, one a line")
     add(
         "--sfm",
         action="store_true",
-        help="CAPTURE is a folder of photographs whose cameras are not known: pycolmap finds them first "
-        "(pip install 'lightfield-gs[sfm]'), and keeps them in the folder of the run",
+        help="CAPTURE is a folder of photographs with unknown cameras. pycolmap finds them first (pip install "
+        "'lightfield-gs[sfm]'), and stores them in the folder of the run",
     )
 
 
@@ -206,66 +206,82 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
         type=whole(1, _MOST),
         default=30_000,
         metavar="N",
-        help="how many; schedules scale with them (default 30000)",
+        help="number of steps; schedules scale with it (default 30000)",
     )
     add(
         "--gaussians",
         type=whole(1, 2**31 - 1),
         default=300_000,
         metavar="N",
-        help="how many the scene has at the end, by --density adaptive at most (default 300000)",
+        help="number of Gaussians at the end, or at most with --density adaptive (default 300000)",
     )
     add(
         "--density",
         choices=DENSITIES,
         default="mcmc",
-        help="how Gaussians come and go: mcmc: moved to where they are needed (Kheradmand et al. 2024); adaptive: "
-        "cloned, split and removed (Kerbl et al. 2023); default mcmc",
+        help="density control of the Gaussians. mcmc: they move to where they are needed (Kheradmand et al. "
+        "2024); adaptive: they are cloned, split and removed (Kerbl et al. 2023); default mcmc",
     )
-    add("--absolute-gradients", action="store_true", help="--density adaptive by absolute gradients (Ye et al. 2024)")
+    add(
+        "--absolute-gradients",
+        action="store_true",
+        help="use absolute gradients for --density adaptive (Ye et al. 2024)",
+    )
     add(
         "--sh-degree",
         type=int,
         choices=range(4),
         default=3,
-        help="of the spherical harmonics, 0..3: how much colours may change with the direction they are seen from; "
+        help="degree of the spherical harmonics, 0..3: how much colours may change with the viewing direction; "
         "0: not at all (default 3)",
     )
-    add("--views-per-step", type=whole(1, 1024), default=1, metavar="N", help="photographs in each step (default 1)")
+    add(
+        "--views-per-step",
+        type=whole(1, 1024),
+        default=1,
+        metavar="N",
+        help="number of photographs in each step (default 1)",
+    )
     add(
         "--exposure",
         action="store_true",
-        help="fits an affine change of colours for each photograph as well, where exposure or white balance differ",
+        help="also fit an affine change of colours for each photograph, for different exposure or white balance",
     )
     add(
         "--dropout",
         type=within(0.0, 0.9),
         default=0.0,
-        metavar="SHARE",
-        help="each step leaves out a random part of the Gaussians, growing from 0 to this share at the end, 0..0.9: "
-        "against what a dozen photographs or fewer let stand before the views between them; 0.2 gains up to 1 dB there "
-        "or loses up to 1.5, by the scene (default 0: none)",
+        metavar="FRACTION",
+        help="each step leaves out a random fraction of the Gaussians, which grows from 0 to this value at the "
+        "end, 0..0.9. With a dozen photographs or fewer it removes stray Gaussians before the views "
+        "between them; 0.2 gains up to 1 dB there or loses up to 1.5, by the scene (default 0: none)",
     )
-    add("--poses", action="store_true", help="refines the cameras' poses as well, where they are off by some pixels")
+    add("--poses", action="store_true", help="also refine the cameras' poses, if they are off by some pixels")
     add(
         "--background",
         type=_backdrop,
         default=_BACKGROUNDS["black"],
         metavar="COLOUR",
-        help="what is behind the scene in the fit, and then in encode: black, white, R,G,B in 0..1, or random, another "
-        "one at each step (default black)",
+        help="background of the scene in the fit, and later in encode: black, white, R,G,B in 0..1, or random, "
+        "another colour at each step (default black)",
     )
     add(
         "--antialiased",
         action="store_true",
-        help="fits for drawing with anti-aliasing; encode and prune draw the scene so",
+        help="fit for drawing with anti-aliasing; encode and prune then draw the scene with it",
     )
-    add("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of random numbers, 0 or more (default 0)")
+    add(
+        "--seed",
+        type=whole(0, 2**63 - 1),
+        default=0,
+        metavar="N",
+        help="seed of the random numbers, 0 or more (default 0)",
+    )
     add(
         "--device",
         choices=DEVICES,
         default="auto",
-        help="where the scene is fitted (default auto: cuda where there is a GPU and this build can use it)",
+        help="device of the fit (default auto: cuda if there is a GPU and this build can use it)",
     )
 
 
@@ -276,22 +292,22 @@ def add_run(parser: argparse.ArgumentParser) -> None:
         "--run",
         type=Path,
         metavar="FOLDER",
-        help="folder of checkpoints, scores and pictures (default: beside the output, scene.fit for scene.ply); a fit "
-        "that was stopped goes on from there",
+        help="folder of checkpoints, scores and pictures (default: beside the output, scene.fit for scene.ply); "
+        "a stopped fit goes on from there",
     )
-    add("--fresh", action="store_true", help="starts over, and removes the checkpoint in the folder of the run")
+    add("--fresh", action="store_true", help="start over, and remove the checkpoint in the folder of the run")
     for name, words in (
-        ("checkpoint", "checkpoints (default: so that they take 2 %% of the time)"),
+        ("checkpoint", "checkpoints (default: they take 2 %% of the time)"),
         ("evaluate", "scores of the held-out photographs (default: a tenth of --steps)"),
-        ("picture", "pictures of a view beside its photograph, held out if any is (default: one at the end)"),
+        ("picture", "pictures of a view beside its photograph, held out if possible (default: one at the end)"),
     ):
         add(f"--{name}-every", type=whole(1, _MOST), metavar="N", help=f"steps between {words}")
     add(
         "--stop-early",
         action="store_true",
-        help="ends once the held-out PSNR has not improved over the last 3 evaluations",
+        help="end once the held-out PSNR has not improved over the last 3 evaluations",
     )
-    add("--tensorboard", action="store_true", help="scalars for TensorBoard in the folder of the run")
+    add("--tensorboard", action="store_true", help="write scalars for TensorBoard in the folder of the run")
 
 
 def add_cone(parser: argparse.ArgumentParser) -> None:
@@ -300,29 +316,30 @@ def add_cone(parser: argparse.ArgumentParser) -> None:
     add(
         "--cone",
         metavar="PANEL|DEG",
-        help="fits for what a panel shows, given by its name, .yaml or .json, or for the default panel with a cone of "
-        "so many degrees, 1..179, from end to end. Photographs in the cone count fully, others less; Gaussians that "
-        "no view of the panel sees are left out; the rig is written beside the scene, scene.rig.yaml for scene.ply "
-        "(default: all photographs count alike)",
+        help="fit for the views of a panel, by its name, .yaml or .json, or for the default panel with a cone "
+        "of this full angle, 1..179. Photographs in the cone count fully, others less. Gaussians that no "
+        "view of the panel sees are left out. The rig is written beside the scene, scene.rig.yaml for "
+        "scene.ply (default: all photographs count alike)",
     )
     add(
         "--centre",
         metavar="NAME",
-        help="name of the photograph in the middle of the cone, taken by its centre camera (default: the one with the "
-        "most others near)",
+        help="name of the centre camera's photograph, in the middle of the cone (default: the photograph with "
+        "the most others near)",
     )
     add(
         "--score-cone",
         type=within(1, 179, "degrees"),
         metavar="DEG",
-        help="scores held-out photographs by their angle in a cone of this full angle, without --cone too, so that a "
-        "fit for a cone and one for all photographs are compared (default: the cone of --cone)",
+        help="score held-out photographs by their angle in a cone of this full angle, also without --cone. So a "
+        "fit for a cone is compared with a fit for all photographs (default: the cone of --cone)",
     )
     add(
         "--contribution-cut",
         type=within(0, 1),
-        metavar="SHARE",
-        help="0..1, mean error that colours of 0..1 may have on the panel for what --cone leaves out (default 1e-4)",
+        metavar="FRACTION",
+        help="0..1, allowed mean error on the panel, of colours in 0..1, for the Gaussians that --cone leaves "
+        "out (default 1e-4)",
     )
 
 

@@ -1,4 +1,4 @@
-"""Where a command serves its page, and whether a browser opens it."""
+"""Options of the server of a command's page."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ def add_serving(add: Callable[..., argparse.Action]) -> None:
         type=whole(0, 65535),
         default=0,
         metavar="NUMBER",
-        help="port of the page's address (default 0: any that is free)",
+        help="port of the page's address (default 0: any free port)",
     )
     add(
         "--host",
         default=_HOST,
         metavar="ADDRESS",
-        help="address that the page is served on (default 127.0.0.1, or ::1: this machine alone; 0.0.0.0, or ::: the "
-        "whole network, to anybody in it)",
+        help="address of the server (default 127.0.0.1, or ::1: this machine alone; 0.0.0.0, or ::: everybody "
+        "in the whole network)",
     )
-    add("--no-open", action="store_true", help="do not open the browser; the address is printed")
+    add("--no-open", action="store_true", help="print the address without opening the browser")
 
 
 def serve(options: ServingOptions, routes: Mapping[str, Route], start: str) -> None:

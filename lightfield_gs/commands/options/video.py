@@ -24,34 +24,34 @@ def add_motion(add: Callable[..., argparse.Action]) -> None:
         "--turntable",
         type=within(1e-3, _MOST_SECONDS, "seconds"),
         metavar="SECONDS",
-        help="the cameras go round what the middle of the panel shows, once in so many seconds, about the vertical "
-        f"axis (default {DEFAULT_SECONDS:g} where there is no --path)",
+        help="the cameras go round the content in the middle of the panel, about the vertical axis, once in "
+        f"this time (default {DEFAULT_SECONDS:g} without --path)",
     )
     add(
         "--degrees",
         type=within(-1e6, 1e6, "degrees"),
         metavar="DEG",
-        help="of --turntable: 360 or a multiple goes on round, to the right where positive; another angle is a swing "
-        "by that much in all, from the middle to both sides and back (default 360; 20 for photos)",
+        help="of --turntable: 360 or a multiple goes round, to the right if positive; another angle is a swing "
+        "of this full angle from the middle to both sides and back (default 360; 20 for photos)",
     )
     add(
         "--path",
         type=Path,
         metavar="FILE",
-        help="keyframes that the cameras go through smoothly, in the scene's axes: .yaml or .json with keyframes, a "
-        "list of time (seconds) and rig (the name of a rig's file, or its fields)",
+        help="keyframes of a smooth camera path, in the scene's axes: .yaml or .json with keyframes, a list of "
+        "time (seconds) and rig (the name of a rig's file, or its fields)",
     )
     add(
         "--reframe",
         action="store_true",
-        help="of a sequence: each picture is framed by itself (default: all as the first, so that nothing jumps)",
+        help="of a sequence: frame each picture by itself (default: all like the first, so that nothing jumps)",
     )
     add("--fps", type=_rate, metavar="RATE", help="frames a second, 1..1000, for example 30 or 30000/1001 (default 30)")
     add(
         "--frames",
         type=whole(1, MOST_FRAMES),
         metavar="N",
-        help="number of frames, in place of seconds; of a sequence, the first so many",
+        help="number of frames, in place of seconds; of a sequence: the number of pictures from the first",
     )
 
 
@@ -60,57 +60,66 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
     add(
         "--kind",
         choices=KINDS,
-        help="native: the picture of the panel, only lossless; quilt: all views side by side, for Looking Glass; 2d: "
-        "what one eye sees (default native, or quilt where the name or --quilt says so)",
+        help="native: the picture of the panel, only lossless; quilt: all views side by side, for Looking "
+        "Glass; 2d: the picture of one eye (default native, or quilt by the name or --quilt)",
     )
     add(
         "--codec",
         choices=CODECS,
-        help="of a video. Lossless, for native: h264-rgb (default of .mp4 and .mov), ffv1 (default of .mkv). 4:2:0, "
-        "for quilt and 2d: h264 (default), hevc",
+        help="of a video. Lossless, for native: h264-rgb (default of .mp4 and .mov), ffv1 (default of .mkv). "
+        "4:2:0, for quilt and 2d: h264 (default), hevc",
     )
     add(
-        "--crf", type=whole(0, 51), default=18, metavar="Q", help="of h264 and hevc: 0..51, less is better (default 18)"
+        "--crf",
+        type=whole(0, 51),
+        default=18,
+        metavar="Q",
+        help="quality of h264 and hevc: 0..51, less is better (default 18)",
     )
     add(
         "--quilt",
         type=_quilt,
         metavar="PRESET|CxR",
-        help=f"of --kind quilt: what Looking Glass has for a device ({', '.join(QUILT_PRESETS)}), or columns and rows "
-        "of views (default: what the name says, else 8x6)",
+        help=f"of --kind quilt: the preset of a Looking Glass device ({', '.join(QUILT_PRESETS)}), or columns "
+        "and rows of views (default: by the name, else 8x6)",
     )
     add(
         "--quilt-size",
         type=whole_numbers(2, 16384, "x", 2),
         metavar="WIDTHxHEIGHT",
-        help="of the whole quilt, pixels; made even, and whole tiles (default: the preset's, else as large as fits "
-        "into 4096x4096)",
+        help="size of the whole quilt, pixels; rounded to even numbers and whole tiles (default: the preset's, "
+        "else the largest within 4096x4096)",
     )
     add(
         "--sway",
         type=within(1e-3, _MOST_SECONDS, "seconds"),
         metavar="SECONDS",
-        help="of --kind 2d: the eye goes from the middle to the right, to the left and back in so many (default: it "
-        "stays in the middle; with --degrees 0 nothing else moves)",
+        help="of --kind 2d: the eye goes from the middle to the right, to the left and back in this time "
+        "(default: it stays in the middle). With --degrees 0 nothing else moves",
     )
-    add("--compression", choices=COMPRESSIONS, default="fast", help="of PNG files: quick to write, or small")
+    add(
+        "--compression",
+        choices=COMPRESSIONS,
+        default="fast",
+        help="of PNG files. fast: quick to write; small: small files (default fast)",
+    )
     add(
         "--writers",
         type=whole(1, 256),
         metavar="N",
-        help="threads that write PNG files (default: one a core, up to 16)",
+        help="number of threads that write PNG files (default: one a core, up to 16)",
     )
     add(
         "--overwrite",
         action="store_true",
-        help="remove frames that are in the folder (default: those of the same job are kept, others refused)",
+        help="remove the frames in the folder (default: keep frames of the same job, refuse others)",
     )
     add(
         "--bridge",
         nargs="?",
         const=BRIDGE_URL,
         metavar="URL",
-        help=f"have Looking Glass Bridge show the quilt when it is done (default address {BRIDGE_URL})",
+        help=f"show the finished quilt by Looking Glass Bridge (default address {BRIDGE_URL})",
     )
 
 

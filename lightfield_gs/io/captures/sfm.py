@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, names_outside
 from lightfield_gs.io.images import as_floats, read_info, read_picture
@@ -40,8 +40,8 @@ Progress = Callable[[str], None]
 _ENOUGH = 0.9  # fraction of posed photographs that ends the tries
 # Range of focal lengths, of the longer side: 9 mm to 144 mm on 35 mm film
 _SHORTEST, _LONGEST = 0.25, 4.0
-# Directions within _NARROW_DEG hardly determine a focal length; then it must be within a factor _LARGEST_CHANGE of
-# COLMAP's guess, which is relative to the longer side
+# Directions within _NARROW_DEG hardly determine a focal length. Then it must be within a factor _LARGEST_CHANGE of
+# COLMAP's guess, _GUESS of the longer side
 _NARROW_DEG, _GUESS = 10.0, 1.2
 _LARGEST_CHANGE = 2.0  # factor of the last refinement: beyond, the photographs do not determine the focal length
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.checks import checked_path, expect, real_number
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
 from lightfield_gs.io.scenes import ksplat, ply, sog, splat, spz
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
@@ -59,22 +58,21 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | No
     """Read a file of Gaussians.
 
     Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat and .ksplat. A .sog (versions 1
-    and 2) may be a ZIP, a folder or its meta.json. The axes are those of a .ply: an .spz (right, up, back) is turned
-    to right, down, forward. A .ply may be text or binary of either byte order, with properties in any order and number
-    type. Properties that no Gaussian has are ignored. Coordinates stored as double, far from zero, are given from an
-    origin of whole numbers near them, which the Gaussians remember.
+    and 2) may be a ZIP, a folder or its meta.json. The axes are a .ply's (right, down, forward): an .spz (right, up,
+    back) is turned to them. A .ply may be text or binary of either byte order, with properties in any order and number
+    type. Properties that no Gaussian has are ignored. Coordinates stored as double, far from zero, become relative to
+    an origin of whole numbers near them; Gaussians.origin holds it.
 
     Args:
         path: file or folder.
-        skip_invalid: leave out Gaussians with values that have no meaning, and count them in a note. Such are values
-            that are not finite, a rotation of zeros, and a scale that overflows. Infinite logits and a log scale of
-            -inf are valid.
+        skip_invalid: leave out Gaussians with invalid values, and count them in a note. Invalid are values that are not
+            finite, a rotation of zeros, and a scale that overflows. Infinite logits and a log scale of -inf are valid.
         time: time at which moving Gaussians (Spacetime Gaussians) are read, in the units of their file, mostly 0..1.
             None: the median of the times at which they are most opaque, which a note states.
 
     Raises:
-        InputError: the file has another format, is cut, has wrong counts, or lacks a property, which is named. Without
-            skip_invalid, a value has no meaning; property, index and count are named.
+        InputError: the file has an unknown format, is cut, has wrong counts, or lacks a property. Without skip_invalid:
+            a value is invalid. The message names property, index and count.
     """
     from lightfield_gs.scene.gaussians import from_arrays
 
@@ -94,7 +92,7 @@ def write_scene(gaussians: Gaussians, path: str | Path, comments: Sequence[str] 
         comments: texts of one line each for the header of a .ply, which may have 64 KiB.
 
     Returns:
-        What the format cannot hold, one line each.
+        Losses by the format, one line each.
 
     Raises:
         InputError: Gaussians are a batch, empty or invalid, comments have several lines, or the file cannot be written.

@@ -1,4 +1,4 @@
-"""The addresses of the two pages: the one that steers a scene, and the panel's own."""
+"""The routes of the two pages: one steers a scene, the other is the panel's own."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ class _Steering:
         return encoded(picture, lossless=still)
 
     def rest(self, query: Query) -> Answer:
-        """Has the panel show what the page has come to rest at."""
+        """Show the page's resting state on the panel."""
         self._stage.settle(Controls.of(query))
         return text("", 204)
 
     def focus(self, query: Query) -> Answer:
-        """The depth of what is seen at a point."""
+        """Return the depth of the surface at a point."""
         point = number(query, "x", 0, 1), number(query, "y", 0, 1)
         work = partial(self._stage.depth_at, Controls.of(query), point)
         return as_json({"focus": self._lines.draw(False, work)})
@@ -98,7 +98,7 @@ class _Steering:
             return Answer(path.read_bytes(), "application/octet-stream", headers=kept)
 
     def native(self) -> tuple[int, np.ndarray]:
-        """The version of what the panel is to show, and its picture."""
+        """Return the picture for the panel, and its version."""
         return self._lines.last(self._stage.settled)
 
 
@@ -164,7 +164,7 @@ def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
 
 
 def encoded(picture: Picture, lossless: bool) -> Answer:
-    """PNG or JPEG, with what it is and what it took in the headers."""
+    """Return a PNG or JPEG, with its kind and its times in the headers."""
     from PIL import Image
 
     headers = {
@@ -200,7 +200,7 @@ def _picture(stage: Stage, query: Query, controls: Controls, still: bool) -> Pic
 
 
 def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
-    """What the page says and needs to know of the scene and the panel."""
+    """Return the page's data on the scene and the panel."""
     panel = stage.panel
     distance = panel.viewing_distance_mm
     return {
@@ -218,8 +218,10 @@ def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
 
 
 class _Lines:
-    """Threads that draw: one for what moves and one for what rests, so that a picture at rest of seconds keeps no move
-    waiting. On a GPU they are one. More threads, one a connection, would each have a pool of torch's own."""
+    """The drawing threads: one for moving pictures and one for pictures at rest, which may take seconds.
+
+    On a GPU one thread draws both. A thread for each connection would have a pool of torch's own.
+    """
 
     def __init__(self, is_live: bool):
         self._still = ThreadPoolExecutor(1, "still")

@@ -25,7 +25,6 @@ from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.look import CONES_DEG, MOST_AMOUNT, MOST_PAN, ZOOMS, Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.rig_geometry import reduced
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.preview import contact_sheet, to_integers
@@ -68,7 +67,7 @@ class Controls:
 
     @staticmethod
     def of(query: Mapping[str, str]) -> Controls:
-        """Controls from a query of the page; what is missing has its default, and other words are not looked at.
+        """Return the controls of a query; missing words have their defaults, unknown words are ignored.
 
         Raises InputError on a value that is no number, or out of its range.
         """
@@ -84,11 +83,11 @@ class Controls:
         return replace(self, eye=0.0)
 
     def look(self) -> Look:
-        """What these controls change of a rig, but for the turn."""
+        """Return the changes of a rig by these controls, without the turn."""
         return Look(self.focus, self.depth_amount, self.cone_deg, self.zoom, (self.pan_x, self.pan_y))
 
     def rig(self, base: Rig, panel: Panel) -> Rig:
-        """The rig that these controls make of the one that the scene was framed with."""
+        """Return the scene's rig as these controls change it."""
         return self.look().applied(orbited(base, self.yaw_deg, self.pitch_deg), panel)
 
 
@@ -172,7 +171,7 @@ class Stage:
         self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
         self.background, self.antialiased, self.view_filter = background, antialiased, view_filter
         self.is_live = gaussians.device.type == "cuda"
-        self.version = 0  # counts what the page came to rest at
+        self.version = 0  # counts the resting states of the page
         self._settled, self._changed = Controls(), threading.Condition()
         self._native: tuple[Controls, np.ndarray, dict[str, float]] | None = None
         self._moving: tuple[str, Encoder] | None = None
@@ -227,8 +226,10 @@ class Stage:
         return Picture(pixels, description, stages)
 
     def native(self, controls: Controls) -> tuple[np.ndarray, dict[str, float]]:
-        """The native picture, uint8 [H, W, 3] (to be read only), and the times of its stages in ms, {} where it is the
-        one before."""
+        """Return the native picture, uint8 [H, W, 3] (to be read only), and the times of its stages in ms.
+
+        The times are {} for the same picture as before.
+        """
         if self._native is not None and self._native[0] == controls.picture():
             return self._native[1], {}
         stats: dict = {}
@@ -237,7 +238,7 @@ class Stage:
         return image, dict(stats["stages_ms"])
 
     def settle(self, controls: Controls) -> None:
-        """Says where the page has come to rest: what the panel is to show."""
+        """Set the page's resting state, which the panel shows."""
         with self._changed:
             if controls.picture() != self._settled:
                 self._settled = controls.picture()
@@ -251,13 +252,16 @@ class Stage:
         return version, self.native(controls)[0]
 
     def wait_for(self, after: int, timeout_s: float) -> int:
-        """The version of what the panel is to show, as soon as it is another than `after`, or when the time is over."""
+        """Return the version of the panel's picture as soon as it differs from `after`, or at the timeout."""
         with self._changed:
             self._changed.wait_for(lambda: self.version != after, timeout_s)
             return self.version
 
     def depth_at(self, controls: Controls, point: tuple[float, float]) -> float:
-        """Depth of what is seen at a point of the picture, 0..1 of its width and height: a focus. Raises InputError."""
+        """Return the depth of the surface at a point of the picture, 0..1 of its width and height.
+
+        The depth becomes the focus. Raises InputError.
+        """
         look = replace(controls.look(), focus=point)
         turned = orbited(self.base, controls.yaw_deg, controls.pitch_deg)
         return look.applied(turned, self.panel, self.gaussians).zero_depth
@@ -322,7 +326,7 @@ class Stage:
 
     def _views(self, controls: Controls, eyes: list[float], width_px: int) -> list[np.ndarray]:
         """What perfect lenses show to eyes at these places across the viewing zone, each uint8 [h, w, 3]."""
-        panel, rig = reduced(self.panel, self._rig(controls), width_px)
+        panel, rig = self._rig(controls).reduced(self.panel, width_px)
         side = -1 if panel.invert_views else 1
         views = render_views(
             self.gaussians,
@@ -346,9 +350,9 @@ class Stage:
 
 
 def cut_out(panel: Panel, rig: Rig, left: int, top: int, width: int, height: int) -> tuple[Panel, Rig]:
-    """A part of a panel as a panel of its own: its sub-pixels show what they show on the whole one.
+    """Return a part of a panel as a panel of its own: its sub-pixels show the same views as on the whole panel.
 
-    On panels with cells, where the kinds of pixels repeat, left, top and what is left below are multiples of PERIOD.
+    On panels with cells the kinds of pixels repeat: left, top and the rows left below are multiples of PERIOD.
     """
     cx, cy = rig.principal_point_px
     phase = panel.phase + 3 * left + 3 * top * panel.slant_tan

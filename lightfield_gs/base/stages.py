@@ -1,4 +1,4 @@
-"""Checks and launches that the native stages of fitting share."""
+"""Checks and launches of native stages, on the CPU and on CUDA."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.base.cuda import device_guard
+from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 
 
