@@ -66,22 +66,9 @@ def cast(
 
 
 def _entry(path: Path, columns: int, rows: int, aspect: float) -> dict[str, Any]:
-    return {
-        "name": _PLAYLIST,
-        "id": 0,
-        "index": 0,
-        "uri": str(path.resolve()),
-        "rows": rows,
-        "cols": columns,
-        "aspect": aspect,
-        "view_count": columns * rows,
-        "isRGBD": 0,
-        "focus": 0,
-        "crop_pos_x": 0,
-        "crop_pos_y": 0,
-        "zoom": 1,
-        "tag": "",
-    }
+    file = {"name": _PLAYLIST, "id": 0, "index": 0, "uri": str(path.resolve())}
+    tiles = {"rows": rows, "cols": columns, "aspect": aspect, "view_count": columns * rows}
+    return {**file, **tiles, "isRGBD": 0, "focus": 0, "crop_pos_x": 0, "crop_pos_y": 0, "zoom": 1, "tag": ""}
 
 
 def check_bridge(url: str = BRIDGE_URL, timeout_s: float = _TIMEOUT_S) -> None:
