@@ -81,8 +81,8 @@ def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -
     import torch
 
     from lightfield_gs.app.cameras import fit_and_cameras, scene_up
-    from lightfield_gs.app.panel import scene_hash
     from lightfield_gs.app.scene import read_noted
+    from lightfield_gs.scene.gaussians import scene_hash
 
     file = read_noted(path, skip_invalid, time)
     scene = file.gaussians
