@@ -42,7 +42,7 @@ LATTICE, PRUNED = 0.1, (3e-4, 1e-3, 3e-3)
 
 @dataclass(frozen=True)
 class Subject:
-    """What is drawn: Gaussians by a name, before a panel, by a rig."""
+    """A scene to draw: its name, Gaussians, panel and rig."""
 
     name: str
     gaussians: Gaussians
@@ -58,8 +58,10 @@ class Setting(NamedTuple):
 
 
 def settings() -> dict[str, Setting]:
-    """Return the settings: "exact", the other names, each knob alone at its values in the names, names without one
-    knob, and pruned scenes. Pruned scenes are drawn exactly, by a name and approximately.
+    """Return the settings by name, "exact" first.
+
+    Then come the other names, each knob alone at its values in the names, names without one knob, and pruned scenes.
+    Pruned scenes are drawn exactly, by a name and approximately.
     """
     found = {name: Setting(quality) for name, quality in _qualities().items()}
     drawn = {
@@ -135,7 +137,7 @@ def scene_subjects(
 
 
 def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
-    """What the shipped network makes of a photo."""
+    """Return the Gaussians of the package's network for a photo."""
     gaussians = network(None).predict(load_photo(path))
     rig = Rig.frame(gaussians, panel, np.eye(4))
     rig = replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
@@ -193,14 +195,14 @@ def drawing(
 
 
 def on_front(row: dict[str, Any], found: list[dict[str, Any]]) -> bool:
-    """Whether no other row is as fast and as right, and better in one of them."""
+    """Return whether no other row is at least as fast and as accurate, and better in one respect."""
     mine = row["ms"], -row["psnr_db"]
     others = ((other["ms"], -other["psnr_db"]) for other in found)
     return not any(ms <= mine[0] and loss <= mine[1] and (ms, loss) != mine for ms, loss in others)
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each; those of the Pareto front have a star."""
+    """Return the rows as text, one a line; rows of the Pareto front have a star."""
     head = ("scene", "cone", "setting", "", "ms", "times as fast", "PSNR dB", "max /255", "pairs", "eval/sub-px")
     lines = [
         (

@@ -15,11 +15,11 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.arguments import check_view_filter
 from lightfield_gs.encoding.sorted_plan import views_shown
-from lightfield_gs.panels.lens import view_aperture
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.image_render import Aperture, draw_in_chunks
+from lightfield_gs.panels.rig import Rig, view_aperture
+from lightfield_gs.rasterizer.image_render import draw_in_chunks
 from lightfield_gs.rasterizer.images import render
+from lightfield_gs.rasterizer.lenticular_camera import Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values

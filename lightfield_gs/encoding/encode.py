@@ -25,13 +25,11 @@ from lightfield_gs.encoding.arguments import (
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
-from lightfield_gs.panels.lens import lenticular_camera, view_aperture
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.frame_cuda import known_frames
-from lightfield_gs.rasterizer.image_render import PINHOLE
-from lightfield_gs.rasterizer.lenticular_camera import LenticularCamera
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, LenticularCamera
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats, count_culled
 from lightfield_gs.scene.cameras import Cameras, recentre
@@ -143,8 +141,8 @@ def encode(
             and colour_error. On CUDA the stages then wait for each other, and evaluations are not counted (None).
             "direct" adds skipped: Gaussians not drawn by reason, tiles and lattices. On the CPU it also has samples
             that ended early and orders of colours, on CUDA the kernel. "sorted" adds memory_bytes, the bytes of the
-            largest chunk of views, and memory_bytes_unchunked, those of all views at once. Their stages are geometry,
-            image (the sorted sub-pixels) and binning.
+            largest chunk of views, and memory_bytes_unchunked, the bytes of all views at once. Their stages are
+            geometry, image (the sorted sub-pixels) and binning.
         out: of "direct": an image of the same size, type and device to overwrite and return, such as the frame before.
             On a CPU the allocation of a new image of 88 MB costs 10 to 25 ms.
         antialiased: for scenes trained with anti-aliasing, see `render`; any method. "direct" takes up to 50 % longer.

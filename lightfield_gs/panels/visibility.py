@@ -49,7 +49,7 @@ class VisibilityConstants:
     patch: float = 0.01  # side of the square around the point, in shorter sides of the panel
     least_patch_px: float = 2.0  # side of the square at least, pixels of the panel
     patch_samples: int = 16  # samples of the square, each way
-    # least fraction of the square that a surface fills: thin things count before what is behind
+    # least fraction of the square that a surface fills: thin things count before surfaces behind them
     surface_fraction: float = 0.25
 
     # Views past the scene
@@ -216,7 +216,7 @@ class ViewCoverage:
 
     Attributes:
         near: View-space z, scene units, that 1 % of the surfaces in the centre view are nearer than.
-        far: View-space z that 1 % of them are farther than.
+        far: View-space z; 1 % of the surfaces are farther.
         background: For views 0 and N-1, the fraction 0..1 of the continuing scene that shows background.
     """
 

@@ -19,7 +19,7 @@ from lightfield_gs.rasterizer.operators import differentiable_once, operator_sch
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import RenderSize, SceneTensors
-from lightfield_gs.rasterizer.workspace_cuda import Workspace, make_workspace
+from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, Workspace
 
 # Orders of the polynomials for colours that vary over a rig. float64 takes the higher one: it is there to be exact
 COLOUR_ORDER, EXACT_COLOUR_ORDER = 8, 16
@@ -59,7 +59,7 @@ class DirectRender:
         with device_guard(self.scene.device):
             with stats.stage("project"):
                 size = RenderSize(1, self.width, self.height, True, self.colour_order, self.compensated)
-                work = make_workspace(self.scene, size, stats, threads)
+                work = WORKSPACES[self.scene.device.type](self.scene, size, stats, threads)
                 stats.colour_error = work.project_direct(self.native, quality)
             work.order_and_bin()
         return work

@@ -123,7 +123,7 @@ class DirectFrame:
             self.composite(background, out)
 
     def state(self) -> dict[str, Any]:
-        """Return what the device found out; waits for it.
+        """Return the device's statistics; wait for the device.
 
         Keys: pairs, drawn, colour_error, kernel, exact, bent_colours, curved, pruned, lattice_tiles, refused_tiles,
         tried_tiles.
@@ -137,7 +137,7 @@ class DirectFrame:
 
 
 def shared_memory_limit() -> int:
-    """Return the most bytes of shared memory that a block of a frame's kernels may take; 0: what the device has.
+    """Return the most bytes of shared memory for a block of a frame's kernels; 0: the device's limit.
 
     The environment variable LFGS_SHARED_MEMORY_LIMIT sets it, from 1 on. Raises InputError for another value.
     """
@@ -172,7 +172,7 @@ class DirectFrames:
         Args:
             job: any of the renders.
             quality: how much error is allowed.
-            slack: capacity beyond the intersections of the last frame, as a fraction of them.
+            slack: capacity beyond the intersections of the last frame, as a fraction of their number.
         """
         if job.compensated:
             quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)

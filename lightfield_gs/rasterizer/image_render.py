@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
@@ -14,9 +13,10 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
-from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, make_workspace, project_images_backward
+from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, CudaWorkspace, project_images_backward
 
 # Of the memory beside the images: cameras go in chunks that take about so much, or one at a time if one takes more
 CHUNK_BYTES = 1 << 29
@@ -65,21 +65,6 @@ class ImageBuffers(NamedTuple):
     image: Tensor
     alpha: Tensor | None
     depth: Tensor | None
-
-
-class Aperture(NamedTuple):
-    """The camera positions that an image is averaged over, along the camera's x-axis; scene units.
-
-    Attributes:
-        deviation: Standard deviation of the positions.
-        zero_depth: Depth at which the average leaves points unmoved.
-    """
-
-    deviation: float
-    zero_depth: float
-
-
-PINHOLE = Aperture(0.0, math.inf)
 
 
 class ImageInputs:
@@ -179,7 +164,8 @@ class ImageRender:
         self.background = check_tensor("background", background, (*inputs.lead, 3), *like)
         with device_guard(self.scene.device):
             size = RenderSize(inputs.images, inputs.width, inputs.height, capacity=capacity)
-            self.work = make_workspace(self.scene, size, self.stats, threads or torch.get_num_threads(), state)
+            make = WORKSPACES[self.scene.device.type]
+            self.work = make(self.scene, size, self.stats, threads or torch.get_num_threads(), state)
             if state is None:
                 with self.stats.stage("project"):
                     self.work.project_images(inputs.cameras)
@@ -206,7 +192,7 @@ class ImageRender:
         """Return the images.
 
         Args:
-            out: Contiguous memory for some of them; None stands for new memory.
+            out: Contiguous memory for some outputs; None stands for new memory.
         """
         scene, given = self.scene, out or (None, None, None)
         with device_guard(scene.device), self.stats.stage("composite"):
@@ -269,7 +255,7 @@ def draw_in_chunks(
     threads: int | None = None,
     aperture: Aperture = PINHOLE,
 ) -> ImageBuffers:
-    """Draw one scene before V cameras without gradients, some cameras at a time; every bit is that of one draw.
+    """Draw one scene before V cameras without gradients, some cameras at a time, to the same bits as in one draw.
 
     Beside the images it takes memory for as many cameras as fit CHUNK_BYTES. Each takes 192 bytes a Gaussian, and 4 a
     pixel for each of alpha and depth that is not asked for.

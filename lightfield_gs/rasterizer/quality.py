@@ -1,4 +1,4 @@
-"""How much of a light-field image may be given up for time: knobs, and named settings of them."""
+"""The quality of a light-field image: knobs that trade accuracy for time, and named settings."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def direct_counts(counters: _core.Counters, orders: Tensor, splats: Tensor, most
         splats: [1, N, SPLAT_FIELDS].
         most: the highest order.
     """
-    drawn = orders[splats[..., _core.SPLAT_REACH_INDEX] >= 0]  # what is not drawn has a negative reach
+    drawn = orders[splats[..., _core.SPLAT_REACH_INDEX] >= 0]  # Gaussians that are not drawn have a negative reach
     return {
         "colour_orders": torch.bincount(drawn[drawn >= 0], minlength=most + 1).tolist(),
         "colours_exact": int((drawn < 0).sum()),

@@ -224,6 +224,15 @@ class CpuWorkspace:
     def __init__(
         self, scene: SceneTensors, size: RenderSize, stats: Stats, threads: int, state: RenderState | None = None
     ):
+        """Allocate the buffers.
+
+        Args:
+            scene: the Gaussians.
+            size: of the render.
+            stats: filled with times and counts.
+            threads: of the CPU.
+            state: left by an earlier render, in place of project, order and bin.
+        """
         self.scene, self.images, self.stats, self.threads = scene, size.images, stats, threads
         self.height = size.height
         self.offsets = size.images * _core.band_count(size.height) + 1  # where each band's list begins, and the end
