@@ -21,7 +21,7 @@ from lightfield_gs.bench.pareto import Subject, drawing, scene_subjects
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
 from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoding.encode import draw_direct, encode
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.panels.rig import Rig, lenticular_camera
@@ -223,7 +223,7 @@ def _colours(subject: Subject, quality: Quality) -> Draw:
         frames = DirectFrames(job, quality)
         frames.orders, frames.colour_order = (COLOUR_ORDER,), COLOUR_ORDER
         return partial(frames.draw, job, True)
-    return partial(draw_direct, job, True, quality)
+    return partial(job.draw, True, quality)
 
 
 @dataclass
