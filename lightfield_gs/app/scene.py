@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.app.cameras import CameraChoice, chosen_rig, file_rig
-from lightfield_gs.app.look import apply_look, report_depth
+from lightfield_gs.app.cameras import CameraChoice, apply_look, chosen_rig, file_rig, report_depth
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
@@ -214,8 +213,10 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
     """
     antialiased, background = options.antialiased, options.background
     comments = file.comments if file is not None and None in (antialiased, background) else ()
-    with named(path):
-        fitted, trained = find_fit_record(comments), antialiasing_source(comments)
+    fitted, trained = None, None
+    if comments:
+        with named(path):
+            fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     messages = []
     if antialiased is None:
         antialiased = trained is not None

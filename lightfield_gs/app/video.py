@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.provenance import software
+from lightfield_gs.app.panel import software
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression, Device, QualityName, Views
 from lightfield_gs.io.atomic import check_folder, check_output_path

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PanelOptions
-from lightfield_gs.app.provenance import package_versions, software
+from lightfield_gs.app.panel import package_versions, software
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.device import choose_device

@@ -16,9 +16,9 @@ from typing import cast
 import numpy as np
 import torch
 
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours

@@ -94,7 +94,7 @@ def skips(subject: Subject) -> Iterator[Skip]:
     yield _culling(subject, counted["skipped"])
     yield Skip(
         "rows and spans outside footprints",
-        f"all but {counted['pairs']} pairs of tile and Gaussian",
+        f"all but {counted['pairs']} intersections of tile and Gaussian",
         note="not separable: lists of what touches a tile are how an image is drawn",
     )
     yield _empty_tiles(subject, counted["skipped"])
@@ -126,7 +126,7 @@ def _what_it_skips(name: str, exact: dict[str, Any], stats: dict[str, Any]) -> s
     """From what `encode` counted of an exact image and of one with the skip."""
     skipped = stats["skipped"]
     if name == "opacity cut":
-        return f"{exact['pairs'] - stats['pairs']} pairs of tile and Gaussian"
+        return f"{exact['pairs'] - stats['pairs']} intersections of tile and Gaussian"
     if name == "early stop":
         return f"{or_dash(skipped.get('samples_stopped'), 'd')} sub-pixels"
     if name == "lattice":

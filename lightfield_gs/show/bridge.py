@@ -14,8 +14,9 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import checked_path, real_number, whole_number
+from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import checked_path
 
 BRIDGE_URL = "http://localhost:33334"
 _TIMEOUT_S = 10.0
@@ -65,22 +66,9 @@ def cast(
 
 
 def _entry(path: Path, columns: int, rows: int, aspect: float) -> dict[str, Any]:
-    return {
-        "name": _PLAYLIST,
-        "id": 0,
-        "index": 0,
-        "uri": str(path.resolve()),
-        "rows": rows,
-        "cols": columns,
-        "aspect": aspect,
-        "view_count": columns * rows,
-        "isRGBD": 0,
-        "focus": 0,
-        "crop_pos_x": 0,
-        "crop_pos_y": 0,
-        "zoom": 1,
-        "tag": "",
-    }
+    file = {"name": _PLAYLIST, "id": 0, "index": 0, "uri": str(path.resolve())}
+    tiles = {"rows": rows, "cols": columns, "aspect": aspect, "view_count": columns * rows}
+    return {**file, **tiles, "isRGBD": 0, "focus": 0, "crop_pos_x": 0, "crop_pos_y": 0, "zoom": 1, "tag": ""}
 
 
 def check_bridge(url: str = BRIDGE_URL, timeout_s: float = _TIMEOUT_S) -> None:

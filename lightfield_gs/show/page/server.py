@@ -289,15 +289,6 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _IDLE_S
     disable_nagle_algorithm = True
 
-    def do_GET(self) -> None:
-        self._respond()
-
-    def do_HEAD(self) -> None:
-        self._respond()
-
-    def do_POST(self) -> None:
-        self._respond()
-
     def log_message(self, format: str, *args: object) -> None:
         """Says nothing: there are many requests a second."""
 
@@ -310,6 +301,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _respond(self) -> None:
         with ExitStack() as held:
             self._send(self._answer(held))
+
+    do_GET = do_HEAD = do_POST = _respond
 
     def _answer(self, held: ExitStack) -> Answer:
         try:
