@@ -301,9 +301,10 @@ def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel
     from lightfield_gs.panels.panel import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
-    lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0
-    if options.method == "direct" and (why := slow_reason(panel, lattices and device == "cuda")):
-        note(why)
+    if options.method == "direct" and panel.subpixel_cells:
+        lattices = Quality.of(options.quality).lattice_error > 0
+        if (why := slow_reason(panel, lattices and device == "cuda")) is not None:
+            note(why)
     if (render.antialiased or render.view_filter) and options.quality != "exact" and device == "cuda":
         note(
             f"{'anti-aliased scenes' if render.antialiased else 'filtered views'} are drawn neither from lattices nor "
