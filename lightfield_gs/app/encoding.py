@@ -209,13 +209,12 @@ class Encoding:
             self._note_if_empty()
 
     def _note_if_empty(self) -> None:
-        count = self.scene.gaussians.count
         if not self._counts:
             if not _is_plain(self.stored):
                 return
             self.scene.gaussians = self.scene.gaussians.to(self.device)
             self._encode(self.stats)
-        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
+        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == (count := self.scene.gaussians.count):
             note(
                 f"{self.options.output} is all background: none of {count} Gaussians is within what the cameras see, "
                 "or opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
