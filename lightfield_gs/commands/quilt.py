@@ -18,14 +18,17 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
 from lightfield_gs.commands.options.panel import (
+    add_antialiased,
+    add_background,
     add_camera,
     add_depth_report,
     add_device_serial,
     add_look,
+    add_view_filter,
     add_viewing_distance,
 )
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
-from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
+from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
