@@ -18,13 +18,11 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
 from lightfield_gs.commands.options.panel import (
-    add_antialiased,
-    add_background,
     add_camera,
     add_depth_report,
     add_device_serial,
     add_look,
-    add_view_filter,
+    add_rendering,
     add_viewing_distance,
 )
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
@@ -112,9 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "NAME_rgbd.png",
     )
     add_scene(add, "cut the object out of a photo with rembg")
-    add_antialiased(add)
-    add_view_filter(add)
-    add_background(add)
+    add_rendering(add)
     add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
     add(
         "--compression",

@@ -32,9 +32,7 @@ def add_encoding(add: Add) -> None:
         add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; it downloads 176 MB once)"
     )
     add_method(add)
-    add_antialiased(add)
-    add_view_filter(add)
-    add_background(add)
+    add_rendering(add)
     add_file(add)
 
 
@@ -215,7 +213,8 @@ def add_method(add: Add) -> None:
     )
 
 
-def add_antialiased(add: Add) -> None:
+def add_filters(add: Add) -> None:
+    """Add the options of anti-aliasing, of pixels and of views."""
     add(
         "--antialiased",
         action=argparse.BooleanOptionalAction,
@@ -223,9 +222,6 @@ def add_antialiased(add: Add) -> None:
         "bright and too thick without it: Gaussians that the pixel blur widens become fainter (default: as "
         "stored in the file, else without)",
     )
-
-
-def add_view_filter(add: Add) -> None:
     add(
         "--view-filter",
         type=_filter_views,
@@ -237,7 +233,9 @@ def add_view_filter(add: Add) -> None:
     )
 
 
-def add_background(add: Add) -> None:
+def add_rendering(add: Add) -> None:
+    """Add the options of how a scene is drawn: anti-aliasing and background."""
+    add_filters(add)
     add(
         "--background",
         type=background,
