@@ -91,7 +91,7 @@ OUR_ARMS, USUAL_ARMS = ("ours",), ("ours", "gsplat-mcmc", "gsplat-default")
 def check_arms(arms: Sequence[str]) -> None:
     """Raises InputError for arms that there are not, and where those of gsplat cannot be had."""
     if unknown := sorted(set(arms) - set(ARMS)):
-        raise InputError(f"--arms: expected of {', '.join(ARMS)}, got {', '.join(unknown)}")
+        raise InputError(f"arms=: expected of {', '.join(ARMS)}, got {', '.join(unknown)}")
     if set(arms) & set(RECIPES):
         peers.gsplat()
 
@@ -220,7 +220,7 @@ class Photographs:
         if not test:
             raise InputError(
                 f"{capture.folder}: {len(capture.names)} photographs are too few to hold out one of {test_every}; "
-                "give a smaller --test-every"
+                "give a smaller test_every="
             )
         fitted, held = (PosedImages.load(capture, some, normalization, device, some) for some in (train, test))
         points, centres = (normalization.points(places) for places in (capture.points, capture.centres))

@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     options.check_scenes([args.scene])
     sinks = tuple(args.files.split(","))
     if not set(sinks) <= set(SINKS):
-        raise InputError(f"--files: expected some of {', '.join(SINKS)}, with commas, got {args.files!r}")
+        raise InputError(f"files=: expected some of {', '.join(SINKS)}, with commas, got {args.files!r}")
     torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
     frames = args.frames or FRAMES[args.device]
     found = rows(args.scene, options.load_panel(args), frames, sinks, args.device)

@@ -366,9 +366,9 @@ def measure_cases(
     methods = _methods(list(usual_methods) if args.methods is None else args.methods.split(","), args.device)
     count = options.one_thread_count(args.threads)
     if args.memory_budget is not None and "sorted" not in methods:
-        raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
+        raise InputError(f"memory_budget= is for the method sorted, not {', '.join(methods)}; add it to methods=")
     if args.oracle_samples is not None and args.oracle_samples < 1:
-        raise InputError(f"--oracle-samples: expected 1 or more, got {args.oracle_samples}")
+        raise InputError(f"oracle_samples=: expected 1 or more, got {args.oracle_samples}")
     panel, degrees = options.load_panel(args), options.sh_degrees(args.sh_degree)
     options.check_scenes(scenes, degrees)
     found: list[dict[str, Any]] = []
@@ -387,10 +387,10 @@ def measure_cases(
 
 def _methods(methods: list[str], device: str) -> list[str]:
     if unknown := sorted(set(methods) - set(BENCH_METHODS)):
-        raise InputError(f"--methods: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
+        raise InputError(f"methods=: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
     if GSPLAT in methods:
         if device != "cuda":
-            raise InputError(f"--methods {GSPLAT}: runs on a GPU alone, add --device cuda")
+            raise InputError(f"methods={GSPLAT}: runs on a GPU alone, add device='cuda'")
         load_from_checkout("peers").gsplat()  # raises before any work
     return methods
 

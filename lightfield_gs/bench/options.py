@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.bench.scenes import NAMED_CONES, check_scene
 from lightfield_gs.commands.options.panel import add_device_serial
@@ -80,7 +81,7 @@ def _cone(text: str) -> float:
     except ValueError:
         degrees = math.nan
     if not 0 < degrees < 180:
-        raise InputError(f"--cone: expected degrees between 0 and 180, or {' or '.join(NAMED_CONES)}, got {text!r}")
+        raise InputError(f"cone=: expected degrees between 0 and 180, or {' or '.join(NAMED_CONES)}, got {text!r}")
     return degrees
 
 
@@ -93,7 +94,7 @@ def sh_degrees(text: str | None) -> list[int | None]:
     if text is None:
         return [None]
     if not all(part in ("0", "1", "2", "3") for part in text.split(",")):
-        raise InputError(f"--sh-degree: expected degrees 0..3 with commas between, got {text!r}")
+        raise InputError(f"sh_degree=: expected degrees 0..3 with commas between, got {text!r}")
     return [int(part) for part in text.split(",")]
 
 
@@ -104,7 +105,7 @@ def add_photo(parser: argparse.ArgumentParser, usual: Path) -> None:
 def check_photos(photos: Sequence[str]) -> None:
     """Raises InputError before the first is measured: what was measured until then would be lost."""
     for path in photos:
-        with named("--photo"):
+        with named("photo="):
             load_photo(path)
 
 
@@ -121,7 +122,7 @@ def thread_counts(text: str | None) -> list[int | None]:
     except ValueError:
         counts = []
     if not counts or min(counts) < 1:
-        raise InputError(f"--threads: expected positive numbers with commas between, got {text!r}")
+        raise InputError(f"threads=: expected positive numbers with commas between, got {text!r}")
     return [*counts]
 
 
@@ -129,10 +130,10 @@ def one_thread_count(text: str | None) -> int | None:
     """The number of --threads, of a benchmark that takes one; None when it was not given."""
     counts = thread_counts(text)
     if len(counts) > 1:
-        raise InputError(f"--threads: expected one number, got {text}")
+        raise InputError(f"threads=: expected one number, got {text}")
     return counts[0]
 
 
 def progress(line: str) -> None:
     """Says how far the benchmark is."""
-    print(f"bench: {line}", file=sys.stderr, flush=True)
+    print(f"bench: {as_options(line)}", file=sys.stderr, flush=True)

@@ -302,8 +302,8 @@ def depth_map(
     else:
         if scale is None and values.dtype.kind in "iu":
             raise InputError(
-                f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR, with "
-                "--depth-kind disparity where bright is near), or the length of one (--depth-scale, 0.001 for "
+                f"{path} holds whole numbers; say what they mean: near and far (depth_range=NEAR,FAR, with "
+                "depth_kind=disparity where bright is near), or the length of one (depth_scale=, 0.001 for "
                 "millimetres to metres)"
             )
         scale = 1.0 if scale is None else _positive("depth scale", scale)
@@ -319,7 +319,7 @@ def depth_map(
     if limits is not None and _is_reversed(limits):
         description += f", {nearness(kind, limits)}"
     elif given is None:
-        description += f", {nearness(kind, limits)} (assumed; --depth-kind)"
+        description += f", {nearness(kind, limits)} (assumed; depth_kind=)"
     description += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
         beyond = min(_CONSTANTS.far_ratio * z[measured].max(), FARTHEST) if limits is None else max(limits)

@@ -186,7 +186,7 @@ def _describe_unused_depth(path: Path) -> str:
         return f"a depth map is in it (an auxiliary picture), {way}" if _contains(path, _HEIF_DEPTH) else ""
     if _is_exr(path):
         layer = read_layer(path, depth_channel)
-        return "" if layer is None else f"its channel {layer.name} holds distances: --depth {path} takes them"
+        return "" if layer is None else f"its channel {layer.name} holds distances: give the file as depth= too"
     if jpeg_xmp(path):
         for namespace, name in ((_GDEPTH, "GDepth"), (_DYNAMIC, "Dynamic Depth")):
             if f'"{namespace}"' in jpeg_xmp(path):

@@ -72,9 +72,7 @@ def disparities_to_z(values: Tensor, limits: tuple[float, float] | None = None) 
         fraction = ((disparities.float() - low) / value_range).clamp(0, 1 + _CONSTANTS.nearer)
         return 1 / (1 / far + (1 / near - 1 / far) * fraction)
 
-    return Estimate(
-        values, value_range, z, description + (" (assumed; --depth-range)" if limits is None else ""), notes
-    )
+    return Estimate(values, value_range, z, description + (" (assumed; depth_range=)" if limits is None else ""), notes)
 
 
 def distances_to_z(values: Tensor) -> Estimate:
