@@ -6,7 +6,9 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.base.errors import InputError, named
@@ -14,6 +16,63 @@ from lightfield_gs.bench.scenes import NAMED_CONES, check_scene
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.photo.load import load_photo
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions:
+    """The options of all benchmarks.
+
+    Attributes:
+        device: device of the benchmark.
+        threads: number of threads, of some benchmarks several with commas. None: all cores.
+        repeats: runs of each call. None: see `timed`.
+        json: file for the rows.
+    """
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    threads: str | None = None
+    repeats: int | None = None
+    json: Path | None = None
+
+    @property
+    def thread_count(self) -> int | None:
+        """The number of threads, of a benchmark that takes one. Raises InputError for several."""
+        counts = thread_counts(self.threads)
+        if len(counts) > 1:
+            raise InputError(f"threads=: expected one number, got {self.threads}")
+        return counts[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PanelOptions(BenchmarkOptions):
+    """The options of benchmarks that draw for a panel.
+
+    Attributes:
+        panel: name of the panel or its file.
+        device_serial: the display, where the file has several.
+    """
+
+    panel: str = DEFAULT_PANEL
+    device_serial: str | None = None
+
+    def load_panel(self) -> Panel:
+        """Read the panel. Raises InputError."""
+        return Panel.load(self.panel, serial=self.device_serial)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(PanelOptions):
+    """The options of benchmarks that draw scenes; each is a text with commas.
+
+    Attributes:
+        scene: names or files of scenes.
+        cone: viewing cones. None: the panel's.
+        sh_degree: degrees of synthetic scenes.
+    """
+
+    scene: str | None = None
+    cone: str | None = None
+    sh_degree: str | None = None
 
 
 def add_machine(parser: argparse.ArgumentParser, several_threads: bool = False) -> None:
@@ -40,11 +99,6 @@ def add_panel(parser: argparse.ArgumentParser) -> None:
         "published figures",
     )
     add_device_serial(parser.add_argument)
-
-
-def load_panel(args: argparse.Namespace) -> Panel:
-    """The panel that was asked for. Raises InputError."""
-    return Panel.load(args.panel, serial=args.device_serial)
 
 
 def add_scene(parser: argparse.ArgumentParser, usual: Sequence[str]) -> None:
@@ -124,14 +178,6 @@ def thread_counts(text: str | None) -> list[int | None]:
     if not counts or min(counts) < 1:
         raise InputError(f"threads=: expected positive numbers with commas between, got {text!r}")
     return [*counts]
-
-
-def one_thread_count(text: str | None) -> int | None:
-    """The number of --threads, of a benchmark that takes one; None when it was not given."""
-    counts = thread_counts(text)
-    if len(counts) > 1:
-        raise InputError(f"threads=: expected one number, got {text}")
-    return counts[0]
 
 
 def progress(line: str) -> None:
