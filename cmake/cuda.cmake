@@ -49,9 +49,8 @@ target_sources(bindings PRIVATE
 target_compile_definitions(bindings PRIVATE LFGS_WITH_CUDA)
 target_include_directories(bindings PRIVATE ${CMAKE_CUDA_TOOLKIT_INCLUDE_DIRECTORIES})
 target_sources(_core PRIVATE
-  csrc/cuda/common/architectures.cu
+  csrc/cuda/stages/architectures.cu
   csrc/cuda/stages/bin.cu
-  csrc/cuda/stages/order.cu
   csrc/cuda/image/composite_images.cu
   csrc/cuda/image/project_images.cu
   csrc/cuda/image/project_images_backward.cu
@@ -64,14 +63,12 @@ target_sources(_core PRIVATE
   csrc/cuda/direct/project_direct_backward.cu
   csrc/cuda/photo/crop.cu
   csrc/cuda/photo/sheet.cu
-  csrc/cuda/photo/surface.cu
   csrc/cuda/png/deflate.cu
   csrc/cuda/sorted/bin_sorted.cu
   csrc/cuda/sorted/composite_sorted.cu
   csrc/cuda/sorted/project_sorted.cu
   csrc/cuda/frame/bin_frame.cu
   csrc/cuda/frame/direct_frame.cu
-  csrc/cuda/frame/order_frame.cu
   csrc/cuda/frame/project_frame.cu
   csrc/cuda/frame/lattice/composite_lattice.cu
   csrc/cuda/frame/lens_column/composite_lens_column.cu

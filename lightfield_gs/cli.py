@@ -45,14 +45,14 @@ _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-de
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code, or 2 after one line on what is wrong with the input."""
+    """Run one command and return its exit code, or 2 after a line on invalid input."""
     signal.signal(signal.SIGTERM, _terminate)
     # As a program, what was imported before this line (torch, a second) is part of the wait.
     if argv is not None:
         return _run(list(argv), time.perf_counter())
     began = time.perf_counter() - time.process_time()
     open_closed_streams()
-    # Names of files, and what they hold, may have bytes that are no text
+    # Names and contents of files may have bytes that are no text
     sys.stdout, output = PatientStream.wrap(cast(io.TextIOWrapper, sys.stdout), "backslashreplace")
     sys.stderr, _ = PatientStream.wrap(cast(io.TextIOWrapper, sys.stderr), "backslashreplace")
     try:
@@ -81,7 +81,7 @@ def _run(arguments: list[str], began: float) -> int:
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser with the arguments of one command; to read those of `bench` would import torch."""
+    """Return the parser with the arguments of one command only: the arguments of `bench` import torch."""
     parser = Parser(
         "lightfield-gs",
         description="One photo, or a scene of 3D Gaussians, to the image that a slanted-lenticular 3D panel shows.",

@@ -12,6 +12,7 @@ from lightfield_gs.base.errors import InputError
 from training.data.background import Choice
 from training.data.plan import Augmentation
 from training.losses import LossWeights
+from training.meshes.scenes import MeshOptions
 from training.ranges import MOST, check_ranges
 
 _FOLDERS = ("data", "target_data")
@@ -79,7 +80,7 @@ class TrainingConfig:
 
     Args:
         output_dir: folder for checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs and the final weights.
-        data: folders of objects, SRN layout or transforms.json.
+        data: folders of objects, SRN layout or transforms.json; [] where all examples show meshes.
         stages: run one after the other under one schedule.
         background: of objects without masks and alpha: white or black, one colour that is found for each object (auto),
             or none, the whole pictures being the subject. `python -m training.data.validate` shows what it comes to.
@@ -100,10 +101,12 @@ class TrainingConfig:
             drawn from these alone, sources from data. []: both from data.
         neighbour_deg: only views of data of which another one looks within this angle, degrees, are sources.
         targets: target views per object, beside the source view itself.
+        meshes: examples rendered from meshes in place of data.
         procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of
             data; they are drawn about 32 at once, for as many steps as that makes.
-        photographs: folder of photographs whose pieces most parts of procedural objects are clothed in; these then have
-            lobes, turned profiles and relief too. `python -m training.data.gather_photographs` makes one. "": none.
+        photographs: folder of photographs whose pieces most parts of procedural objects and some of the meshes wear;
+            procedural objects then have lobes, turned profiles and relief too.
+            `python -m training.data.gather_photographs` makes one. "": none.
         bfloat16: run the U-Net in bfloat16.
         device: cpu, cuda, or auto (cuda where there is one).
         compile: let torch.compile make kernels for the network, its loss and its batches, which takes a minute or two
@@ -137,6 +140,7 @@ class TrainingConfig:
     target_data: list[str] = field(default_factory=list)
     neighbour_deg: float = 180.0
     targets: int = 3
+    meshes: MeshOptions = field(default_factory=MeshOptions)
     procedural: float = 0.0
     photographs: str = ""
     bfloat16: bool = True
@@ -152,8 +156,9 @@ class TrainingConfig:
     augmentation: Augmentation = field(default_factory=Augmentation)
 
     def __post_init__(self) -> None:
+        all_meshes = bool(self.meshes.folder) and self.meshes.fraction == 1
         for name in ("output_dir", "cache_dir", "data", "stages"):
-            if not getattr(self, name):
+            if not getattr(self, name) and not (name == "data" and all_meshes):
                 raise InputError(f"{name}: expected {'a folder' if name.endswith('dir') else 'at least one'}, got none")
         check_ranges(
             self,
@@ -212,7 +217,8 @@ class TrainingConfig:
         ):
             del fields[name]
         names = {name: [Path(folder).name for folder in fields[name]] for name in _FOLDERS}
-        return fields | names | {"photographs": Path(self.photographs).name}
+        meshes = fields["meshes"] | {"folder": Path(self.meshes.folder).name}
+        return fields | names | {"photographs": Path(self.photographs).name, "meshes": meshes}
 
     def differences(self, stored: object) -> list[str]:
         """Names of the fields in which this run differs from the one whose identity() was stored as JSON.

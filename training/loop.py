@@ -26,10 +26,12 @@ from training.data.partners import find_partners
 from training.data.plan import BatchPlan, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
-from training.data.textures import read_photographs
+from training.data.textures import Photographs, read_photographs
 from training.distributed import Team, join_team
 from training.evaluation import score_folder
 from training.log import RunLog
+from training.meshes.pack import ResidentMeshes, read_meshes
+from training.meshes.scenes import MeshScenes
 from training.trainer import StepValues, Trainer
 
 
@@ -57,19 +59,31 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
         config.neighbour_deg,
         [poses[partner] for partner in partners],
     )
+    photographs = read_photographs(Path(config.photographs)) if config.photographs else None
     return BatchPlanner(
         ResidentViews(sets + target_sets, team.device),
         sampler,
         config.augmentation,
         partners,
         config.procedural,
-        read_photographs(Path(config.photographs)) if config.photographs else None,
+        photographs,
+        _mesh_scenes(config, team, photographs, tell) if config.meshes.folder else None,
     )
+
+
+def _mesh_scenes(config: TrainingConfig, team: Team, photographs: Photographs | None, tell: bool) -> MeshScenes:
+    """Return the source of the examples that show meshes; print how many objects there are."""
+    meshes = read_meshes(Path(config.meshes.folder))
+    if tell and team.leads:
+        print(f"{config.meshes.folder}: {len(meshes)} meshes, {len(meshes.corners)} triangles", flush=True)
+    cone_deg = (config.azimuth_deg, config.elevation_deg)
+    return MeshScenes(ResidentMeshes(meshes, team.device), config.meshes, cone_deg, photographs)
 
 
 def _tell(sets: list[CachedSet]) -> None:
     """Prints what says which pixels of each set are object, and notes objects that are not where the network looks."""
-    print(*sets, sep="\n", flush=True)
+    if sets:
+        print(*sets, sep="\n", flush=True)
     doubts = [
         f"{views.name}: {doubt}"
         for cached in sets

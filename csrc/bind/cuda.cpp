@@ -4,7 +4,6 @@
 #include <pybind11/stl.h>
 
 #include "bind/bindings.h"
-#include "cuda/common/architectures.h"
 #include "cuda/stages/stages.h"
 #include "network/group_norm.h"
 #include "cuda/png/png.h"

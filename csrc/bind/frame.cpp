@@ -18,7 +18,7 @@ using cuda::DirectFrame;
 using cuda::FrameKernel;
 using cuda::FrameState;
 
-// Make a frame use this kernel in place of the one that it would choose; -1 lets it choose.
+// Make a frame use this kernel; -1 lets it choose.
 void force(DirectFrame& frame, int kernel) {
   require(kernel >= -1 && kernel < int(FrameKernel::kCount), "no such kernel: " + std::to_string(kernel));
   require(kernel != int(FrameKernel::kLensColumn) || frame.has_lens_column(),

@@ -1,6 +1,10 @@
-// Stage bin: list for every band of every image the splats whose rows touch it, nearest first. Read splats and their
-// order, write Bins; also number the intersections for the backward pass.
+// Stages order and bin. Stage order sorts the drawn splats of each image nearest first, ties by index; it writes their
+// indices and their number. Stage bin lists for every band the splats whose rows touch it, nearest first: it reads
+// splats and their order, and writes Bins. It also numbers the intersections for the backward pass.
 #include <algorithm>
+#include <array>
+#include <bit>
+#include <type_traits>
 #include <vector>
 
 #include "base/parallel.h"
@@ -9,6 +13,24 @@
 
 namespace lfgs {
 namespace {
+
+template <class T>
+using Bits = std::conditional_t<sizeof(T) == 4, uint32_t, uint64_t>;
+
+// Stable radix sort of (key, index), from the lowest digit up. Depths are positive, so their bits sort like the
+// numbers.
+template <class Key>
+void radix_sort(std::vector<std::pair<Key, int32_t>>& items) {
+  constexpr int kBits = 11, kBuckets = 1 << kBits;
+  std::vector<std::pair<Key, int32_t>> other(items.size());
+  for (unsigned shift = 0; shift < 8 * sizeof(Key); shift += kBits) {
+    std::array<size_t, kBuckets + 1> start{};
+    for (auto& item : items) ++start[(item.first >> shift & (kBuckets - 1)) + 1];
+    for (int b = 0; b < kBuckets; ++b) start[b + 1] += start[b];
+    for (auto& item : items) other[start[item.first >> shift & (kBuckets - 1)]++] = item;
+    items.swap(other);
+  }
+}
 
 // The bands that a splat touches; none where last < first.
 struct Bands {
@@ -49,6 +71,24 @@ void for_each_band(const Splats<T>& splats, const int32_t* order, const int64_t*
 }
 
 }  // namespace
+
+template <class T>
+void order(const Splats<T>& splats, int32_t* order, int64_t* drawn, int threads) {
+  parallel_for(splats.images, threads, [&](int64_t image, int) {
+    const Splat<T>* s = splats.splats + image * splats.count;
+    std::vector<std::pair<Bits<T>, int32_t>> items;
+    items.reserve(size_t(splats.count));
+    for (int64_t i = 0; i < splats.count; ++i)
+      if (s[i].reach_y >= 0) items.emplace_back(std::bit_cast<Bits<T>>(s[i].depth), int32_t(i));
+    radix_sort(items);
+    int32_t* out = order + image * splats.count;
+    for (size_t k = 0; k < items.size(); ++k) out[k] = items[k].second;
+    drawn[image] = int64_t(items.size());
+  });
+}
+
+template void order(const Splats<float>&, int32_t*, int64_t*, int);
+template void order(const Splats<double>&, int32_t*, int64_t*, int);
 
 template <class T>
 int64_t bin_count(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, Bins bins,

@@ -15,12 +15,6 @@ namespace lfgs {
 
 constexpr int64_t kGrain = 1024;  // Gaussians per work item; fixed, so that sums do not depend on the thread count
 
-template <class T>
-Shape<double> load_shape(const Gaussians<const T>& g, int64_t i) {
-  const T *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
-  return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, double(g.opacities[i])};
-}
-
 // Sum the gradients of a splat's intersections, always in the order of its bands, so that every run has the same bits.
 template <class T>
 void sum_intersections(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* intersections,

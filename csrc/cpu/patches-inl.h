@@ -1,5 +1,6 @@
-// Samples that one camera sees, as dense and sorted have them: a tile's samples form patches of one vector each.
-// Patches tells which of them a splat may touch, SplatTerms evaluates the splat at their samples.
+// Composite for samples that one camera sees, in ordinary images and in `sorted`. ListSplats finds the splats of each
+// tile of a band. A tile's samples form patches of one vector each: Patches tells which of them a splat may touch,
+// SplatTerms evaluates the splat at their samples. CompositeItems gives every worker its memory.
 
 #if defined(LFGS_CPU_PATCHES_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_PATCHES_INL_H_
@@ -12,9 +13,14 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <vector>
 
+#include "base/parallel.h"
+#include "cpu/tile_lists.h"
+#include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
+#include "stages/stages.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lfgs {
@@ -104,6 +110,43 @@ struct SplatTerms {
     return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::NegMulAdd(hn::Mul(tau, dy), dy, log2_opacity));
   }
 };
+
+// List the splats of each tile of a band, nearest first; tiles are tile_px wide.
+template <class Job>
+HWY_INLINE void ListSplats(const Job& job, int64_t image, int64_t band, int64_t tile_px, TileLists& lists) {
+  const auto* splats = job.splats.splats + image * job.splats.count;
+  using T = decltype(splats->u0);
+  const int64_t item = image * band_count(job.height_px) + band, y0 = band * kBandRows;
+  const int64_t begin = job.bins.band_offsets[item], end = job.bins.band_offsets[item + 1];
+  const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
+  const int64_t tiles = (job.width_px + tile_px - 1) / tile_px;
+  lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
+    T left, right;
+    if (!footprint_columns(splats[id], low, high, T(0), left, right)) return {0, -1};
+    const Range pixels = pixels_within(left, right, job.width_px);
+    if (pixels.last < pixels.first) return {0, -1};
+    return {pixels.first / tile_px, pixels.last / tile_px};
+  });
+}
+
+// Call draw(item, lists, tile, counters) for all items, with the memory and the counters of the worker. Return the sum
+// of the counters.
+template <class Tile, class Draw>
+Counters CompositeItems(int64_t items, int threads, const Draw& draw) {
+  std::vector<TileLists> lists(size_t(std::max(threads, 1)));
+  std::vector<Counters> counters(lists.size());
+  auto tiles = hwy::MakeUniqueAlignedArray<Tile>(lists.size());
+  parallel_for(items, threads, [&](int64_t item, int worker) {
+    const size_t w = size_t(worker);
+    draw(item, lists[w], tiles[w], counters[w]);
+  });
+  Counters sum;
+  for (size_t w = 0; w < lists.size(); ++w) {
+    sum += counters[w];
+    sum.scratch_bytes += lists[w].bytes() + int64_t(sizeof(Tile));
+  }
+  return sum;
+}
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs

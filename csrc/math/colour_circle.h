@@ -4,8 +4,8 @@
 // distance from the line, both in units of s.
 //   t = sin = (s - place) / r,   h = cos = distance / r,   r^2 = (s - place)^2 + distance^2,
 //   colour = c0 + c1 t + c2 t^2 + c3 t^3 + h (c4 + c5 t + c6 t^2).
-// It takes the place of a colour polynomial (math/colour_polynomial.h) where that would err too much: near the cameras.
-// circle_tail() bounds by how much.
+// Near the cameras it replaces a colour polynomial (math/colour_polynomial.h), which would err too much there.
+// circle_tail() bounds the error.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -20,13 +20,13 @@
 namespace lfgs {
 
 constexpr int kCircleOrder = -1;  // stands in place of a polynomial's order
-constexpr int kCircleTerms = 7;   // c0 to c6, which lie where else powers of s do
+constexpr int kCircleTerms = 7;   // c0 to c6, stored like the powers of s of a polynomial
 // A colour on a circle, and its gradient, take as many numbers as a polynomial of this order.
 constexpr int kLeastCircleOrder = 7;
-// The numbers behind the terms' three channels: those of these terms are `place` and `distance`.
+// The terms whose fourth number, behind the three channels, is `place` and `distance`.
 constexpr int kPlaceTerm = 1, kDistanceTerm = 2;
-// In the gradient, behind the terms: the sums over samples of gradient times d colour / d angle, times h^2 and times t
-// h. Those of place and distance are minus these, divided by the distance.
+// In the gradient, behind the terms: the sums over samples of gradient times d colour / d angle, times h^2 and times
+// t h. The gradients of place and distance are minus these sums, divided by the distance.
 constexpr int kAlongSum = 3 * kCircleTerms, kAcrossSum = kAlongSum + 1;
 static_assert(3 * (kLeastCircleOrder + 1) > kAcrossSum);
 

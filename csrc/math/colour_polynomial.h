@@ -66,7 +66,7 @@ LFGS_HD V power_of_chebyshev(const Basis& basis, int nodes, int p, int kept, int
 
 // Backward pass of both: from g_powers, [kept + 1, 3], calls visit(s, gradient of the value at s) for every node.
 // Colours of order 0 were clamped at zero, so a channel counts only where `colours`, the result of the fit, is above.
-// g_chebyshev has room for kept + 1 colours.
+// g_chebyshev is memory for kept + 1 colours.
 template <class V, class Basis, class G, class T, class Visit>
 LFGS_HD void colour_fit_backward(const Basis& basis, int nodes, int kept, const G* g_powers, const T* colours,
                                  V* g_chebyshev, const Visit& visit) {

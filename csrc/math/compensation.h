@@ -1,9 +1,8 @@
-// Compensation of a splat's opacity for filters that spread it out. The filters are the blur of kBlurVariancePx in an
-// anti-aliased scene (Yu et al., Mip-Splatting, 2024, the 2D filter) and the aperture of a camera
-// (Projection::aperture_variance). The splat keeps its light: seen from camera s, its opacity is multiplied by the
-// following factor.
+// Compensation of a splat's opacity for two filters that spread it out. One is the blur of kBlurVariancePx in an
+// anti-aliased scene (Yu et al., Mip-Splatting, 2024, the 2D filter). The other is the aperture of a camera
+// (Projection::aperture_variance). So that the splat keeps its light, its opacity for camera s is multiplied by
 //   sqrt(det V(s) / det (V(s) + filter)) = sqrt(D(s) / S(s)),   D(s) = D0 + D1 s + D2 s^2.
-// V is the projected covariance, S(s) that of Splat, and D(s) is S(s) without the filters.
+// V is the projected covariance, S(s) is as in Splat, and D(s) is S(s) without the filters.
 #pragma once
 
 #include <cmath>

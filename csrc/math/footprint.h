@@ -48,8 +48,8 @@ LFGS_HD T square_reach_x(const Splat<T>& s, T dy) {
   return exponent > 0 ? exponent * (left > right ? left : right) : T(0);
 }
 
-// Find the interval of x + shear * (y - 1/2) that the footprint covers in the rows with centres in [y_low, y_high],
-// from all cameras. Return false if it touches none of these rows.
+// Find the interval of x + shear * (y - 1/2) that the footprint covers, for all cameras, in the rows whose centres are
+// in [y_low, y_high]. Return false if it touches none of these rows.
 template <class T>
 LFGS_HD bool footprint_columns(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T& high) {
   T d1 = y_low - s.v0, d2 = y_high - s.v0;

@@ -22,13 +22,13 @@ struct LatticePart {
 constexpr float kMeanFactor = 5, kMovedFactor = 8;
 // The factor of the errors at the middles round a node by which it is moved. Linear interpolation of a curved field
 // errs to one side. The error is x (1 - x) times the curvature in each direction, x the place in the cell. For three
-// equal directions this is 3/4 in the middle of a cell and 1/2 on average, which is 2/3 of 3/4. A quarter of the root
+// equal directions this is 3/4 in the middle of a cell. The average is 1/2, two thirds of that. A quarter of the root
 // mean square is left.
 constexpr float kNodeFactor = 2.f / 3;
 constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // largest steps, in standard deviations; margin of the next
 LFGS_HD float first_fineness(float error) { return std::fmin(3.0f * std::sqrt(error), kMostFineness); }
-// Lattices are tried on every kProbeRows-th row of tiles first; where few of its tiles fit, the rows between do
-// without.
+// Lattices are tried on every kProbeRows-th row of tiles first. The rows beside one whose tiles rarely fit have no
+// lattices.
 constexpr int kProbeRows = 8;
 
 // Limits by which an int can count nodes and middles, however fine a lattice is wanted: (30001 x 257 + 9999 x 256) x

@@ -6,8 +6,8 @@
 //
 // total is the sum of w v over all splats and the background, prefix_i the sum up to and with splat i. The total
 // follows from the image, so the backward pass walks front to back as well. The formula has a twin in
-// cuda/common/blend.cuh. One copy would cost speed or bits: here it is masks and fused operations of Highway on a
-// vector, there branches on one float, whose fusing nvcc chooses.
+// cuda/common/blend.cuh, because one copy would cost speed or bits. Here it is masks and fused operations of Highway on
+// a vector. There it is branches on one float, and nvcc chooses what to fuse.
 
 #if defined(LFGS_MATH_OVER_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_MATH_OVER_INL_H_
@@ -61,8 +61,8 @@ HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_REST
   return stop;
 }
 
-// Return dL/dalpha, and add this splat to `prefix`. kEstimate: divide by an estimate and a Newton step, as the image
-// sensor does; the lens sensor divides exactly. Which is used decides the last digits of its gradients.
+// Return dL/dalpha, and add this splat to `prefix`. kEstimate: divide by an estimate and a Newton step, as
+// ordinary images do; panels divide exactly. The choice decides the last digits of the gradients.
 template <bool kEstimate, class D>
 HWY_INLINE hn::Vec<D> OverBackward(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::Vec<D> weight, hn::Vec<D> v,
                                    const hn::TFromD<D>* HWY_RESTRICT total, hn::TFromD<D>* HWY_RESTRICT prefix) {

@@ -16,6 +16,7 @@
 #include "math/constants.h"
 #include "math/covariance.h"
 #include "scene/camera.h"
+#include "scene/gaussians.h"
 
 namespace lfgs {
 
@@ -44,6 +45,12 @@ struct Shape {
   glm::vec<3, R> scale;
   R opacity;
 };
+
+template <class R, class T>
+LFGS_HD Shape<R> load_shape(const Gaussians<const T>& g, int64_t i) {
+  const T *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
+  return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, R(g.opacities[i])};
+}
 
 // Largest component of a quaternion, by which it is divided before squares that might underflow or overflow.
 template <class R>

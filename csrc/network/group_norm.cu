@@ -4,7 +4,7 @@
 #include "network/group_norm.h"
 
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 
 namespace lfgs::cuda {
 namespace {

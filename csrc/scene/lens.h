@@ -13,9 +13,9 @@
 
 namespace lfgs {
 
-// Of panels whose sub-pixels do not stand in stripes: the distance of place k of a pixel from stripe k, as a phase, and
-// the channel. Both are by row and column modulo kCellPeriod. Places are numbered in the order in which a lens meets
-// them.
+// The sub-pixels of panels that have no stripes. `phases` has the distance of place k of a pixel from stripe k,
+// `channels` its channel. Both are by row and column modulo kCellPeriod. Places are numbered in the order in which a
+// lens meets them.
 constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // columns; the same in sub-pixels
 struct SubpixelCells {
   uint64_t phases[kCellPeriod][kRowPeriod] = {};  // 2^64 = one lens; to be read as signed
@@ -40,7 +40,7 @@ struct Lens {
   LFGS_HD uint64_t phase_at(int64_t row, int64_t subpixel) const {
     return phase0 + phase_x * uint64_t(subpixel) + phase_y * uint64_t(row);
   }
-  // The phase of place k of a pixel where it really is, subpixel = 3 column + k >= 0.
+  // The true phase of place k of a pixel, with subpixel = 3 column + k >= 0.
   LFGS_HD uint64_t true_phase(int64_t row, int64_t subpixel) const {
     const uint64_t stripe = phase_at(row, subpixel);
     return has_cells ? stripe + cells.phases[row % kCellPeriod][subpixel % kRowPeriod] : stripe;

@@ -3,7 +3,6 @@
 
 #include <cstdint>
 
-#include "math/fit/dropout.h"
 #include "math/fit/photo_loss.h"
 #include "math/fit/random.h"
 #include "math/fit/update.h"

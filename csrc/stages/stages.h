@@ -1,10 +1,10 @@
 // The stages of the rasterizer and their backward passes. Every buffer belongs to the caller; T is float or double.
 //
-//   Gaussians + views -> project -> order -> bin -> composite -> image, and back.
+//   Gaussians + cameras -> project -> order -> bin -> composite -> image, and back.
 //
-// An *image* is what one camera sees (dense, sorted), or the whole panel (lens); it is cut into bands of kBandRows
-// rows. An *intersection* is a (band, splat) that may touch each other. Layouts are row-major; there are N Gaussians
-// and I images.
+// An *image* is the picture of one camera (ordinary images, `sorted`), or of the whole panel (`direct`). It is cut into
+// bands of kBandRows rows. An *intersection* is a band and a splat that may touch it. Layouts are row-major; there are
+// N Gaussians and I images.
 #pragma once
 
 #include <cstdint>
@@ -34,8 +34,8 @@ inline int image_intersection_gradient_size(bool absolute) {
   return intersection_gradient_size(0) + (absolute ? 2 : 0);
 }
 
-// The gradient of an intersection, or a sum over intersections. It is the part of a band's samples in the gradients of
-// a splat: of its fields, its colours by power of s and, on a panel, its compensation.
+// The gradient of an intersection, or a sum over intersections. It holds the gradients of a splat from a band's
+// samples: of the splat's numbers, its colours by power of s and, on a panel, its compensation.
 template <class T>
 struct IntersectionGradient {
   T* numbers;
@@ -56,9 +56,8 @@ struct Counters {
   int64_t intersections = 0;  // (tile, splat)
   int64_t evaluations = 0;    // samples at which a splat was evaluated, with the lanes that it missed
   int64_t scratch_bytes = 0;
-  // Lens only. Tiles drawn splat by splat, tiles without splats, samples that stopped before the last splat, and tiles
-  // drawn from lattices. Lattices that fitted, lattices whose run was halved, and runs for which lattices were given
-  // up.
+  // Of `direct` only. Tiles drawn splat by splat, tiles without splats, samples that stopped before the last splat, and
+  // tiles drawn from lattices. Lattices that fitted, lattices whose run was halved, and runs without any that fits.
   int64_t tiles = 0, empty_tiles = 0, stopped_samples = 0, lattice_tiles = 0;
   int64_t lattices = 0, split_lattices = 0, refused_lattices = 0;
 
@@ -98,8 +97,8 @@ struct Splats {
   int colour_order = 0;                      // polynomial order of the colours in s; 0 for images
   Splat<T>* splats = nullptr;                // [I, N]
   T* colours = nullptr;                      // [I, N, order + 1, kColourStride]; see also math/colour_circle.h
-  int32_t* orders = nullptr;                 // [I, N] of each, <= colour_order; or kCircleOrder; null for dense
-  Compensation<T>* compensations = nullptr;  // [N] if opacities are compensated; null else and for dense
+  int32_t* orders = nullptr;                 // [I, N] of each, <= colour_order; or kCircleOrder; null for images
+  Compensation<T>* compensations = nullptr;  // [N] if opacities are compensated; null else and for images
 };
 
 // Which splats touch which band, nearest first.
@@ -117,7 +116,7 @@ struct Images {
 };
 
 // --- plan: lists the sub-pixels of `sorted`. count writes how many are in each (view, tile), counts [V * tiles]; fill
-// writes the codes of SubpixelLists. places [map.views] has the place of each view among the V that have lists, or -1.
+// writes the codes of SubpixelLists. places [map.views] has the index of each view among the V with lists, or -1.
 void plan_sorted_count(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
                        int32_t* counts, int threads);
 void plan_sorted_fill(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
@@ -128,15 +127,15 @@ template <class T>
 void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
 
 // The rig is a Camera with a sweep, the lens tells the size of the panel. Where a polynomial of the order might err by
-// more than the tolerance, the colour is on a circle if there is room for one. In float a splat's order is the smallest
+// more than the tolerance, the colour is on a circle if its numbers fit. In float a splat's order is the smallest
 // whose dropped Chebyshev coefficients sum to <= tolerance; in double nothing is dropped. Return a bound of the error
 // of the colours.
 template <class T>
 double project_direct(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
                       const Quality& quality, double tolerance, const Splats<T>& out, int threads);
 
-// screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in pixels, 0 where nothing is
-// drawn. With absolute gradients it is [I, N, 4], with these behind.
+// screen [I, N, 2], or null, receives the gradients of the splats' centres, u0 and v0 in pixels, 0 where nothing is
+// drawn. With absolute gradients it is [I, N, 4], and these come last.
 template <class T>
 void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
                              const int64_t* first_intersection, const T* intersection_gradients,

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lightfield_gs.app.cameras import load_view_cameras, read_camera, scene_comments
-from lightfield_gs.app.look import refuse_look
+from lightfield_gs.app.cameras import load_view_cameras, read_camera, refuse_look, scene_comments
 from lightfield_gs.app.options import EncodeOptions
-from lightfield_gs.app.panel import load_panel
-from lightfield_gs.app.provenance import file_facts, package_versions, scene_facts, software
+from lightfield_gs.app.panel import file_facts, load_panel, package_versions, software
 from lightfield_gs.app.scene import (
     LoadedScene,
     RenderSettings,
@@ -30,9 +28,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import ONLY_FOR
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.io.png import CompressedImage
-from lightfield_gs.io.png_cuda import compressed_image, deflate, is_deflated_on_gpu
+from lightfield_gs.io.png import CompressedImage, compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.gaussians import scene_facts
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -52,7 +50,7 @@ class Encoding:
     Attributes:
         options: what is asked for.
         messages: lines on what was decided.
-        stats: those of `lightfield_gs.encode`.
+        stats: the statistics of `lightfield_gs.encode`.
         scene: the scene, once it is drawn.
     """
 
@@ -108,7 +106,7 @@ class Encoding:
             self.messages = self.scene.messages
             gaussians = self.scene.gaussians
             _note_slow_ways(options, self.scene.render, panel, self.device)
-            # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+            # Files of cameras, read or written, are in the coordinates of the scene's file
             if "cameras" in self._sorted_views:
                 self._sorted_views["cameras"] = self._sorted_views["cameras"].relative_to(gaussians.origin)
             else:
@@ -300,7 +298,7 @@ def _read_views(options: EncodeOptions, panel: Panel) -> dict[str, Any]:
 
 def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel, device: str) -> None:
     """Note a panel or an option that keeps the method `direct` from its fastest ways."""
-    from lightfield_gs.panels.lens import slow_reason
+    from lightfield_gs.panels.panel import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
     lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0

@@ -1,6 +1,6 @@
-"""The options of the commands as data: what is asked of a scene, of its cameras, of its picture and of its files.
+"""The options of the commands as data: options of a scene, its cameras, its picture and its files.
 
-Names are those of the command line with underscores; None is an option that was not given.
+Names are as on the command line, with underscores; None is a missing option.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class PanelOptions:
     """The panel, and the distance it is seen from.
 
     Attributes:
-        panel: name of a profile, or a path to one. None: the default panel, or the one that an image names.
+        panel: name of a profile, or a path to one. None: the default panel, or the panel that an image names.
         device_serial: the display, where a Looking Glass .json has calibrations of several.
         viewing_distance: mm. None: the panel's own.
     """
@@ -78,12 +78,12 @@ class LookOptions:
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """Anti-aliasing and background of a picture. Defaults are those of commands without the option.
+    """Anti-aliasing and background of a picture. Defaults are for commands without the option.
 
     Attributes:
         antialiased: None: as the scene's file says that it was trained.
         view_filter: width of the box over which views are averaged, in views of the panel.
-        background: red, green and blue, 0..1. None: the one that the scene was fitted before, else white.
+        background: red, green and blue, 0..1. None: the background that the scene was fitted before, else white.
     """
 
     antialiased: bool | None = False
@@ -157,7 +157,7 @@ class SceneOptions:
         input: the file.
         skip_invalid: whether to leave out Gaussians without meaning.
         time: the time at which moving Gaussians are drawn.
-        photo: what is made of a photo.
+        photo: the options of a photo.
     """
 
     input: Path

@@ -1,17 +1,18 @@
-"""The panel of a command: by its name, or as an encoded image has it, and whether its numbers are plausible."""
+"""The panel of a command, by its name or by the metadata of an encoded image; and facts for the metadata of images."""
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import sha256
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
@@ -108,3 +109,25 @@ def parse_panel(image: Path, stored: str) -> Panel:
         return Panel(**parse_json(stored))
     except (TypeError, ValueError) as error:
         raise InputError(f"{image}: its panel profile cannot be used ({error}); give --panel") from None
+
+
+@cache
+def package_versions() -> dict[str, str]:
+    """Return the versions of this package and of the packages that affect the result."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    versions = {}
+    for name in ("lightfield-gs", "torch", "numpy", "openimageio"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def software() -> str:
+    return f"lightfield-gs {package_versions()['lightfield-gs']}"
+
+
+def file_facts(path: Path) -> dict[str, str]:
+    return {"file": path.name, "sha256": sha256(path)}

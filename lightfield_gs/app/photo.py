@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
-_MOST_CROPPED = 0.34  # fraction of the photo beyond which the default is to show all of it
+_MOST_CROPPED = 0.34  # fraction of the photo; if cropping would take more, the default is to show the whole photo
 _TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: no margin is made for a cut-out
 
 
@@ -297,7 +297,7 @@ def _place(
     """Fit a photo to the panel's shape. A photo whose border is cut out is not placed: it needs no margin.
 
     Args:
-        options: those of the photo.
+        options: the options of the photo.
         panel: the panel that shows it.
         look: the cone, the amount of depth and the zoom decide how wide the margin is.
         image: [H, W, 4].
@@ -346,7 +346,7 @@ def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
 
 
 def _load_network(checkpoint: Path | None, device: str) -> ReplayedNet:
-    """Return the network of a checkpoint (None: the one inside), on the device. Raises InputError.
+    """Return the network of a checkpoint (None: the package's own), on the device. Raises InputError.
 
     The last network is kept, and read again when its file has changed.
     """

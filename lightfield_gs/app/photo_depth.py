@@ -94,7 +94,7 @@ def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str)
 
 
 def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
-    """Read the depth map inside the photo's file. The defaults are those of its format. Raises InputError."""
+    """Read the depth map inside the photo's file. The defaults depend on its format. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
     from lightfield_gs.photo.embedded_depth import find_embedded_depth
 
@@ -217,7 +217,7 @@ def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float
     """Return the camera of a photo by --intrinsics, --fov, or the file of its depth map.
 
     Args:
-        options: those of the photo.
+        options: the options of the photo.
         height: of the photo, pixels.
         width: of the photo, pixels.
         focal_px: focal length in the file of the depth map.
@@ -232,7 +232,7 @@ def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float
 
     if options.intrinsics is not None:
         return options.intrinsics[:2], options.intrinsics[2:], *_check_intrinsics(options.intrinsics, height, width)
-    # Angles are those of the photo as it is seen, at the height of its pixels
+    # Angles refer to the photo as it is seen, with the height of its pixels
     wide = options.pixel_aspect or 1.0
     squeezed = "" if options.pixel_aspect is None else f", its pixels {wide:g} times as wide as high"
     if options.fov is not None:

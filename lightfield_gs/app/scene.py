@@ -1,4 +1,4 @@
-"""The scene of a command: a file of Gaussians, or what is made of a photo; and the cameras that look at it."""
+"""The scene of a command, from a file of Gaussians or from a photo; and its cameras."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.app.cameras import CameraChoice, chosen_rig, file_rig
-from lightfield_gs.app.look import apply_look, report_depth
+from lightfield_gs.app.cameras import CameraChoice, apply_look, chosen_rig, file_rig, report_depth
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
@@ -173,8 +172,8 @@ def build_scene(
     """Return the scene of an input that was read, on the device, and settle how it is drawn.
 
     Args:
-        options: those of the input.
-        source: what its files hold.
+        options: the options of the input.
+        source: the contents of its files.
         render: anti-aliasing and background, as far as they are given.
         look: decides how wide a margin a photo with depths needs.
         panel: decides how finely a photo is taken, and which shape one with depths is to fill.
@@ -182,7 +181,7 @@ def build_scene(
         watch: notes the times.
 
     Raises:
-        InputError: there is no scene in the photo, or what the file says of its fit cannot be read.
+        InputError: there is no scene in the photo, or the file's notes on its fit cannot be read.
     """
     photo, file = None, None
     if isinstance(source, ReadPhoto):
@@ -207,15 +206,17 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
     Args:
         options: those given.
         path: of the scene's file, for errors.
-        file: what the file holds. None: the scene is from a photo.
+        file: the contents of the file. None: the scene is from a photo.
 
     Raises:
-        InputError: what the file says of its fit cannot be read.
+        InputError: the file's notes on its fit cannot be read.
     """
     antialiased, background = options.antialiased, options.background
     comments = file.comments if file is not None and None in (antialiased, background) else ()
-    with named(path):
-        fitted, trained = find_fit_record(comments), antialiasing_source(comments)
+    fitted, trained = None, None
+    if comments:
+        with named(path):
+            fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     messages = []
     if antialiased is None:
         antialiased = trained is not None

@@ -17,11 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.app.cameras import read_camera, scene_up
-from lightfield_gs.app.look import apply_look, report_depth
+from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
 from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
 from lightfield_gs.app.photo import photo_rig
-from lightfield_gs.app.provenance import scene_hash
 from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch
@@ -33,13 +31,13 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.scene.axes import find_up, upright_rotation
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, scene_hash
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
 from lightfield_gs.video.rendering import FrameSource
 from lightfield_gs.video.sequence import ImageSequence, is_sequence, open_sequence, pictures_and_maps
 
 _PHOTO_DEGREES = 20.0
-# Options that decide what the scene of a picture is: frames in a folder must have the same ones
+# Options that determine the scene of a picture: all frames of a folder must have the same
 _PHOTO_OF_JOB: tuple[str, ...] = (
     "depth_kind",
     "depth_range",
@@ -66,7 +64,7 @@ class Shots:
         rig_of_file: the rig for a frame's metadata, in the coordinates of the scene's file. None: not known before the
             frame is drawn.
         render: how frames are drawn.
-        job: what the frames depend on beside the options of drawing, JSON values.
+        job: further values, for JSON, that the frames depend on beside the options of drawing.
         messages: lines on what was decided.
     """
 
@@ -177,7 +175,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
         each = _pictures(replace(scene, photo=photo), parts, numbers, folder) if numbers else ()
         for number, own in each:
-            # The messages of the first are printed; those of all others would be the same
+            # Only the messages of the first picture are printed; the others would be the same
             with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
                 with named(f"frame {number}"):
                     loaded = load(own, Stopwatch(0.0))
@@ -286,7 +284,7 @@ def _find_half(
 ) -> tuple[PhotoOptions, int, list[str]]:
     """Find the half that is the depth map, in pictures whose names say that one is.
 
-    The half is that of the first picture that shows it, for others may be black.
+    The first picture that shows the half decides, for other pictures may be black.
 
     Returns:
         The options with that half, the number of that picture (else 0), and a line on it.

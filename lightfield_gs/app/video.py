@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.provenance import software
+from lightfield_gs.app.panel import software
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression, Device, QualityName, Views
 from lightfield_gs.io.atomic import check_folder, check_output_path
@@ -134,7 +134,7 @@ def video_target(options: VideoOptions, panel: Panel) -> VideoTarget:
 
 
 def _refuse_others(options: VideoOptions, kind: Kind) -> None:
-    """Raise InputError for options of another kind, and for those that take each other's place."""
+    """Raise InputError for options of another kind, and for options that exclude each other."""
     for name, own in (("quilt", "quilt"), ("quilt_size", "quilt"), ("bridge", "quilt"), ("sway", "2d")):
         if getattr(options, name) is not None and kind != own:
             raise InputError(f"--{name.replace('_', '-')} is for --kind {own}, not {kind}; leave out one of them")
@@ -191,7 +191,7 @@ def frame_drawer(options: VideoOptions, panel: Panel, target: VideoTarget, shots
 
 
 def frame_sink(options: VideoOptions, panel: Panel, target: VideoTarget, shots: Shots, size_px: tuple[int, int]) -> Any:
-    """Return the video or the folder that the frames go to; a folder may hold some of them. Raises InputError."""
+    """Return the video or the folder for the frames; a folder may hold some frames already. Raises InputError."""
     if target.codec is not None:
         from lightfield_gs.video.video_file import VideoFile
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PanelOptions
-from lightfield_gs.app.provenance import package_versions, software
+from lightfield_gs.app.panel import package_versions, software
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.device import choose_device
@@ -108,7 +108,7 @@ def _assumed_aspect(path: Path, panel: Panel, views: Any) -> float:
 
 
 def interpolation_words(options: WeaveOptions, views: Any, panel: Panel) -> str:
-    """Return in words how the views became those of the panel."""
+    """Describe how the views are mapped to the panel's views."""
     has_map = options.view_map is not None
     ratio = 1 if has_map else views.count / panel.views
     counts = f"{views.count} views for the panel's {panel.views}"

@@ -38,7 +38,7 @@ def collect_assumptions() -> Iterator[list[str]]:
 
 
 def assume(message: str, category: type[Assumption] = Assumption) -> None:
-    """Warn with one line: the assumption, its reason, and what to do if it is wrong; or what is lost."""
+    """Warn with one line: an assumption, its reason and its remedy, or a loss."""
     message, lines = " ".join(message.split()), _collected.get()
     if lines is None:
         warnings.warn(message, category, stacklevel=3)

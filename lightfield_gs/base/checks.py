@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, field, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,18 +82,6 @@ def number_pair(what: str, values: Any, low: float, high: float) -> tuple[float,
     if not is_row(values, 2):
         raise InputError(f"{what} must be two numbers, got {shown(values)}")
     return real_number(what, values[0], low, high), real_number(what, values[1], low, high)
-
-
-def checked_path(path: str | os.PathLike) -> Path:
-    """Return `path` as a Path; raise InputError where it is none."""
-    expect("path", path, str, os.PathLike)
-    try:
-        bad = b"\0" in os.fsencode(path)
-    except UnicodeEncodeError:
-        bad = True
-    if bad:
-        raise InputError(f"path: expected a file name, got one that none can have, {ascii(os.fspath(path))[:80]}")
-    return Path(path)
 
 
 def checked_field(check: Callable[..., Any], *bounds: Any, default: Any = MISSING) -> Any:

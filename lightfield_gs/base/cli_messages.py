@@ -74,7 +74,7 @@ def report_error(program: str, error: BaseException, remedy: str) -> int:
     Args:
         program: name of the program, which begins the line.
         error: the reason. A fault of the program itself is raised again.
-        remedy: what the user can do if memory runs out.
+        remedy: advice for a user whose memory runs out.
     """
     code = EXIT_BAD_INPUT
     if isinstance(error, KeyboardInterrupt):
@@ -129,7 +129,7 @@ class Stopwatch:
         self.stages: list[tuple[str, float]] = []
 
     def lap(self, name: str, parts_ms: dict[str, float] | None = None) -> None:
-        """Ends a stage. With `parts_ms` its parts are listed by their own names, and the rest of it as `name`."""
+        """Ends a stage. With `parts_ms` the parts are listed by their own names, and the remaining time as `name`."""
         now = time.perf_counter()
         seconds = now - self._last
         for part, milliseconds in (parts_ms or {}).items():

@@ -1,4 +1,4 @@
-"""The one exception for everything a user can get wrong, and what puts the name of a file into it."""
+"""The exception for invalid input, and a context that adds a file's name to it."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Many inputs, one after the other and side by side: what is to do, what was done, and the processes that do it."""
+"""Batches of inputs: their items, the manifest of results, and the processes that work on them."""

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-from lightfield_gs.base.checks import checked_path, shown
+from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.colmap import model_folder
 from lightfield_gs.io.captures.transforms import transforms_file
 from lightfield_gs.io.depth_names import depth_maps_beside
@@ -161,7 +162,7 @@ def _item(
 
 
 def _read_list(source: Path, suffix: str) -> Iterator[Item]:
-    """Yield the items of a text file: a path or a JSON object on each line that is not empty and has no # first."""
+    """Yield the items of a text file, a path or a JSON object a line; empty lines and lines with # are skipped."""
     for number, line in enumerate(read_text(source, _LIST_LIMIT_BYTES, "a list of inputs").splitlines(), 1):
         line = line.strip()
         if line and not line.startswith("#"):

@@ -62,7 +62,9 @@ def _files(folder: str | Path) -> list[Path]:
 
 
 class Manifest:
-    """The manifests of a folder, JSON lines: `append` writes to that of a shard, `last` reads all. Use it in a `with`.
+    """The manifests of a folder, JSON lines, for use in a `with`.
+
+    `append` writes to the shard's manifest, `last` reads all manifests.
 
     A line with "item" says how an item ended; the last line of an item counts. Other lines tell the options of a run,
     or its end. One system call appends a line, so a killed process leaves whole lines; `last` skips what a power
@@ -165,7 +167,7 @@ def _is_facts(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Known:
-    """What the manifest knows of an item that is to be done again.
+    """The manifest's knowledge of an unfinished item.
 
     Attributes:
         inputs, outputs: the facts of its files, if the outputs are there and only the inputs may have changed.
@@ -182,7 +184,7 @@ class Plan:
     """The work of a run.
 
     Attributes:
-        todo: items in order, with what is known of them; the first `suspects` of them ended a run before.
+        todo: unfinished items in order, with the manifest's knowledge; the first `suspects` items ended a run before.
         failed: items that ended too many runs.
         failures: reasons of the items that failed at the time `since` or later, and are not tried again.
         jobs: hash of the options of each item.
@@ -211,9 +213,9 @@ def make_plan(
     """Choose the items to do.
 
     Args:
-        items: all of them.
+        items: all items.
         manifest: of their folder.
-        options: JSON values: those of all items by "all", those of one command by its name.
+        options: JSON values of options: by "all" for all items, by a command's name for the items of this command.
         overwrite: whether to do all items again, but for those done at the time `since` or later.
         check: whether to read all files of items that are done; otherwise sizes and times of change decide.
         since: the beginning of this batch, a time as the manifest writes it; by default in the far future.

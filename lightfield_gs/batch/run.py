@@ -25,10 +25,10 @@ from lightfield_gs.batch.items import Item
 from lightfield_gs.batch.manifest import Known, Manifest, Plan, Record
 
 PARTS = {"read": "reading", "draw": "drawing", "write": "writing"}
-DRAWN_AHEAD = 2  # images that wait to be written, beside those that are: no more, for they are large
+DRAWN_AHEAD = 2  # images in the queue of the writers; few, because they are large
 EXIT_BROKEN = 70  # of a process whose device cannot be used any more
 _BROKEN_DEVICE = "CUDA error"  # torch's message, after which a process can use its GPU no more
-_SWITCH_S = 2e-4  # between threads of Python: the thread that draws must not wait long for those that read and write
+_SWITCH_S = 2e-4  # between threads of Python: the drawing thread must not wait long for readers and writers
 _QUEUED = 4  # items in progress beyond one for each thread that reads or writes
 _DIED = "the process died of it"
 _MOST_LISTED = 100  # failures, at the end
@@ -42,8 +42,8 @@ class Worker:
         name: for people, such as "cuda:0 process 1".
         device: cpu or cuda.
         visible: CUDA_VISIBLE_DEVICES of the process; None to leave it.
-        threads: threads that draw on the CPU.
-        readers, writers: threads beside the one that draws.
+        threads: number of threads that draw on the CPU.
+        readers, writers: number of threads beside the drawing thread.
     """
 
     name: str
@@ -122,7 +122,7 @@ class Run:
         return self._failures
 
     def _do_all(self) -> None:
-        """Do the items, first one at a time those that may have killed a process before."""
+        """Run the items; items that may have killed a process before go first, one at a time."""
         for item in self._plan.failed:
             self._end(item, {"status": "failed", "reason": _DIED, "seconds": {}})
         count = self._worker.readers + self._worker.writers + _QUEUED
@@ -142,7 +142,7 @@ class Run:
             self._drawer.shutdown(wait=False, cancel_futures=True)
 
     def _do_some(self, todo: Iterator[tuple[Item, Known | None]]) -> None:
-        """Do the items that other threads leave of `todo`."""
+        """Run items of `todo` that no other thread takes."""
         for pair in todo:
             progress = _Progress(pair[0])
             self._in_progress.add(pair[0])

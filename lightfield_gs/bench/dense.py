@@ -181,7 +181,7 @@ def _peak_bytes(step: Step, cuda: bool) -> int | None:
     step.both()
     if not cuda:
         return None
-    step.both()  # what is made only once has been made
+    step.both()  # caches are filled
     step.release()
     gc.collect()
     torch.cuda.synchronize()
@@ -193,7 +193,10 @@ def _peak_bytes(step: Step, cuda: bool) -> int | None:
 
 
 def _differences(ours: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str, float]:
-    """Norms of the differences of image and gradients in terms of those of ours, and the largest of the image."""
+    """Return the relative norms of the differences from ours, of image and gradients.
+
+    Return also the largest difference of the image.
+    """
     found = {name: float((ours[name] - theirs[name]).norm() / ours[name].norm()) for name in ours}
     return {**found, "image_largest": float((ours["image"] - theirs["image"]).abs().max())}
 

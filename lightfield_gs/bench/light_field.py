@@ -198,7 +198,7 @@ def cost_line(c: dict[str, Any]) -> str:
 
 
 def harmonics_cost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """How many times as long each row took as that of the same scene, cone and method with the least SH degree."""
+    """Return each row's time relative to the same scene, cone and method with the least SH degree."""
     least: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
         key = (row["scene"], row["cone"], row["method"])
@@ -297,7 +297,7 @@ def measure(
 
 
 def _measure_on_cpu(draw: Callable[..., Tensor], repeats: int | None) -> Measurement:
-    """Here counting costs nothing: the counters are those of the run of median time."""
+    """Here counting costs nothing: the counters come from the run of median time."""
     collected: list[dict[str, Any]] = []
 
     def counted() -> Tensor:

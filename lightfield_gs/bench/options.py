@@ -1,4 +1,4 @@
-"""The options that several benchmarks take, and what they say."""
+"""The options that several benchmarks take, and their help."""
 
 from __future__ import annotations
 

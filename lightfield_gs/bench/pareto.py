@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.options import QUALITY_NAMES
 from lightfield_gs.bench import options
 from lightfield_gs.bench.photo import EXAMPLE, network
 from lightfield_gs.bench.report import aligned, check_plot, in_ms, new_figure, or_dash
@@ -30,7 +31,7 @@ from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.load import load_photo
-from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
@@ -42,7 +43,7 @@ LATTICE, PRUNED = 0.1, (3e-4, 1e-3, 3e-3)
 
 @dataclass(frozen=True)
 class Subject:
-    """What is drawn: Gaussians by a name, before a panel, by a rig."""
+    """A scene to draw: its name, Gaussians, panel and rig."""
 
     name: str
     gaussians: Gaussians
@@ -58,13 +59,15 @@ class Setting(NamedTuple):
 
 
 def settings() -> dict[str, Setting]:
-    """Return the settings: "exact", the other names, each knob alone at its values in the names, names without one
-    knob, and pruned scenes. Pruned scenes are drawn exactly, by a name and approximately.
+    """Return the settings by name, "exact" first.
+
+    Then come the other names, each knob alone at its values in the names, names without one knob, and pruned scenes.
+    Pruned scenes are drawn exactly, by a name and approximately.
     """
     found = {name: Setting(quality) for name, quality in _qualities().items()}
     drawn = {
         "": EXACT,
-        "fast, ": QUALITIES["fast"],
+        "fast, ": Quality.of("fast"),
         **{f"{_knobs(approximate)}, ": approximate for approximate in map(_approximate, CUTS)},
     }
     for cut in PRUNED:
@@ -73,7 +76,7 @@ def settings() -> dict[str, Setting]:
 
 
 def _approximate(opacity_cut: float) -> Quality:
-    return Quality(opacity_cut=opacity_cut, evaluation_error=QUALITIES["fast"].evaluation_error)
+    return Quality(opacity_cut=opacity_cut, evaluation_error=Quality.of("fast").evaluation_error)
 
 
 def _knobs(approximate: Quality) -> str:
@@ -81,7 +84,7 @@ def _knobs(approximate: Quality) -> str:
 
 
 def _qualities() -> dict[str, Quality]:
-    found = dict(QUALITIES)
+    found: dict[str, Quality] = {name: Quality.of(name) for name in QUALITY_NAMES}
     for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
     for approximate in map(
@@ -90,7 +93,8 @@ def _qualities() -> dict[str, Quality]:
         found[_knobs(approximate)] = approximate
         found[f"{_knobs(approximate)}, lattice_error {_value(LATTICE)}"] = replace(approximate, lattice_error=LATTICE)
     for knob in KNOBS:
-        for name, quality in QUALITIES.items():
+        for name in QUALITY_NAMES:
+            quality = found[name]
             value, without = getattr(quality, knob), getattr(EXACT, knob)
             if value == without:
                 continue
@@ -135,7 +139,7 @@ def scene_subjects(
 
 
 def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
-    """What the shipped network makes of a photo."""
+    """Return the Gaussians of the package's network for a photo."""
     gaussians = network(None).predict(load_photo(path))
     rig = Rig.frame(gaussians, panel, np.eye(4))
     rig = replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
@@ -166,7 +170,7 @@ def rows(
                 **what,
                 "setting": name,
                 "gaussians": drawn.gaussians.count,
-                "named": name in QUALITIES,
+                "named": name in QUALITY_NAMES,
                 **oracle.errors(out),
                 "pairs": stats["pairs"],
                 "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
@@ -193,14 +197,14 @@ def drawing(
 
 
 def on_front(row: dict[str, Any], found: list[dict[str, Any]]) -> bool:
-    """Whether no other row is as fast and as right, and better in one of them."""
+    """Return whether no other row is at least as fast and as accurate, and better in one respect."""
     mine = row["ms"], -row["psnr_db"]
     others = ((other["ms"], -other["psnr_db"]) for other in found)
     return not any(ms <= mine[0] and loss <= mine[1] and (ms, loss) != mine for ms, loss in others)
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each; those of the Pareto front have a star."""
+    """Return the rows as text, one a line; rows of the Pareto front have a star."""
     head = ("scene", "cone", "setting", "", "ms", "times as fast", "PSNR dB", "max /255", "pairs", "eval/sub-px")
     lines = [
         (

@@ -35,7 +35,9 @@ STAGES = ("crop", "network", "framing", "encode")
 
 
 def network(name: str | None) -> SplatterNet:
-    """The network of a checkpoint (.safetensors; None: the one inside), or an untrained one of a configuration.
+    """Return the network of a checkpoint, or an untrained network by a configuration.
+
+    A checkpoint is a .safetensors; None: the package's own.
 
     An untrained one takes as long and shows the photo as a flat card. Raises InputError.
     """

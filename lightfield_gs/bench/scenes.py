@@ -16,9 +16,9 @@ from typing import cast
 import numpy as np
 import torch
 
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import subpixel_colours
@@ -40,7 +40,7 @@ def sheet(side: int, seed: int = 0) -> Gaussians:
     across = (index % side + 0.5) / side - 0.5
     down = (index // side + 0.5) / side - 0.5
 
-    # The draws follow each other in this order, and none may be left out: it is part of what the scene is.
+    # The scene depends on the order of the random draws: none may be left out.
     depth = 2 + 0.28 * np.sin(9 * across) * np.cos(7 * down) + 0.1 * (random.random(count) - 0.5)
     means = np.stack([across * depth, 0.5 * down * depth, depth], axis=1)
     means[:, :2] += 0.002 * (random.random((count, 2)) - 0.5)
@@ -75,7 +75,10 @@ _MAKERS = {"sheet": sheet, "cloud": cloud}
 
 
 def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
-    """A scene of SH degree 0 with random coefficients up to `degree` (1..3) added; those of a lower one begin alike."""
+    """Return a scene of SH degree 0 with random coefficients up to `degree` (1..3).
+
+    The first coefficients are the same for each degree.
+    """
     random = np.random.default_rng(_HARMONIC_SEED)
     bands = [
         random.normal(0, _HARMONIC_DEVIATIONS[band - 1], (gaussians.count, 2 * band + 1, 3))
@@ -131,7 +134,7 @@ def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> flo
 
 
 def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
-    """The rig of a scene: that of the synthetic ones, or automatic framing of a .ply file; its cone always stated."""
+    """Return the rig of a scene: the rig of synthetic scenes, or automatic framing of a .ply file. Its cone is set."""
     if Path(scene).suffix.lower() == ".ply":
         rig = Rig.frame(gaussians, panel)
         return replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))

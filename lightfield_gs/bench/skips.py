@@ -21,18 +21,17 @@ from lightfield_gs.bench.pareto import Subject, drawing, scene_subjects
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
 from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoding.encode import draw_direct, encode
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
-from lightfield_gs.panels.lens import lenticular_camera
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
-from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 SCENES = ("cloud:65536",)
-OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error
+OPACITY_CUT, LATTICE_ERROR = Quality.of("fast").opacity_cut, Quality.of("high").lattice_error
 TRANSMITTANCE_STOP, CONTRIBUTION_CUT = 5e-2, 2e-2
 PRUNED = 3e-4  # the contribution_cut of `prune`
 _HARMONICS = 3  # degree of the harmonics that a scene without any is given
@@ -41,7 +40,7 @@ Draw = Callable[[], Tensor]
 
 @dataclass(frozen=True)
 class Skip:
-    """A skip: how much it skips, how to draw with and without it, and what the latter stands for."""
+    """A skip: its amount, how to draw with and without it, and a description of the image without it."""
 
     name: str
     counted: str
@@ -82,7 +81,7 @@ def _rows(subject: Subject, repeats: int | None) -> list[dict[str, Any]]:
         if skip.with_it is not None and skip.without is not None:
             calls = [skip.with_it, skip.without, skip.without, skip.with_it]  # each comes first once
             for call in calls:
-                call()  # makes buffers, captures, and what is kept from frame to frame
+                call()  # fills buffers, captures and caches between frames
             first, second, third, fourth = zip(*timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)[1])
             row |= {"ms_with": min(*first, *fourth), "ms_without": min(*second, *third)}
         found.append(row)
@@ -95,7 +94,7 @@ def skips(subject: Subject) -> Iterator[Skip]:
     yield _culling(subject, counted["skipped"])
     yield Skip(
         "rows and spans outside footprints",
-        f"all but {counted['pairs']} pairs of tile and Gaussian",
+        f"all but {counted['pairs']} intersections of tile and Gaussian",
         note="not separable: lists of what touches a tile are how an image is drawn",
     )
     yield _empty_tiles(subject, counted["skipped"])
@@ -127,7 +126,7 @@ def _what_it_skips(name: str, exact: dict[str, Any], stats: dict[str, Any]) -> s
     """From what `encode` counted of an exact image and of one with the skip."""
     skipped = stats["skipped"]
     if name == "opacity cut":
-        return f"{exact['pairs'] - stats['pairs']} pairs of tile and Gaussian"
+        return f"{exact['pairs'] - stats['pairs']} intersections of tile and Gaussian"
     if name == "early stop":
         return f"{or_dash(skipped.get('samples_stopped'), 'd')} sub-pixels"
     if name == "lattice":
@@ -217,14 +216,14 @@ def _colour_orders(subject: Subject) -> Skip:
 
 
 def _colours(subject: Subject, quality: Quality) -> Draw:
-    """Draws with polynomials up to one order, and exactly where their error is beyond what the quality allows."""
+    """Draw with polynomials up to one order, and exactly where their error exceeds the quality's limit."""
     background = background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
     job = DirectRender(subject.gaussians.fields().values(), background, lenticular_camera(subject.panel, subject.rig))
     if subject.gaussians.means.is_cuda:
         frames = DirectFrames(job, quality)
         frames.orders, frames.colour_order = (COLOUR_ORDER,), COLOUR_ORDER
         return partial(frames.draw, job, True)
-    return partial(draw_direct, job, True, quality)
+    return partial(job.draw, True, quality)
 
 
 @dataclass

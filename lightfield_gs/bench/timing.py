@@ -58,7 +58,7 @@ def timed_by_turns(
 ) -> list[list[tuple[float, ...]]]:
     """Runs of several programs by turns, each of several calls: for each program the runs as of timed_in_turn.
 
-    So what else the machine does meets all of them. Every program has as many runs as the one that needs most of them.
+    So other load on the machine affects all alike. Every program has as many runs as the program that needs the most.
     """
     clock = partial(_cuda_ms, ahead=True) if cuda else _wall_ms
     repeats = max(_warmed_up(clock, calls, cuda, repeats) for calls in programs)
@@ -71,7 +71,7 @@ def timed_by_turns(
 
 
 def ms_in_a_row(call: Callable[[], Any], cuda: bool, count: int) -> float:
-    """Wall time in ms of a call that is repeated `count` times without waiting between them, for each of them."""
+    """Return the wall time in ms of one call, from `count` calls without waits between them."""
     began = time.perf_counter()
     for _ in range(count):
         call()
@@ -113,7 +113,7 @@ def _cuda_ms(calls: Sequence[Callable[[], Any]], ahead: bool) -> tuple[Any, tupl
 
 
 def machine(device: str) -> dict[str, Any]:
-    """What the times depend on besides the program: processor, cores, GPU, versions."""
+    """Return the environment of the times: processor, cores, GPU, versions."""
     found: dict[str, Any] = {
         "processor": _processor(),
         "cores": len(cores()),

@@ -1,1 +1,1 @@
-"""What the sub-commands of `lightfield-gs` do; lightfield_gs.cli parses their arguments."""
+"""The sub-commands of `lightfield-gs`; lightfield_gs.cli parses their arguments."""

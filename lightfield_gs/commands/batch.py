@@ -12,8 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.app.panel import load_panel
-from lightfield_gs.app.provenance import package_versions
+from lightfield_gs.app.panel import load_panel, package_versions
 from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, note, report_error
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.items import Item, read_items
@@ -21,7 +20,7 @@ from lightfield_gs.batch.manifest import Manifest, Plan, make_plan
 from lightfield_gs.batch.run import Run, Worker
 from lightfield_gs.batch.shards import Shard, choose_workers, run_shards
 from lightfield_gs.commands.batch_tasks import BatchOptions, load, read_batch_options
-from lightfield_gs.commands.options.encoding import add_encoding
+from lightfield_gs.commands.options.panel import add_encoding
 from lightfield_gs.commands.options.parser import whole
 from lightfield_gs.io.atomic import check_folder, remove_left_over
 

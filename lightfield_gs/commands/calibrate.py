@@ -13,7 +13,7 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs calibrate`, those of each of its actions."""
+    """Add the arguments of `lightfield-gs calibrate` and of its actions."""
     parser.description = "Calibrate the profile of a panel: show a pattern, look, and change the profile."
     actions = parser.add_subparsers(title="actions", required=True, metavar="ACTION", dest="action")
     for name, purpose in ACTIONS.items():

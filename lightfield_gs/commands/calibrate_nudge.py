@@ -36,7 +36,7 @@ class NudgeOptions:
         output: the changed profile.
         device_serial: the display, where the profile has several.
         pitch_by, slope_by, centre_by: in the terms of Looking Glass.
-        line_number_by, slant_by, phase_by: in those of a .yaml.
+        line_number_by, slant_by, phase_by: in the units of a .yaml.
         pattern: kind of the pattern that is written too.
     """
 
@@ -99,7 +99,7 @@ def lens_change(options: NudgeOptions, panel: Panel) -> LensChange:
     """Return the change that the options ask for.
 
     Raises:
-        InputError: they ask for nothing, or for what the profile cannot say.
+        InputError: there is no change, or the profile cannot express it.
     """
     if all(getattr(options, change) is None for change in _CHANGES):
         names = ", ".join(f"--{change.replace('_', '-')}" for change in _CHANGES)

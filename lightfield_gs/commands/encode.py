@@ -10,7 +10,7 @@ from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
-from lightfield_gs.commands.options.encoding import add_device, add_encoding
+from lightfield_gs.commands.options.panel import add_device, add_encoding
 from lightfield_gs.commands.options.parser import read_options
 
 
@@ -74,5 +74,8 @@ def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
     from lightfield_gs.rasterizer.stats import skipped_lines
 
     each = stats["evaluations_per_subpixel"]
-    lines = [f"pairs of tile and Gaussian: {stats['pairs']}", *skipped_lines(stats.get("skipped", {}), gaussians)]
+    lines = [
+        f"intersections of tile and Gaussian: {stats['pairs']}",
+        *skipped_lines(stats.get("skipped", {}), gaussians),
+    ]
     return lines if each is None else [*lines, f"evaluations per sub-pixel: {each:.1f}"]

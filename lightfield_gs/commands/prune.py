@@ -6,8 +6,7 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.app.cameras import read_camera, scene_comments
-from lightfield_gs.app.look import apply_look
+from lightfield_gs.app.cameras import apply_look, read_camera, scene_comments
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, read_noted, say_origin, settle_render
@@ -15,8 +14,7 @@ from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.commands.options.cameras import add_camera, add_look
-from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel
 from lightfield_gs.commands.options.parser import read_options, within
 from lightfield_gs.commands.options.scene import add_antialiased, add_reading, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs

@@ -10,16 +10,20 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.panel import load_panel, panel_of_views
-from lightfield_gs.app.provenance import package_versions, scene_facts, software
+from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views, software
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
-from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
-from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
+from lightfield_gs.commands.options.panel import (
+    add_camera,
+    add_depth_report,
+    add_device_serial,
+    add_look,
+    add_viewing_distance,
+)
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -34,6 +38,7 @@ from lightfield_gs.panels.quilt import (
     with_suffix,
 )
 from lightfield_gs.photo.side_by_side import is_rgbd_name
+from lightfield_gs.scene.gaussians import scene_facts
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig

@@ -18,7 +18,7 @@ from lightfield_gs.panels.panel import Panel
 
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
-    """An encoded image, the panel it is for (None: the one it names), and where the page is served."""
+    """An encoded image, its panel (None: the panel that it names), and the address of the page."""
 
     image: Path
     panel: PanelOptions

@@ -30,7 +30,7 @@ class SimulateOptions:
     Attributes:
         image: the encoded image.
         output: the picture that is seen.
-        panel: None in it: the one that the image names.
+        panel: options of the panel; None in them: the panel that the image names.
         eye: position x, y, z in mm.
         eyes: positions from, to in mm, and their count.
         spread: width of what a lens lights, sub-pixels.
@@ -153,7 +153,7 @@ def _implausible_eye(panel: Panel, eye_mm: Sequence[float]) -> str | None:
 
 
 def _other_lens(options: SimulateOptions, panel: Panel) -> str | None:
-    """Return how the lens differs from that of the panel in the image's metadata; None where it does not."""
+    """Describe the difference of the lens from the panel in the image's metadata; None if there is none."""
     stored = None if options.panel.panel is None else read_info(options.image).metadata.get("panel")
     if stored is None:
         return None

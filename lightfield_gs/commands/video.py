@@ -11,8 +11,7 @@ from lightfield_gs.app.video import VideoOptions, frame_drawer, frame_sink, vide
 from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.cameras import add_camera, add_depth_report, add_look
-from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_depth_report, add_look, add_panel
 from lightfield_gs.commands.options.parser import read_options, threads
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.commands.options.video import add_motion, add_result

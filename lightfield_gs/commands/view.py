@@ -13,8 +13,7 @@ from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.commands.options.cameras import add_camera, add_look
-from lightfield_gs.commands.options.panel import add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve

@@ -115,7 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _span(text: str):
-    """Parse "FIRST:LAST:STEP", of which any may be left out, to the frames that are taken."""
+    """Parse "FIRST:LAST:STEP", with any part missing, to the range of frames."""
     from lightfield_gs.view_sets.movies import FrameRange
 
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})(?::(\d{0,9}))?", text)
@@ -166,7 +166,7 @@ def _weave(options: WeaveOptions, watch: Stopwatch) -> None:
     from lightfield_gs.view_sets.view_set import QuiltMovie, open_views
 
     source, output = options.input, options.output
-    if not is_movie(source):  # the tiles of a movie decide what it becomes
+    if not is_movie(source):  # the tiles of a movie decide its use
         check_image_path(output)
     check_outputs((output,), (source, options.panel.panel, options.view_map))
     panel = load_panel(options.panel)

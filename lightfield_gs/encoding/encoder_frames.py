@@ -108,7 +108,7 @@ class _Input:
     def changed_since(self, before: _Input | None) -> set[int]:
         """Return the indices of the tensors whose values may have changed.
 
-        On another stream all of them: there this frame's work does not follow that of the last.
+        On another stream all values count as changed: this frame's work does not wait there for the last frame's.
         """
         if before is None or before.stream != self.stream:
             return set(range(len(self.tensors)))
@@ -134,10 +134,10 @@ class CudaFrameCache:
         self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
         self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
         self.captured: _Capture | None = None
-        self.moving: DirectFrames | None = None  # draw what is seen by a view for the first time
+        self.moving: DirectFrames | None = None  # draw a rig for the first time
         self.frames: DirectFrames | None = None  # drew the last image
         self.image: Tensor | None = None
-        self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
+        self.shown: tuple[_Input, int | None] | None = None  # the input of the image, and its own version
         self.last_view: LenticularCamera | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
@@ -165,7 +165,7 @@ class CudaFrameCache:
         return self.image, kept
 
     def _on_device(self, background: Colour, like: Tensor) -> Tensor:
-        """Return a background [3] on the device: the user's own, or one that is kept.
+        """Return a background [3] on the device: the user's own tensor, or a cached one.
 
         The kept one is overwritten, so that the graphs that read it stay valid.
         """

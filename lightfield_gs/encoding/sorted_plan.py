@@ -13,8 +13,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import panel_lens
-from lightfield_gs.panels.panel import MAX_VIEWS, Panel
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel, panel_lens
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels that are drawn together; every list is filled up to whole blocks
 _SUBPIXELS_PER_TILE = 224  # of one view, on the average
@@ -95,7 +94,7 @@ class SortedPlan:
     def bytes(self, first: int = 0, last: int | None = None) -> int:
         """Return the bytes of the starts and codes of the lists of shown views first .. last - 1."""
         last = self.count if last is None else last
-        starts = self.starts.numpy()  # of which single numbers are read faster than of a tensor
+        starts = self.starts.numpy()  # single numbers are read faster than from a tensor
         codes = int(starts[last * self.tiles] - starts[first * self.tiles])
         return 8 * ((last - first) * self.tiles + 1) + 2 * codes
 

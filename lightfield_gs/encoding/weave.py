@@ -131,7 +131,7 @@ def _box(panel: Panel, count: int, table: np.ndarray | None, interpolation: str,
 def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most_mixed: int) -> Iterator[Held]:
     """Yield views in groups that fit into memory.
 
-    Each group but the first begins with the last views of the one before: as many as a sub-pixel mixes, less one.
+    Groups overlap by the number of views that a sub-pixel mixes, less one.
     """
     if isinstance(source, _Stack) and source.views.device == first.device and source.views.shape[1:] == first.shape:
         yield Held(source.views.contiguous(), 0, source.count)  # they are all held anyway

@@ -12,8 +12,7 @@ import numpy as np
 from lightfield_gs import _core
 from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import panel_lens
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import Panel, panel_lens
 
 _ROWS = 16  # of the panel at a time
 

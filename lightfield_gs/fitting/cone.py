@@ -205,7 +205,7 @@ def _directions(centres: np.ndarray, pivot: np.ndarray) -> np.ndarray:
 
 
 def _angles(directions: np.ndarray, index: int) -> np.ndarray:
-    """Return [C] degrees, angles of directions from that of `index`; exact near 0, unlike an arc cosine."""
+    """Return [C], degrees, the angles of directions from direction `index`; exact near 0, unlike an arc cosine."""
     cosines = directions @ directions[index]
     sines = np.linalg.norm(np.cross(directions, directions[index]), axis=1)
     return np.degrees(np.arctan2(sines, cosines))

@@ -88,7 +88,7 @@ class DensityStatistics:
             sums.zero_()
 
     def sort(self, order: Tensor) -> None:
-        """Reorder the Gaussians: the one at order[i] moves to i."""
+        """Reorder the Gaussians: Gaussian order[i] moves to i."""
         for sums in self.tensors().values():
             if len(sums):
                 sums.copy_(sums[order])
@@ -218,8 +218,8 @@ def refine_adaptive(
     """Clone, split and prune Gaussians.
 
     The rest keeps its order. Clones stand behind it, then the first and the second parts of the split Gaussians, all
-    with moments of zero. At settings.cap_max only the Gaussians with the largest gradients grow. A scene of which
-    nothing would be left stays as it is.
+    with moments of zero. At settings.cap_max only the Gaussians with the largest gradients grow. If no Gaussian would
+    be left, the scene stays as it is.
 
     Args:
         state: the Gaussians.

@@ -23,7 +23,7 @@ PATIENCE = timedelta(minutes=10)  # how long a process waits for the others; the
 
 
 class Group:
-    """The processes of a fit, as one of them sees them; a group of one does nothing.
+    """The group of processes of a fit, seen from one process; a group of one does nothing.
 
     On CUDA the sums and the maximum of tensors can be part of a CUDA graph. All methods raise InputError where the
     others have ended, or have not answered for PATIENCE.

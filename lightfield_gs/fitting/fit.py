@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import checked_path, expect, is_row, real_number, shown
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
@@ -30,7 +30,7 @@ from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.run import Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.io.atomic import make_folder, remove_left_over
+from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over
 from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
@@ -129,8 +129,8 @@ def fit(
         cone: a panel, its name or file, or the angle of the default panel's cone in degrees, 1..179. The fit is then
             for the views of this panel, see Display, and prunes Gaussians that it does not show.
         centre: name of the photograph in the middle of the cone; None: the most central one.
-        score_cone: full angle in degrees of the cone in which held-out photographs are scored by angle; None: that of
-            `cone`.
+        score_cone: full angle in degrees of the cone in which held-out photographs are scored by angle; None: the angle
+            of `cone`.
         contribution_cut: 0..1, of pruning for the panel, see prune_for_panel.
         device: "auto", "cpu" or "cuda".
         folder: for checkpoints, scores.json and pictures. A stopped fit goes on from there, to the same bits.
@@ -240,7 +240,7 @@ def _prepare(
 def _drop_masked_out(
     images: PosedImages, held_out: PosedImages | None, masks: Masks
 ) -> tuple[PosedImages | None, list[int]]:
-    """Drop held-out photographs of which masks leave nothing to score, and report photographs without pixels.
+    """Drop held-out photographs without pixels to score under their masks, and report photographs without pixels.
 
     Returns:
         The other held-out photographs, None if there are none, and their indices.

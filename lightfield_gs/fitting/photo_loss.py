@@ -24,9 +24,9 @@ def photo_loss_and_gradient(
 
         (1 - ssim_lambda) mean |x' - y| + ssim_lambda mean (w (1 - SSIM(x', y)))
 
-    with means over 3 H W numbers (Kerbl et al. 2023, equation 7). A photo of which little counts weighs little. Pixels
-    without weight look as in the photo, also to the windows of their neighbours. SSIM is equation 13 of Wang et al.
-    2004, with an 11 x 11 Gaussian window of sigma 1.5 and zeros beyond the image, as in reference.ssim. Sums have a
+    with means over 3 H W numbers (Kerbl et al. 2023, equation 7). A photo with few counting pixels has little weight.
+    Pixels without weight look as in the photo, also to the windows of their neighbours. SSIM is equation 13 of Wang et
+    al. 2004, with an 11 x 11 Gaussian window of sigma 1.5 and zeros beyond the image, as in reference.ssim. Sums have a
     fixed order: the same input gives the same bits on any number of threads. On CUDA all work is in torch's current
     stream, and can be captured.
 

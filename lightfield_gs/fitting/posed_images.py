@@ -98,7 +98,7 @@ class PosedImages:
 
         Args:
             capture: where they are.
-            indices: which of them.
+            indices: indices of the photographs.
             normalization: the coordinates of the fit.
             device: where the fit runs.
             progress: `indices` once more; a progress bar may wrap them.
@@ -239,7 +239,7 @@ class PosedImages:
         return self.weights[index].to(self.device) / 255
 
     def masked_out(self) -> list[int]:
-        """Return the indices of photographs of which masks leave less than a pixel: to count, or to be opaque."""
+        """Return the indices of photographs whose masks leave less than a pixel to count, or to be opaque."""
         masks = [stored for stored in (self.weights, self.opacity) if stored is not None]
         return [i for i in range(self.count) if any(int(mask[i].sum(dtype=torch.int64)) < 255 for mask in masks)]
 

@@ -70,7 +70,7 @@ def dropout(rates: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
 
     With few photographs some Gaussians explain only one of them, and stand in the way of images between them. Each step
     draws another random part, so that no Gaussian can hide behind others, and all get gradients. See Park et al.,
-    "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025; csrc/math/fit/dropout.h.
+    "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025; csrc/math/fit/random.h.
 
     It is off by default, since the gain depends on the scene more than on the number of photographs. Measured were 0.2
     against 0, 7,000 steps, 9 to 12 photographs, PSNR of held-out photographs (docs/benchmarks.md). Bananas: +0.6 to

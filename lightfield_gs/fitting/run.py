@@ -26,7 +26,7 @@ _PATIENCE = 3  # evaluations without a better one, after which stop_early ends a
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What a fit does beside its steps; nothing of it changes a bit of the scene.
+    """The side tasks of a fit: checkpoints, scores and pictures. They do not change a bit of the scene.
 
     Attributes:
         folder: for checkpoints, scores and pictures; None: nothing is written.
@@ -189,7 +189,7 @@ class Run:
         self.write_scores()
 
     def write_scores(self, **more: Any) -> None:
-        """Write scores.json, if there are a folder and scores. more: further fields of it."""
+        """Write scores.json, if there are a folder and scores. more: further fields."""
         if self._folder is not None and (scores := self.scores) is not None:
             by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
             words = describe_protocol(self.trainer.settings.poses)

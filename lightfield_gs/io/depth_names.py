@@ -39,7 +39,7 @@ def depth_maps_beside(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def is_sidecar_name(name: str) -> bool:
-    """Tell whether a name is that of a file beside an image: a depth map, a mask, a thumbnail or the like."""
+    """Return whether a name belongs to a file beside an image: a depth map, a mask, a thumbnail or the like."""
     stem = _stem(name)
     return bool(_DEPTH.search(stem) or _SIDECAR.search(stem))
 

@@ -81,7 +81,7 @@ class FileKind:
 
     Attributes:
         name: the kind, in words.
-        advice: what the user can do.
+        advice: advice for the user.
         suffixes: endings of its files.
         starts: first bytes of its files.
     """

@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.options import Compression
-from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.io.atomic import atomic_path, check_output_path, checked_path
 from lightfield_gs.io.file_kinds import refuse_large_non_image, refuse_non_image, refuse_unsupported, refuse_video
 from lightfield_gs.io.pillow_images import decode_heif, heif_orientation, is_heif, open_heif
 from lightfield_gs.io.png import CompressedImage, png_colour, png_damage, write_png
@@ -81,7 +80,7 @@ class ImageInfo:
     Attributes:
         width_px, height_px: size as stored.
         channels: number of channels.
-        sample_type: OpenImageIO's name of it.
+        sample_type: OpenImageIO's name of the type.
         metadata: metadata of this package.
         orientation: Exif orientation 1..8.
         has_alpha: the last of 2 or 4 channels is alpha; in an EXR it may be depth.

@@ -53,7 +53,7 @@ def mirrored(raw: Tensor, layers: int, sh_degree: int) -> Tensor:
         sh_degree: degree of the harmonics.
 
     Returns:
-        [B,C,H,W], whose Gaussians are the mirror image of those of `raw`.
+        [B,C,H,W]; its Gaussians mirror the Gaussians of `raw`.
     """
     signs = _mirror_signs(sh_degree) * layers
     flipped, start, parts = raw.flip(3), 0, []
@@ -104,7 +104,7 @@ class DeltaComposer(nn.Module):
         parts: list[tuple[Tensor, ...]] = []
         for index, layer in enumerate(raw.chunk(self.layers, dim=1)):
             values = dict(zip(self.groups, layer.split(list(self.groups.values()), dim=1)))
-            # The fraction of the disparity range shrinks from layer to layer: each lies behind the one before.
+            # The fraction of the disparity range shrinks from layer to layer: each layer lies behind its predecessor.
             nearness = nearness * torch.sigmoid(values["depth"] + (self.base_logit if index == 0 else 0.0))
             parts.append(self._layer(values, 1 / (self.far_disparity + self.disparity_range * nearness), pixels, index))
         return from_tensors(torch.cat(fields, dim=1) for fields in zip(*parts))

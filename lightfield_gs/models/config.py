@@ -27,7 +27,7 @@ class ModelConfig:
             computes features at half the resolution, for four Gaussians a feature.
         features: channels between U-Net and heads; 0: as many as the heads predict, as in the original.
         composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
-        layers: Gaussians per pixel, each layer behind the one before; 1 for "absolute".
+        layers: Gaussians per pixel, each layer behind its predecessor; 1 for "absolute".
         sh_degree: degree of the spherical harmonics, 0..3.
         near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
         base_depth: depth of the untrained first layer ("delta" only).

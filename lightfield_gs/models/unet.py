@@ -1,9 +1,9 @@
 """Residual U-Net: the feature extractor of every network configuration.
 
-The layout is that of Song et al., "Score-Based Generative Modeling through Stochastic Differential Equations", ICLR
-2021 (DDPM++), without noise conditioning. It has residual blocks that also resample, one skip connection per block,
-and attention at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128
-channels. Group normalisation is that of Wu & He, ECCV 2018.
+The layout is DDPM++ without noise conditioning (Song et al., "Score-Based Generative Modeling through Stochastic
+Differential Equations", ICLR 2021). It has residual blocks that also resample, one skip connection per block, and
+attention at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128
+channels. Group normalisation is by Wu & He, ECCV 2018.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Panels, the fan of cameras behind their views, and what an eye sees of them."""
+"""Panels, the fan of cameras behind their views, and the picture that an eye sees."""

@@ -219,7 +219,7 @@ def _edge(light: np.ndarray, level: float, start: np.ndarray, end: np.ndarray) -
     before, after = profile[row, k - 1], profile[row, k]
     place = steps[k - 1] + (steps[k] - steps[k - 1]) * (level - before) / (after - before)
     points = feet[good] + place[:, None] * outwards
-    for _ in range(3):  # without what is not on the line, such as a stand before the edge
+    for _ in range(3):  # without points off the line, as of a stand before the edge
         middle = points.mean(0)
         normal = np.linalg.svd(points - middle)[2][1]
         away = np.abs((points - middle) @ normal)

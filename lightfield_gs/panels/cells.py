@@ -8,7 +8,9 @@ D = 3 (j + x) + 3 (i - y) tan(slant) + phase. A stripe has x = k / 3 and y = 0.
 
 from __future__ import annotations
 
-from typing import Any
+from fractions import Fraction
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +18,10 @@ from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CellRows, CellRule
 
+if TYPE_CHECKING:
+    from lightfield_gs.panels.panel import Panel
+
+LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 PERIOD = 4  # every known pattern repeats after so many columns and rows
 _MOST_CELLS = PERIOD * PERIOD
 _FARTHEST_PX = 8.0
@@ -75,3 +81,63 @@ def cell_numbers(pattern: int, rule: CellRule, rows_from: CellRows, height_px: i
     rows, columns = np.indices((PERIOD, PERIOD))
     y = rows if rows_from == "top" else (height_px - 1 - rows) % PERIOD
     return _RULES[rule][pattern](columns, y)
+
+
+def subpixel_offsets(panel: Panel) -> np.ndarray:
+    """Return D of sub-pixels less D of the first stripe, Fractions [PERIOD, PERIOD, 3] by row, column, channel."""
+    if not panel.subpixel_cells:
+        stripes = [Fraction(panel.stripe_index(channel)) for channel in range(3)]
+        return np.broadcast_to(np.array(stripes, object), (PERIOD, PERIOD, 3))
+    slant = Fraction(panel.slant_tan)
+    offsets = np.array(
+        [[3 * Fraction(x) - 3 * slant * Fraction(y) for x, y in cell] for cell in panel.subpixel_cells], object
+    )
+    return offsets[cell_numbers(panel.cell_pattern, panel.cell_rule, panel.cell_rows, panel.height_px)]
+
+
+@lru_cache(maxsize=64)  # asked for in every frame
+def subpixel_phases(panel: Panel) -> np.ndarray:
+    """Return `subpixel_offsets` in 2^-64 lens widths, uint64, wrapping.
+
+    Stripes have whole multiples of the step sx of Panel.phase_steps.
+    """
+    if not panel.subpixel_cells:
+        step = panel.phase_steps()[1]
+        phases = [panel.stripe_index(channel) * step % LENS_WIDTH for channel in range(3)]
+        return np.array(phases, np.uint64) + np.zeros((PERIOD, PERIOD, 1), np.uint64)
+    per_subpixel = LENS_WIDTH / Fraction(panel.line_number)
+    # Rounded up, as all phases are
+    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % LENS_WIDTH, 1, 1)
+    return exact(subpixel_offsets(panel)).astype(np.uint64)
+
+
+class CellTable(NamedTuple):
+    """Phases and channels of the sub-pixels of a panel with cells, as the native lens takes them.
+
+    Each array is [PERIOD, PERIOD, 3], by row, column and rank k, left to right in D.
+
+    Attributes:
+        phases: uint64, 2^-64 lens widths, beyond the phases of stripe k of a lens that begins `shift` later.
+        channels: int64, the image channel at k.
+        shift: 2^-64 lens widths, the middle of the sub-pixels' shifts.
+        shift_subpixels: The same in sub-pixels.
+    """
+
+    phases: np.ndarray
+    channels: np.ndarray
+    shift: int
+    shift_subpixels: float
+
+
+@lru_cache(maxsize=64)
+def cell_table(panel: Panel) -> CellTable:
+    """Return the cell table of a panel with cells."""
+    offsets = subpixel_offsets(panel)
+    channels = np.argsort(offsets.astype(np.float64), axis=-1, kind="stable")
+    beyond = np.take_along_axis(offsets, channels, -1) - np.arange(3)  # the stripe of the same rank
+    shift = (beyond.min() + beyond.max()) / 2
+    whole = round(shift * LENS_WIDTH / Fraction(panel.line_number)) % LENS_WIDTH
+    step = panel.phase_steps()[1]
+    stripes = np.array([(k * step + whole) % LENS_WIDTH for k in range(3)], np.uint64)
+    phases = np.take_along_axis(subpixel_phases(panel), channels, -1) - stripes
+    return CellTable(phases, channels, whole, float(shift))

@@ -200,7 +200,7 @@ def middle_depth(extent: Sequence[float]) -> float:
 
 
 def _in_front(rig: Rig, content: Gaussians, rest: Gaussians | None, panel: Panel, turn: np.ndarray) -> Rig:
-    """Return the rig of a camera with rotation `turn` [3, 3] before the content, where most of it is visible."""
+    """Return the rig of a camera with rotation `turn` [3, 3], where it sees the most of the content."""
     chosen = 1.0 if rest is None else _clear_distance(rig, content, rest, panel, turn)
     return _bounded(_camera_in_front(rig, content, panel, turn, chosen), content, panel)
 

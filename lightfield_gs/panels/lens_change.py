@@ -73,7 +73,7 @@ def changed(panel: Panel, change: LensChange) -> Panel:
     if change.slope_percent and panel.slant_tan == 0:
         raise InputError("slope: the lenses stand upright, so that their slope is infinite; change slant_tan instead")
     slant = panel.slant_tan / slope
-    per_axis = math.hypot(1, slant) / math.hypot(1, panel.slant_tan)  # 1/cos of the new slant over that of the old
+    per_axis = math.hypot(1, slant) / math.hypot(1, panel.slant_tan)  # ratio of 1/cos of the slants
     line_number = panel.line_number / pitch * per_axis + change.line_number
     try:
         turned = replace(panel, line_number=line_number, slant_tan=slant + change.slant_tan)

@@ -21,7 +21,7 @@ from lightfield_gs.base.options import DEFAULT_CONE_DEG
 from lightfield_gs.io.text_files import parse_json, read_json
 from lightfield_gs.panels.cells import PATTERNS
 
-_MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
+_MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of these keys is a calibration
 _SERIALS = ("serial", "hwid")  # the keys of a calibration, and of its display
 _NUMBERS = (
     "pitch",
@@ -65,7 +65,7 @@ class _Calibration:
 
 
 def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[str, Any]:
-    """Return the one calibration in `data`, flat: {"pitch": 47.0, ...}; strings of numbers become numbers.
+    """Return the calibration in `data`, flat: {"pitch": 47.0, ...}; strings of numbers become numbers.
 
     Without a cone the result has no viewCone, and the default is assumed.
 
@@ -345,7 +345,7 @@ def calibration_values(
 ) -> dict[str, float]:
     """Return the pitch, slope and center with which panel_fields makes this lens of a calibration.
 
-    Centers repeat from lens to lens; the result is the nearest one to that of the calibration.
+    Centers repeat from lens to lens; the result is the center nearest to the calibration's.
 
     Args:
         data: The calibration, see find_calibration.

@@ -32,14 +32,23 @@ from lightfield_gs.base.options import (
     SubpixelOrder,
 )
 from lightfield_gs.io.text_files import config_path, read_mapping, write_mapping
-from lightfield_gs.panels.cells import PATTERNS, PERIOD, Cell, cell_numbers, checked_cells
+from lightfield_gs.panels.cells import (
+    LENS_WIDTH,
+    PATTERNS,
+    PERIOD,
+    Cell,
+    cell_numbers,
+    cell_table,
+    checked_cells,
+    subpixel_phases,
+)
 from lightfield_gs.panels.looking_glass import panel_fields
+from lightfield_gs.rasterizer.lenticular_camera import Lens
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
 DEFAULT_PANEL = "65in-8k-96v"
 STRIPES: tuple[Cell, ...] = ()  # the sub-pixel cells of a panel that has none
-LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 
 
 @lru_cache(maxsize=64)  # asked for in every frame
@@ -325,29 +334,53 @@ class Panel:
         return (phase >> np.uint64(11)).astype(np.float64) * (2.0**-53 * self.views)
 
 
-def subpixel_offsets(panel: Panel) -> np.ndarray:
-    """Return D of sub-pixels less D of the first stripe, Fractions [PERIOD, PERIOD, 3] by row, column, channel."""
-    if not panel.subpixel_cells:
-        stripes = [Fraction(panel.stripe_index(channel)) for channel in range(3)]
-        return np.broadcast_to(np.array(stripes, object), (PERIOD, PERIOD, 3))
-    slant = Fraction(panel.slant_tan)
-    offsets = np.array(
-        [[3 * Fraction(x) - 3 * slant * Fraction(y) for x, y in cell] for cell in panel.subpixel_cells], object
+def panel_lens(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
+    """Return the panel's lens before a row of cameras.
+
+    Args:
+        panel: The panel.
+        continuous: Whether sub-pixels see the view at x itself, not the nearest integer view.
+        offset_start: Offset of the camera of view 0, scene units.
+        offset_step: Offset from view to view, scene units.
+    """
+    start, across, down = panel.phase_steps()
+    phase, phases, channels = panel.phase, (), ()
+    if panel.subpixel_cells:
+        table = cell_table(panel)
+        start, phase = start + table.shift, phase + table.shift_subpixels
+        phases, channels = (tuple(part.reshape(-1).tolist()) for part in (table.phases, table.channels))
+    return Lens(
+        panel.width_px,
+        panel.height_px,
+        panel.views,
+        (start % LENS_WIDTH, across, down),
+        float(panel.line_number),
+        float(panel.slant_tan),
+        float(phase),
+        panel.subpixel_order == "BGR",
+        continuous,
+        float(offset_start),
+        float(offset_step),
+        phases,
+        channels,
     )
-    return offsets[cell_numbers(panel.cell_pattern, panel.cell_rule, panel.cell_rows, panel.height_px)]
 
 
-@lru_cache(maxsize=64)  # asked for in every frame
-def subpixel_phases(panel: Panel) -> np.ndarray:
-    """Return `subpixel_offsets` in 2^-64 lens widths, uint64, wrapping.
+def slow_reason(panel: Panel, lattices_on_cuda: bool) -> str | None:
+    """Return why `direct` takes longer for a panel with sub-pixel cells; None where it does not.
 
-    Stripes have whole multiples of the step sx of Panel.phase_steps.
+    Args:
+        panel: The panel.
+        lattices_on_cuda: Whether a frame with lattices is drawn on CUDA.
     """
     if not panel.subpixel_cells:
-        step = panel.phase_steps()[1]
-        phases = [panel.stripe_index(channel) * step % LENS_WIDTH for channel in range(3)]
-        return np.array(phases, np.uint64) + np.zeros((PERIOD, PERIOD, 1), np.uint64)
-    per_subpixel = LENS_WIDTH / Fraction(panel.line_number)
-    # Rounded up, as all phases are
-    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % LENS_WIDTH, 1, 1)
-    return exact(subpixel_offsets(panel)).astype(np.uint64)
+        return None
+    lens = panel_lens(panel).native()
+    if not (lens.stands_in_order() and lens.has_one_order()):
+        return (
+            f"the sub-pixel cells of panel {panel.name} have no one order along the lens: it is drawn by slower "
+            "ways, on the CPU a sub-pixel at a time, on CUDA by tiles of pixels, and without lattices"
+        )
+    if lattices_on_cuda:
+        return "panels with sub-pixel cells are drawn without lattices on CUDA: this quality saves little time"
+    return None

@@ -17,9 +17,9 @@ import numpy as np
 from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.cells import PERIOD
+from lightfield_gs.panels.cells import PERIOD, subpixel_phases
 from lightfield_gs.panels.lens_change import LensChange, changed
-from lightfield_gs.panels.panel import Panel, subpixel_phases
+from lightfield_gs.panels.panel import Panel
 
 # Three dots wide and five high, row by row
 _GLYPHS = {
@@ -67,7 +67,7 @@ _ROWS_PER_CHUNK = 64
 class PatternConstants:
     """Sizes and colours of the patterns, chosen by hand and not tuned."""
 
-    # sub-pixels of one number: a lens lights about one, so that it covers five sixths of what an eye sees
+    # sub-pixels of one number: a lens lights about one, so that it covers five sixths of an eye's picture
     subpixels_per_number: float = 1.2
     numbers_across: int = 5  # numbers in a row of tiles, about
     lenses_per_dot: int = 2  # width of a dot of a digit, at least, so that it cannot fall between the samples
@@ -203,7 +203,7 @@ def _number_tiles(panel: Panel, different: np.ndarray) -> tuple[np.ndarray, tupl
 
 
 def _tiling(size_px: int, tile_dots: int, dot_px: int) -> _Tiling:
-    """Return whole tiles in the middle of so many pixels, or one that is cut."""
+    """Return whole tiles in the middle of this number of pixels, or one cut tile."""
     tile_px = tile_dots * dot_px
     covered = max(1, size_px // tile_px) * tile_px
     position = np.arange(size_px) + (covered - size_px) // 2

@@ -30,7 +30,8 @@ from lightfield_gs.base.checks import (
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.text_files import parse_json, read_mapping, write_mapping
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import Panel, panel_lens
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture, LenticularCamera
 from lightfield_gs.scene.axes import DEFAULT_UP
 
 if TYPE_CHECKING:
@@ -282,11 +283,38 @@ def _rigid(given: Any) -> np.ndarray:
     return matrix
 
 
+# The cameras as values of the rasterizer
+
+
+def view_aperture(panel: Panel, rig: Rig, view_filter: float) -> Aperture:
+    """Return the aperture of each camera of a rig for encode's view_filter: a box of that many views."""
+    step = 2 * rig.half_width(panel) / panel.views
+    return Aperture(view_filter * step / math.sqrt(12), float(rig.zero_depth)) if view_filter > 0 else PINHOLE
+
+
+def lenticular_camera(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LenticularCamera:
+    """Return the cameras and the lens by which the sub-pixels of a panel see a scene.
+
+    Args:
+        panel: The panel.
+        rig: Its rig.
+        continuous: See panel_lens.
+        view_filter: See encode.
+    """
+    start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
+    pose = np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist()
+    optics = (float(v) for v in (*rig.focal_px, *rig.principal_point_px))
+    limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
+    aperture = view_aperture(panel, rig, view_filter).deviation
+    lens = panel_lens(panel, continuous, start, (end - start) / panel.views)
+    return LenticularCamera(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
+
+
 # Rigs of photos
 
 
 def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
-    """Return the rig of a photo's Gaussians, which are in the axes of its camera: it shows all of them, however wide.
+    """Return the rig of a photo's Gaussians, which are in the axes of its camera. It shows all Gaussians, however wide.
 
     Raises:
         InputError: As in Rig.frame.

@@ -15,8 +15,8 @@ import numpy as np
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.text_files import read_text
-from lightfield_gs.panels.cells import PERIOD
-from lightfield_gs.panels.panel import Panel, subpixel_offsets
+from lightfield_gs.panels.cells import PERIOD, subpixel_offsets
+from lightfield_gs.panels.panel import Panel
 
 _MOST_BYTES, _MOST_POINTS = 1 << 20, 4096
 _MOST_SUBPIXELS, _MOST_LIGHT = 1e4, 1e12
@@ -24,7 +24,7 @@ _MOST_SUBPIXELS, _MOST_LIGHT = 1e4, 1e12
 
 @dataclass(frozen=True)
 class Psf:
-    """A measured spread of light, with its crosstalk: the brightness of the sub-pixels beside the one behind the lens.
+    """A measured spread of light: the brightness of the sub-pixels beside the sub-pixel behind the lens.
 
     Attributes:
         offsets: 2..4096 offsets in sub-pixels along a row, ascending. 0 is the sub-pixel that the eye sees exactly

@@ -49,7 +49,7 @@ class VisibilityConstants:
     patch: float = 0.01  # side of the square around the point, in shorter sides of the panel
     least_patch_px: float = 2.0  # side of the square at least, pixels of the panel
     patch_samples: int = 16  # samples of the square, each way
-    # least fraction of the square that a surface fills: thin things count before what is behind
+    # least fraction of the square that a surface fills: thin things count before surfaces behind them
     surface_fraction: float = 0.25
 
     # Views past the scene
@@ -216,7 +216,7 @@ class ViewCoverage:
 
     Attributes:
         near: View-space z, scene units, that 1 % of the surfaces in the centre view are nearer than.
-        far: View-space z that 1 % of them are farther than.
+        far: View-space z; 1 % of the surfaces are farther.
         background: For views 0 and N-1, the fraction 0..1 of the continuing scene that shows background.
     """
 
@@ -293,11 +293,11 @@ def background_warning(fraction: float) -> str | None:
 
 def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float]) -> tuple[np.ndarray, np.ndarray]:
     """Return alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
+    gaussians = degree_zero(gaussians.detach())
     small_panel, small_rig = rig.reduced(panel, _SIZE_PX)
+    cameras = small_rig.cameras_at(small_panel, places)
     with torch.no_grad():
-        images = render(
-            degree_zero(gaussians.detach()), small_rig.cameras_at(small_panel, places), alpha=True, depth=True
-        )
+        images = render(gaussians, cameras, alpha=True, depth=True)
     alpha, depth = cast(Tensor, images.alpha), cast(Tensor, images.depth)[0]
     return alpha.double().cpu().numpy(), depth.double().cpu().numpy()
 

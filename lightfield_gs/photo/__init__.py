@@ -1,1 +1,1 @@
-"""Photos: load, cut out, depth, and the network's picture of them."""
+"""Photos: loading, cut-outs, depth, and the network's Gaussians."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.util
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -107,15 +108,12 @@ def estimated_depth(
     photo = torch.from_numpy(pixels).to(values.device).float() / 255
     z = found.z(upsample(found.disparities, photo, found.value_range)).cpu().numpy()
     name = Path(model).name if Path(model).is_dir() else model
-    return DepthMap(
-        z, None, f"depth estimated by {name}: {found.description}", [f"{model}: {words}" for words in found.notes]
-    )
+    description = f"depth estimated by {name}: {found.description}"
+    return DepthMap(z, None, description, [f"{model}: {words}" for words in found.notes])
 
 
 def is_installed() -> bool:
     """Return whether the package transformers is installed."""
-    import importlib.util
-
     try:
         return importlib.util.find_spec("transformers") is not None
     except ValueError:  # of a stand-in without a specification
@@ -253,7 +251,7 @@ def _quiet() -> Iterator[None]:
     """Silence the messages of transformers on loading and running."""
     try:
         from transformers.utils import logging
-    except ImportError:  # the one who called says so
+    except ImportError:  # the caller says so
         yield
         return
     level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()

@@ -13,7 +13,7 @@ from lightfield_gs.panels.panel import Panel
 
 DEFAULT_BUDGET = 1_500_000  # Gaussians
 _FACTORS = (1, 2, 4)
-# Side of a photo's square as a fraction of the panel's height: framing fills 0.92 of it, without the margins
+# Side of a photo's square as a fraction of the panel's height: framing fills 0.92, without the margins
 _SQUARE = 0.92 * 1.16
 
 

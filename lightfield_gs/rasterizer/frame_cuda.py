@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from dataclasses import replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
@@ -19,10 +19,12 @@ from lightfield_gs import _core
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.device import device_guard, free_memory
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import float_and_byte_addresses
+
+if TYPE_CHECKING:
+    from lightfield_gs.rasterizer.direct import DirectRender
 
 # Capacity beyond the intersections of the last frame, as a fraction of them: for one rig, and for rigs that change
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0
@@ -123,7 +125,7 @@ class DirectFrame:
             self.composite(background, out)
 
     def state(self) -> dict[str, Any]:
-        """Return what the device found out; waits for it.
+        """Return the device's statistics; wait for the device.
 
         Keys: pairs, drawn, colour_error, kernel, exact, bent_colours, curved, pruned, lattice_tiles, refused_tiles,
         tried_tiles.
@@ -137,7 +139,7 @@ class DirectFrame:
 
 
 def shared_memory_limit() -> int:
-    """Return the most bytes of shared memory that a block of a frame's kernels may take; 0: what the device has.
+    """Return the most bytes of shared memory for a block of a frame's kernels; 0: the device's limit.
 
     The environment variable LFGS_SHARED_MEMORY_LIMIT sets it, from 1 on. Raises InputError for another value.
     """
@@ -172,7 +174,7 @@ class DirectFrames:
         Args:
             job: any of the renders.
             quality: how much error is allowed.
-            slack: capacity beyond the intersections of the last frame, as a fraction of them.
+            slack: capacity beyond the intersections of the last frame, as a fraction of their number.
         """
         if job.compensated:
             quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)

@@ -118,7 +118,7 @@ def _(*arguments):
 
 
 class _DrawnArguments(NamedTuple):
-    """The arguments of the backward behind those of the render: its outputs, their gradients, and the request.
+    """The arguments of the backward pass after the arguments of the render: outputs, their gradients, and the request.
 
     Attributes:
         screen_numbers: 0, 2 or 4, of the screen.
@@ -215,7 +215,7 @@ class _RenderImages(torch.autograd.Function):
 
 
 def _is_for_cuda(means: Tensor) -> bool:
-    """Whether the stages are those of CUDA, whose backward has two halves."""
+    """Return whether the stages run on CUDA, where the backward pass has two halves."""
     return means.is_cuda
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
@@ -14,9 +13,10 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
-from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, make_workspace, project_images_backward
+from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, CudaWorkspace, project_images_backward
 
 # Of the memory beside the images: cameras go in chunks that take about so much, or one at a time if one takes more
 CHUNK_BYTES = 1 << 29
@@ -67,21 +67,6 @@ class ImageBuffers(NamedTuple):
     depth: Tensor | None
 
 
-class Aperture(NamedTuple):
-    """The camera positions that an image is averaged over, along the camera's x-axis; scene units.
-
-    Attributes:
-        deviation: Standard deviation of the positions.
-        zero_depth: Depth at which the average leaves points unmoved.
-    """
-
-    deviation: float
-    zero_depth: float
-
-
-PINHOLE = Aperture(0.0, math.inf)
-
-
 class ImageInputs:
     """Checked Gaussians and cameras of a render of ordinary images."""
 
@@ -116,6 +101,7 @@ class ImageInputs:
             raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
         self.lead = lead = (scene.batch, world_to_camera.shape[1])
         self.images, self.width, self.height = lead[0] * lead[1], width, height
+        self.shapes = (*lead, height, width, 3), (*lead, height, width), (*lead, height, width)  # image, alpha, depth
         self._camera_tensors = [
             check_tensor("world_to_camera", world_to_camera, (*lead, 4, 4), scene.dtype, scene.device),
             check_tensor("intrinsics", intrinsics, (*lead, 4), scene.dtype, scene.device),
@@ -123,12 +109,6 @@ class ImageInputs:
         ]
         poses, optics, edges = (t.data_ptr() for t in self._camera_tensors)
         self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
-
-    @property
-    def shapes(self) -> list[tuple[int, ...]]:
-        """Shapes of image, alpha and depth."""
-        size = (*self.lead, self.height, self.width)
-        return [(*size, 3), size, size]
 
     def without_values(self) -> ImageInputs:
         """Return a copy that keeps no tensors alive: see SceneTensors.without_values."""
@@ -179,7 +159,8 @@ class ImageRender:
         self.background = check_tensor("background", background, (*inputs.lead, 3), *like)
         with device_guard(self.scene.device):
             size = RenderSize(inputs.images, inputs.width, inputs.height, capacity=capacity)
-            self.work = make_workspace(self.scene, size, self.stats, threads or torch.get_num_threads(), state)
+            make = WORKSPACES[self.scene.device.type]
+            self.work = make(self.scene, size, self.stats, threads or torch.get_num_threads(), state)
             if state is None:
                 with self.stats.stage("project"):
                     self.work.project_images(inputs.cameras)
@@ -206,7 +187,7 @@ class ImageRender:
         """Return the images.
 
         Args:
-            out: Contiguous memory for some of them; None stands for new memory.
+            out: Contiguous memory for some outputs; None stands for new memory.
         """
         scene, given = self.scene, out or (None, None, None)
         with device_guard(scene.device), self.stats.stage("composite"):
@@ -269,7 +250,7 @@ def draw_in_chunks(
     threads: int | None = None,
     aperture: Aperture = PINHOLE,
 ) -> ImageBuffers:
-    """Draw one scene before V cameras without gradients, some cameras at a time; every bit is that of one draw.
+    """Draw one scene before V cameras without gradients, some cameras at a time, to the same bits as in one draw.
 
     Beside the images it takes memory for as many cameras as fit CHUNK_BYTES. Each takes 192 bytes a Gaussian, and 4 a
     pixel for each of alpha and depth that is not asked for.
@@ -303,7 +284,9 @@ def draw_in_chunks(
     for first in range(0, count, step):
         chunk = slice(first, first + step)
         chunk_stats = Stats(device=None if stats is None else stats.device)
-        inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
+        inputs = whole
+        if step < count:
+            inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
         render = ImageRender(inputs, background[:, chunk], stats=chunk_stats, threads=threads)
         drawn = render.draw(ImageBuffers(image[:, chunk], *(None if t is None else t[:, chunk] for t in found)))
         if stats is not None:

@@ -12,6 +12,21 @@ from lightfield_gs.base.errors import InputError
 _LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 
 
+class Aperture(NamedTuple):
+    """The camera positions that an image is averaged over, along the camera's x-axis; scene units.
+
+    Attributes:
+        deviation: Standard deviation of the positions.
+        zero_depth: Depth at which the average leaves points unmoved.
+    """
+
+    deviation: float
+    zero_depth: float
+
+
+PINHOLE = Aperture(0.0, math.inf)
+
+
 class NativeCamera(NamedTuple):
     """A LenticularCamera as the native code takes it."""
 
@@ -89,7 +104,7 @@ class Lens:
 class CameraNumbers(NamedTuple):
     """A LenticularCamera as arguments of a torch operator, whose schema knows neither structs nor unsigned integers.
 
-    The fields are those of LenticularCamera and of its Lens. Phases are the signed integers of the same 64 bits.
+    The fields are the fields of LenticularCamera and of its Lens. Phases are the signed integers of the same 64 bits.
     """
 
     world_to_camera: list[float]

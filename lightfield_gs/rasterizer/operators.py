@@ -1,4 +1,4 @@
-"""What the torch operators of images share: schemas from named tuples, and the refusal of second derivatives."""
+"""Tools of the torch operators of images: schemas from named tuples, and the refusal of second derivatives."""
 
 from __future__ import annotations
 

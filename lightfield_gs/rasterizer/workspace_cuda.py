@@ -28,7 +28,10 @@ _ALIGNMENT = 256  # bytes, that of memory from CUDA
 class CudaWorkspace:
     """The stages of one render on CUDA; see CpuWorkspace. Buffers are of torch's allocator, work is on its stream."""
 
-    def __init__(self, scene: SceneTensors, size: RenderSize, stats: Stats, state: RenderState | None = None):
+    def __init__(
+        self, scene: SceneTensors, size: RenderSize, stats: Stats, threads: int, state: RenderState | None = None
+    ):
+        """Allocate the buffers; see CpuWorkspace. No stage uses threads."""
         self.scene, self.images, self.stats, self.items = scene, size.images, stats, size.images * scene.count
         self.capacity = size.capacity
         self.image = _core.cuda.Image(size.images, size.width, size.height, size.direct)
@@ -60,7 +63,7 @@ class CudaWorkspace:
         tiles, sorted_tiles, slots, slot_splats = (
             0 if unsorted is None else unsorted + 4 * self.intersection_count * row for row in range(4)
         )
-        self.pair_lists = _core.cuda.Intersections(
+        self.tile_lists = _core.cuda.Intersections(
             self.intersection_count,
             tiles,
             sorted_tiles,
@@ -138,7 +141,7 @@ class CudaWorkspace:
                 indices,
                 counts,
                 ends,
-                self.pair_lists,
+                self.tile_lists,
                 self.ranges,
                 self.slot_ranges,
                 scratch,
@@ -154,7 +157,7 @@ class CudaWorkspace:
 
     def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
         _core.cuda.composite_images(
-            self.splats.native, self.image, self.ranges, self.pair_lists, background.data_ptr(), out, self.stream
+            self.splats.native, self.image, self.ranges, self.tile_lists, background.data_ptr(), out, self.stream
         )
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
@@ -163,7 +166,7 @@ class CudaWorkspace:
             self.splats.native,
             self.image,
             self.ranges,
-            self.pair_lists,
+            self.tile_lists,
             camera.lens,
             background.data_ptr(),
             out.data_ptr(),
@@ -185,7 +188,7 @@ class CudaWorkspace:
             self.splats.native,
             self.image,
             self.ranges,
-            self.pair_lists,
+            self.tile_lists,
             images,
             gradients,
             absolute,
@@ -220,7 +223,7 @@ class CudaWorkspace:
             self.splats.native,
             self.image,
             self.ranges,
-            self.pair_lists,
+            self.tile_lists,
             camera.lens,
             image.data_ptr(),
             g_image.data_ptr(),
@@ -264,20 +267,4 @@ def project_images_backward(
 
 
 Workspace = CpuWorkspace | CudaWorkspace
-
-
-def make_workspace(
-    scene: SceneTensors, size: RenderSize, stats: Stats, threads: int, state: RenderState | None = None
-) -> Workspace:
-    """Return the workspace of the scene's device.
-
-    Args:
-        scene: the Gaussians.
-        size: of the render.
-        stats: filled with times and counts.
-        threads: of the CPU.
-        state: left by an earlier render, in place of project, order and bin.
-    """
-    if scene.device.type == "cuda":
-        return CudaWorkspace(scene, size, stats, state)
-    return CpuWorkspace(scene, size, stats, threads, state)
+WORKSPACES: dict[str, type[Workspace]] = {"cpu": CpuWorkspace, "cuda": CudaWorkspace}  # by the type of the device

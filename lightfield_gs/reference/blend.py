@@ -120,8 +120,8 @@ def square(vectors: Tensor) -> Tensor:
 class Projection:
     """One scene before one eye: view-space means and spreads of the visible Gaussians, near ones first.
 
-    With antialiased, opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its
-    light. An aperture of the eye spreads it out too, and it keeps its light likewise.
+    With antialiased, the compensation lowers an opacity by as much as the low pass spreads the Gaussian, so that it
+    keeps its light. An aperture of the eye spreads it out too, and it keeps its light likewise.
     """
 
     def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
@@ -223,7 +223,7 @@ class Projection:
         full = self.alpha(gaussian, Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample]))
         shape = (len(samples.rows), max(1, int(count.max())))
 
-        # Every sample has a row of the table with its Gaussians from near to far; what is missing is transparent.
+        # Every sample has a row of the table with its Gaussians from near to far; missing entries are transparent.
         table = full.new_zeros(shape).index_put((sample, rank), full)
         drawn = table.detach() >= ALPHA_MIN
         table = torch.where(drawn, table, 0.0)

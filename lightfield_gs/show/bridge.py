@@ -14,8 +14,9 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import checked_path, real_number, whole_number
+from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import checked_path
 
 BRIDGE_URL = "http://localhost:33334"
 _TIMEOUT_S = 10.0
@@ -34,7 +35,7 @@ def cast(
     display: int = _ANY_DISPLAY,
     timeout_s: float = _TIMEOUT_S,
 ) -> None:
-    """Have Bridge show a quilt, a picture or a video in a loop, in place of the last one that this program showed.
+    """Show a quilt, a picture or a looped video by Bridge, in place of this program's last one.
 
     Bridge reads the file itself: the file must stay where it is, and Bridge must run on this computer.
 
@@ -65,22 +66,9 @@ def cast(
 
 
 def _entry(path: Path, columns: int, rows: int, aspect: float) -> dict[str, Any]:
-    return {
-        "name": _PLAYLIST,
-        "id": 0,
-        "index": 0,
-        "uri": str(path.resolve()),
-        "rows": rows,
-        "cols": columns,
-        "aspect": aspect,
-        "view_count": columns * rows,
-        "isRGBD": 0,
-        "focus": 0,
-        "crop_pos_x": 0,
-        "crop_pos_y": 0,
-        "zoom": 1,
-        "tag": "",
-    }
+    file = {"name": _PLAYLIST, "id": 0, "index": 0, "uri": str(path.resolve())}
+    tiles = {"rows": rows, "cols": columns, "aspect": aspect, "view_count": columns * rows}
+    return {**file, **tiles, "isRGBD": 0, "focus": 0, "crop_pos_x": 0, "crop_pos_y": 0, "zoom": 1, "tag": ""}
 
 
 def check_bridge(url: str = BRIDGE_URL, timeout_s: float = _TIMEOUT_S) -> None:

@@ -1,4 +1,4 @@
-"""A light field on an ordinary screen: contact sheet of views, look-around animation, what the two eyes see."""
+"""A light field on an ordinary screen: contact sheet of views, look-around animation, pictures of two eyes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -29,18 +29,11 @@ _FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels tak
 # From so many Gaussians on, rendering a view takes a CPU longer than all else, and every second view has to do.
 _MANY_GAUSSIANS = 200_000
 _MOST_SPLATS = 1_000_000  # that the views have which are rendered at a time, so that threads wait less for each other
-_SHEET_VIEWS, _SHEET_WIDTH_PX = 12, 1920
+SHEET_VIEWS, SHEET_WIDTH_PX = 12, 1920
 
 
 def write_preview(
-    folder: str | Path,
-    image: np.ndarray,
-    gaussians: Gaussians,
-    panel: Panel,
-    rig: Rig,
-    background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    antialiased: bool = False,
-    view_filter: float = 0.0,
+    folder: str | Path, image: np.ndarray, gaussians: Gaussians, panel: Panel, rig: Rig, *drawn_as: Any
 ) -> list[Path]:
     """Write previews of an encoded light field into `folder`, made if absent, and return their paths.
 
@@ -50,11 +43,12 @@ def write_preview(
     look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, for eyes 63 mm apart at the viewing distance. If
     the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
-    Views are rendered at a reduced size; antialiased, view_filter: see `encode`. Raises InputError.
+    Views are rendered at a reduced size. drawn_as: background, antialiased and view_filter, as in look_around. Raises
+    InputError.
     """
     folder = make_folder(folder)
     paths = [folder / name for name in FILES[:3]]
-    frames = look_around(gaussians, panel, rig, background, antialiased, view_filter)
+    frames = look_around(gaussians, panel, rig, *drawn_as)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
         write_image(paths[0], contact_sheet(frames))
@@ -113,11 +107,10 @@ def contact_sheet(frames: list[np.ndarray]) -> np.ndarray:
 
     height, width = frames[0].shape[:2]
     columns = 4 if width >= height else 6
-    scale = min(1.0, _SHEET_WIDTH_PX / columns / width)
+    scale = min(1.0, SHEET_WIDTH_PX / columns / width)
     size = max(1, round(scale * width)), max(1, round(scale * height))
-    chosen = np.linspace(0, len(frames) - 1, _SHEET_VIEWS).round().astype(int)
-    views = [np.asarray(Image.fromarray(frames[i]).resize(size, Image.Resampling.BOX)) for i in chosen]
-    return np.concatenate([np.concatenate(views[i : i + columns], 1) for i in range(0, len(views), columns)])
+    chosen = np.linspace(0, len(frames) - 1, SHEET_VIEWS).round().astype(int)
+    return in_rows([np.asarray(Image.fromarray(frames[i]).resize(size, Image.Resampling.BOX)) for i in chosen], columns)
 
 
 def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
@@ -139,24 +132,16 @@ def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
     from PIL import Image
 
     images = [Image.fromarray(frame) for frame in [*frames, *frames[-2:0:-1]]]
+    loop: dict[str, Any] = dict(save_all=True, append_images=images[1:], duration=round(_LOOP_MS / len(images)), loop=0)
     with atomic_path(path) as temporary:
-        images[0].save(
-            temporary,
-            save_all=True,
-            append_images=images[1:],
-            duration=round(_LOOP_MS / len(images)),
-            loop=0,
-            quality=_WEBP_QUALITY,
-            method=2,
-        )
+        images[0].save(temporary, quality=_WEBP_QUALITY, method=2, **loop)
 
 
 _PAGE = Path(__file__).parent / "page" / "files" / "look_around.html"
-_WEBP_QUALITY = 85
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
-    """Writes frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one of them at a time.
+    """Write frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one frame at a time.
 
     The frames are in the file as WebP. Raises InputError where it cannot be written.
     """
@@ -170,16 +155,25 @@ def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: st
 
 
 def _data_url(frame: np.ndarray) -> str:
+    data = image_bytes(frame, "WEBP", quality=_WEBP_QUALITY, method=2)
+    return f"data:image/webp;base64,{base64.b64encode(data).decode()}"
+
+
+def image_bytes(pixels: np.ndarray, kind: str, **options: int) -> bytes:
+    """A file of uint8 [H, W, 3] in memory, by Pillow. It says nothing of its colours: browsers show the bytes as they
+    are."""
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(frame).save(file, "WEBP", quality=_WEBP_QUALITY, method=2)
-    return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
+    Image.fromarray(pixels).save(file, kind, **options)
+    return file.getvalue()
 
 
 def in_rows(pictures: Sequence[np.ndarray], columns: int = 4) -> np.ndarray:
-    """One or more pictures [h, w, 3] in rows of `columns`, from the left and from the top; what is left of the last row
-    is black. A single picture stays as it is."""
+    """Return one or more pictures [h, w, 3] in rows of `columns`, from the left and from the top.
+
+    The rest of the last row is black. A single picture stays as it is.
+    """
     columns = min(columns, len(pictures))
     missing = -len(pictures) % columns
     every = [*pictures, *[np.zeros_like(pictures[0])] * missing]

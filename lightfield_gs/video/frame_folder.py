@@ -18,8 +18,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression
 from lightfield_gs.io.atomic import check_folder, make_folder, remove_dead, remove_file
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.png import CompressedImage
-from lightfield_gs.io.png_cuda import fetch_image
+from lightfield_gs.io.png import CompressedImage, fetch_image
 from lightfield_gs.io.text_files import read_object, write_json
 
 MANIFEST = "frames.json"

@@ -218,7 +218,7 @@ def _check_gaps(folder: Path, values: Sequence[Fraction]) -> None:
 
 
 def _grid(folder: Path, names: list[_Name], varying: list[int]) -> Grid | None:
-    """Return the grid by two numbers, row and column, of which (nearly) all pairs exist; None where there are none."""
+    """Return the grid by two numbers, row and column, if (nearly) all their pairs exist; else None."""
     columns = {}
     for k in varying:
         parts = [name.parts[k] for name in names]

@@ -1,4 +1,4 @@
-"""Folders with a picture for each view, and light fields, of which one row is taken.
+"""Folders with a picture for each view, and one row of a light field.
 
 Layouts:
     A row of pictures, by the number that varies in their names.

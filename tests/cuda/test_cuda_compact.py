@@ -13,7 +13,7 @@ from test_cuda import BACKGROUND, LENS, PANELS, far_apart, on_gpu, rig, scene_of
 
 from lightfield_gs import Encoder, InputError, Panel, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, with_harmonics
-from lightfield_gs.panels.lens import lenticular_camera
+from lightfield_gs.panels.rig import lenticular_camera
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT

@@ -14,7 +14,6 @@ from torch import Tensor
 from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 from lightfield_gs.panels.panel import DEFAULT_PANEL
-from lightfield_gs.rasterizer.quality import QUALITIES
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {
@@ -297,7 +296,7 @@ def needles() -> tuple[Gaussians, Panel, Rig]:
     return Gaussians(*(torch.cat(part) for part in parts)), panel, rig_of(panel)
 
 
-WIDE_QUALITY = replace(QUALITIES["high"], evaluation_error=0.0)  # a lattice, and nothing in halves
+WIDE_QUALITY = replace(Quality.of("high"), evaluation_error=0.0)  # a lattice, and nothing in halves
 
 
 def wide_rig() -> tuple[Gaussians, Panel, Rig]:

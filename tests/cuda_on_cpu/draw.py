@@ -29,8 +29,8 @@ import torch
 
 import lightfield_gs
 from lightfield_gs.models import unet
-from lightfield_gs.panels.lens import lenticular_camera
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.rig import lenticular_camera
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality

@@ -24,14 +24,10 @@ torch.cuda.Event = lambda: types.SimpleNamespace(record=lambda: None, synchroniz
 def use_cuda_stages() -> None:
     """Tensors on the CPU go through the CUDA stages, on one thread."""
     from lightfield_gs.encoding import sorted, sorted_plan
-    from lightfield_gs.rasterizer import direct, image_operators, image_render
-    from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
-
-    def workspace(scene, size, stats, threads, state=None):
-        return CudaWorkspace(scene, size, stats, state)
+    from lightfield_gs.rasterizer import image_operators, workspace_cuda
 
     tile = sorted_plan._tile
-    image_render.make_workspace = direct.make_workspace = workspace
+    workspace_cuda.WORKSPACES["cpu"] = workspace_cuda.CudaWorkspace
     image_operators._is_for_cuda = lambda means: True
     sorted_plan._tile = lambda views, width_px, _: tile(views, width_px, "cuda")
     sorted._CpuStages = lambda scene, plan, threads: sorted.CudaStages(scene, plan)

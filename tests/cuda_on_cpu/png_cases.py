@@ -6,8 +6,7 @@ import numpy as np
 import torch
 
 from lightfield_gs.io.images import read_image, write_image
-from lightfield_gs.io.png import CompressedImage
-from lightfield_gs.io.png_cuda import compressed_image, deflate
+from lightfield_gs.io.png import CompressedImage, compressed_image, deflate
 
 RNG = np.random.default_rng(11)
 SEGMENT, PIECE = 128, 96 * 128  # of a row, in csrc/cuda/png/deflate.cu

@@ -12,8 +12,7 @@ from rasterizer_cases import all_subpixels, dense_views, panel, projected, rando
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference, render
 from lightfield_gs.io.images import read_image, read_info
-from lightfield_gs.panels.lens import lenticular_camera
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.preview import contact_sheet, look_around

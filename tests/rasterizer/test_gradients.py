@@ -5,7 +5,7 @@ import torch
 from rasterizer_cases import dense_views, panel, projected, random_scene, rig, stacked
 
 from lightfield_gs import InputError, encode, reference
-from lightfield_gs.panels.lens import lenticular_camera
+from lightfield_gs.panels.rig import lenticular_camera
 from lightfield_gs.scene.gaussians import Gaussians
 
 GAUSSIANS = ("means", "quaternions", "scales", "opacities", "sh")

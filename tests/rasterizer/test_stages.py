@@ -6,7 +6,7 @@ import torch
 from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import _core, encode, reference, render
-from lightfield_gs.panels.lens import panel_lens
+from lightfield_gs.panels.panel import panel_lens
 from lightfield_gs.rasterizer.quality import EXACT
 from lightfield_gs.reference.blend import Eye, Projection, Scene
 from lightfield_gs.scene.cameras import Cameras

@@ -14,8 +14,7 @@ from lightfield_gs import Encoder, InputError, cli, encode, prune, reference
 from lightfield_gs.base.arrays import to_bytes
 from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.io.images import read_image, read_info
-from lightfield_gs.panels.lens import lenticular_camera, view_aperture
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageRender
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.rasterizer.workspace import GradientRequest

@@ -37,19 +37,24 @@ class Batch:
 
 
 def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) -> Batch:
-    """Return the batch of a plan, on the device of the views: stored views first, then procedural objects.
+    """Return the batch of a plan, on the device of the views: stored views, then procedural objects, then meshes.
 
-    The host waits only where a block of procedural objects begins (see training/data/procedural.py).
+    The host waits only where a block of procedural objects begins (see training/data/procedural.py), and for meshes.
 
     Args:
         compiled: Use a few kernels that torch.compile makes for these sizes, in place of hundreds of operations.
     """
     plan = on_device(plan, views.device)
-    stored = dataclasses.replace(plan, procedural=None, photo=None)  # what else it has must not be compiled for
-    batch = Batch(*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds)
+    made = []
+    if len(plan.rectangles):
+        # What else the plan has must not be compiled for
+        stored = dataclasses.replace(plan, procedural=None, meshes=None, photo=None)
+        made.append((*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds))
     if plan.procedural is not None:
-        made = plan.procedural.drawn(views.device, compiled)
-        batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), made)))
+        made.append(plan.procedural.drawn(views.device, compiled))
+    if plan.meshes is not None:
+        made.append(plan.meshes.drawn())
+    batch = Batch(*(torch.cat(fields) if len(made) > 1 else fields[0] for fields in zip(*made)))
     if plan.photo is not None:
         batch.source = fused(photographed, compiled)(batch.source, plan.photo)
     return batch

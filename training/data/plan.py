@@ -22,6 +22,7 @@ from training.data.procedural_plan import NUMBERS, draw_objects, rotation
 from training.data.resident import ResidentViews
 from training.data.sampler import Choice, ViewSampler
 from training.data.textures import Photographs
+from training.meshes.scenes import Framing, MeshPlan, MeshScenes
 from training.ranges import check_ranges
 
 
@@ -88,7 +89,8 @@ class BatchPlan:
         [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4]; the world is the source camera's
         axes. backgrounds: [B,V,3]. source_px, target_px: sides of the input pictures and of the targets. taps: the most
         pixels of a frame along an axis that one pixel of an image is made of, in any step of these sizes. procedural:
-        the examples after these, if any. photo: the faults of the input pictures of both, if any.
+        the examples after these, if any. meshes: the examples after those, if any. photo: the faults of all input
+        pictures, if any.
     """
 
     rectangles: Tensor
@@ -108,6 +110,7 @@ class BatchPlan:
     taps: int
 
     procedural: ProceduralExamples | None
+    meshes: MeshPlan | None
     photo: PhotoPlan | None
 
 
@@ -135,6 +138,7 @@ class BatchPlanner:
         partners: For each of these objects the number of the object whose views are its targets; None: its own.
         procedural: Fraction of the examples, 0..1, that show procedural objects in place of the sampler's.
         photographs: Skins of the procedural objects.
+        meshes: Scenes of the examples that show meshes; None: no example does.
     """
 
     def __init__(
@@ -145,8 +149,10 @@ class BatchPlanner:
         partners: np.ndarray | None = None,
         procedural: float = 0.0,
         photographs: Photographs | None = None,
+        meshes: MeshScenes | None = None,
     ) -> None:
         self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
+        self._meshes = meshes
         self._photographs = photographs
         self._first_target = views.first_view if partners is None else views.first_view[partners]
         self._window_px = tuple(int(views.rectangles[:, side].max(initial=1)) for side in (4, 3))
@@ -165,15 +171,27 @@ class BatchPlanner:
             share: The wanted examples; whatever it is, example i of the step is the same.
         """
         sizes, made = (source_px, target_px or source_px), made_up(count, self.procedural)
-        new, old = (np.arange(count)[share][chosen[share]] for chosen in (made, ~made))
+        meshes = made_up(count, self._meshes.options.fraction if self._meshes else 0)
+        kinds = (made & ~meshes, meshes, ~made & ~meshes)
+        new, rendered, old = (np.arange(count)[share][chosen[share]] for chosen in kinds)
         drawn = self._draw(step, count, old)
         return self._plan_views(
             self.sampler.draw(step, start, count, old),
             drawn,
             sizes,
             procedural=self._made(step, count, new, sizes),
-            photo=self._faults(step, count, np.concatenate([old, new])),
+            meshes=self._rendered(step, count, rendered, sizes),
+            photo=self._faults(step, count, np.concatenate([old, new, rendered])),
         )
+
+    def _rendered(self, step: int, count: int, wanted: np.ndarray, sizes: tuple[int, int]) -> MeshPlan | None:
+        """The examples `wanted` of a step's `count`, rendered from meshes."""
+        if self._meshes is None or not len(wanted):
+            return None
+        drawn = self._draw(step, count, wanted)
+        mirror = drawn["mirror"][:, 0] < self.augmentation.mirror
+        framing = Framing(*self._framing(drawn), self._backgrounds(drawn), mirror, self.augmentation.colour)
+        return self._meshes.plan(self.sampler.rng(step, 5), wanted, count, sizes, framing)
 
     def _made(self, step: int, count: int, wanted: np.ndarray, sizes: tuple[int, int]) -> ProceduralExamples | None:
         """The examples `wanted` of a step's `count`, of the block that they are drawn with."""

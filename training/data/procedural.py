@@ -192,15 +192,7 @@ def _visible(surfels: dict[str, Tensor], plan: ProceduralPlan, compiled: bool = 
 def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor, Tensor]:
     """Colours [B,N,3] without light, two of a part mixed by its pattern or those of its skin, and gloss [B,N]."""
     look = named(_gathered(plan.looks, surfels["part"]), LOOK)
-    waves = look["waves"].unflatten(-1, (3, 3))
-    phase = (waves * surfels["local"][..., None, :]).sum(-1) + look["phases"]
-    first, second, third = phase.sin().unbind(-1)
-    gradient = (0.1 * phase[..., 0]).sin()
-    veins = (phase[..., 0] + 2 * (phase[..., 1] + 2 * third).sin()).sin()
-    facing = (surfels["normal"] * F.normalize(waves[..., 0, :], dim=-1)).sum(-1)
-    values = torch.stack([torch.full_like(first, -10), gradient, first, first * second * third, veins, facing], -1)
-    weight = torch.sigmoid(look["contrast"] * (values * look["weights"]).sum(-1))
-    colours = torch.lerp(look["base"], look["second"], weight[..., None])
+    colours = pattern_colours(look, surfels["local"], surfels["normal"])
     if plan.photographs is not None:
         skin = _gathered(plan.skins, surfels["part"])
         matrix = _gathered(plan.cells, surfels["part"])[..., : CELLS["matrix"]].unflatten(-1, (3, 3))
@@ -209,6 +201,24 @@ def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor,
         skinned = worn(skin, pieces, surfels["local"], facing, look["base"], look["second"])
         colours = torch.lerp(colours, skinned, named(skin, SKIN)["share"][..., None])
     return colours, look["gloss"]
+
+
+def pattern_colours(look: dict[str, Tensor], local: Tensor, normal: Tensor) -> Tensor:
+    """Return colours [...,3] of points [...,3] in the axes of a part: its two colours, mixed by its pattern.
+
+    Args:
+        look: The numbers of LOOK at each point.
+        normal: [...,3], unit.
+    """
+    waves = look["waves"].unflatten(-1, (3, 3))
+    phase = (waves * local[..., None, :]).sum(-1) + look["phases"]
+    first, second, third = phase.sin().unbind(-1)
+    gradient = (0.1 * phase[..., 0]).sin()
+    veins = (phase[..., 0] + 2 * (phase[..., 1] + 2 * third).sin()).sin()
+    facing = (normal * F.normalize(waves[..., 0, :], dim=-1)).sum(-1)
+    values = torch.stack([torch.full_like(first, -10), gradient, first, first * second * third, veins, facing], -1)
+    weight = torch.sigmoid(look["contrast"] * (values * look["weights"]).sum(-1))
+    return torch.lerp(look["base"], look["second"], weight[..., None])
 
 
 def _lit(colours: Tensor, gloss: Tensor, normal: Tensor, light: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from training.data.textures import SKIN, Photographs, draw_skin
 from training.data.uniform import Numbers
 
 DISTANCE = 1.3  # from the source camera to the object's middle, scene units, as in the project's data
-_PARTS, _GROUPS = 12, 6
+_PARTS, GROUPS = 12, 6
 # Surfels of an object for each pixel of an image, half of them unseen; more than the limit would make no difference.
 _SURFELS_PER_PX, _MOST_SURFELS = 5, 160_000
 # Numbers of a part's cells. sense: determinant of its matrix. start: cells of the object's parts before it. columns:
@@ -100,30 +100,30 @@ def orbit(azimuth: np.ndarray, elevation: np.ndarray, tilt: np.ndarray, roll: np
 
 def _groups(u: Numbers) -> dict[str, np.ndarray]:
     """Groups of equal parts, [B,G,...]: how many copies (1, 2 mirrored, 4), half axes, shape; the first is the body."""
-    first = np.arange(_GROUPS) == 0
-    copies = np.where(first, 1, u.chosen([1, 2, 4], [0.5, 0.25, 0.25], _GROUPS))
-    active = np.arange(_GROUPS) < 1 + np.floor(_GROUPS * u(1) ** 0.7)
-    kind = np.where(first, u.chosen([0, 1, 2], [0.7, 0.2, 0.1], _GROUPS), u.chosen([0, 1, 2], [0.4, 0.3, 0.3], _GROUPS))
-    size = np.where(first, 1, np.exp(u.between(np.log(0.2), np.log(0.8), _GROUPS)))
-    half = np.exp(u.between(-0.5, 0.5, _GROUPS, 3)) * size[..., None]
-    odd = np.eye(3, dtype=bool)[u.chosen([0, 1, 2], [0.3, 0.4, 0.3], _GROUPS)]  # a stick's length, a plate's thickness
-    thin = u.between(0.06, 0.25, _GROUPS, 1)
+    first = np.arange(GROUPS) == 0
+    copies = np.where(first, 1, u.chosen([1, 2, 4], [0.5, 0.25, 0.25], GROUPS))
+    active = np.arange(GROUPS) < 1 + np.floor(GROUPS * u(1) ** 0.7)
+    kind = np.where(first, u.chosen([0, 1, 2], [0.7, 0.2, 0.1], GROUPS), u.chosen([0, 1, 2], [0.4, 0.3, 0.3], GROUPS))
+    size = np.where(first, 1, np.exp(u.between(np.log(0.2), np.log(0.8), GROUPS)))
+    half = np.exp(u.between(-0.5, 0.5, GROUPS, 3)) * size[..., None]
+    odd = np.eye(3, dtype=bool)[u.chosen([0, 1, 2], [0.3, 0.4, 0.3], GROUPS)]  # a stick's length, a plate's thickness
+    thin = u.between(0.06, 0.25, GROUPS, 1)
     half = np.where((kind == 1)[..., None] & odd, thin * half, half)
     half = np.where((kind == 2)[..., None] & ~odd, 0.6 * thin * half, half)
-    upright = (u(_GROUPS) < 0.6) & (kind == 0)
-    axis = np.where(upright, 1, np.where(u(_GROUPS) < 0.8, odd.argmax(-1), np.floor(3 * u(_GROUPS)))).astype(int)
-    section = u.chosen([2, 3, 8, 1.2], [0.45, 0.1, 0.4, 0.05], _GROUPS)
+    upright = (u(GROUPS) < 0.6) & (kind == 0)
+    axis = np.where(upright, 1, np.where(u(GROUPS) < 0.8, odd.argmax(-1), np.floor(3 * u(GROUPS)))).astype(int)
+    section = u.chosen([2, 3, 8, 1.2], [0.45, 0.1, 0.4, 0.05], GROUPS)
     round_ = section < 3
-    hole = np.where(round_ & (u(_GROUPS) < 0.25), u.between(0.55, 0.92, _GROUPS), 0)
-    taper = np.where(u(_GROUPS) < 0.4, u.between(-0.85, 0.85, _GROUPS), 0)
-    wave = np.where(round_ & (u(_GROUPS) < 0.3), u.between(-0.4, 0.4, _GROUPS), 0) * (1 - np.abs(taper))
+    hole = np.where(round_ & (u(GROUPS) < 0.25), u.between(0.55, 0.92, GROUPS), 0)
+    taper = np.where(u(GROUPS) < 0.4, u.between(-0.85, 0.85, GROUPS), 0)
+    wave = np.where(round_ & (u(GROUPS) < 0.3), u.between(-0.4, 0.4, GROUPS), 0) * (1 - np.abs(taper))
     order = (axis[..., None] + (1, 2, 0)) % 3
     local = np.take_along_axis(half, order, -1)
     steepest = np.minimum(1, local[..., 2] / local[..., :2].max(-1))  # else a plate's border would lie in few cells
     taper, wave = taper * steepest, wave * steepest
-    bend = np.where((kind == 2) & (u(_GROUPS) < 0.4), u.between(-0.6, 0.6, _GROUPS), 0)
-    tilted = (u(_GROUPS) < 0.3) & ~first
-    turns = np.where(tilted[..., None], u.between(-0.5, 0.5, _GROUPS, 2), 0)
+    bend = np.where((kind == 2) & (u(GROUPS) < 0.4), u.between(-0.6, 0.6, GROUPS), 0)
+    tilted = (u(GROUPS) < 0.3) & ~first
+    turns = np.where(tilted[..., None], u.between(-0.5, 0.5, GROUPS, 2), 0)
     basis = np.swapaxes(np.eye(3)[order], -1, -2)  # columns: the local axes in those of the object
     basis = rotation(0, turns[..., 0]) @ rotation(2, turns[..., 1]) @ basis
     reach = local.copy()
@@ -136,19 +136,19 @@ def _groups(u: Numbers) -> dict[str, np.ndarray]:
         "basis": basis,
         "box": box,
         "section": section,
-        "profile": u.chosen([2, 4, 10, 1.2], [0.25, 0.15, 0.5, 0.1], _GROUPS),
+        "profile": u.chosen([2, 4, 10, 1.2], [0.25, 0.15, 0.5, 0.1], GROUPS),
         "hole": hole,
         "taper": taper,
         "wave": wave,
-        "waves": u.between(1.5, 7, _GROUPS),
+        "waves": u.between(1.5, 7, GROUPS),
         "bend": bend * local[..., 2],
     }
 
 
 def _placed(u: Numbers, groups: dict[str, np.ndarray]) -> np.ndarray:
     """Centres [B,G,3] of the first copies: each group touches an earlier one; those with mirrored copies the body."""
-    rows, centre, box = np.arange(u.count), np.zeros((u.count, _GROUPS, 3)), groups["box"]
-    for group in range(1, _GROUPS):
+    rows, centre, box = np.arange(u.count), np.zeros((u.count, GROUPS, 3)), groups["box"]
+    for group in range(1, GROUPS):
         copies = groups["copies"][:, group]
         parent = np.floor(group * u()).astype(int)
         parent = np.where((copies == 1) & (groups["copies"][rows, parent] == 1), parent, 0)
@@ -184,7 +184,7 @@ def _parts(u: Numbers, further: Numbers | None) -> dict[str, np.ndarray]:
     ends = np.cumsum(groups["copies"], 1)
     slot = np.arange(_PARTS)
     group = (ends[:, None] <= slot[:, None]).sum(-1)
-    exists, group = group < _GROUPS, np.minimum(group, _GROUPS - 1)
+    exists, group = group < GROUPS, np.minimum(group, GROUPS - 1)
     parts = {
         name: np.take_along_axis(values, group.reshape(*group.shape, *[1] * (values.ndim - 2)), 1)
         for name, values in groups.items()
@@ -246,22 +246,26 @@ def _curve(points: Callable[[dict[str, Tensor], Tensor], Tensor], parts: dict[st
     return torch.cat([middle, after - before], -1)
 
 
-def _looks(u: Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
-    """[B,P,F] in the order of LOOK; all parts of a group look alike, and take their colours from one palette."""
+def draw_looks(u: Numbers) -> np.ndarray:
+    """Return looks [B,GROUPS,F] in the order of LOOK, of one palette; waves are per half length of a part."""
     palette = u(5, 3) ** 0.7  # about as bright as what people make
     grey = palette.mean(-1, keepdims=True)
     palette = np.clip(grey + (palette - grey) * u.between(0, 1.6, 1, 1), 0.02, 0.98)
-    base, second = (np.take_along_axis(palette, np.floor(5 * u(_GROUPS, 1)).astype(int), 1) for _ in range(2))
-    second = base + (second - base) * u.between(0.2, 1, _GROUPS, 1)
-    directions = np.where(u(_GROUPS, 3, 1) < 0.7, np.eye(3), u.between(-1, 1, _GROUPS, 3, 3))
-    waves = directions * np.exp(u.between(np.log(8), np.log(90), _GROUPS, 1, 1))
-    weights = np.eye(LOOK["weights"])[u.chosen(list(range(6)), [0.3, 0.15, 0.15, 0.15, 0.15, 0.1], _GROUPS)]
-    contrast = np.exp(u.between(0, 3, _GROUPS, 1))
-    gloss = np.where(u(_GROUPS, 1) < 0.4, u.between(0, 0.5, _GROUPS, 1), 0)
-    table = np.concatenate(
-        [base, second, waves.reshape(*waves.shape[:2], 9), u.between(0, 6.28, _GROUPS, 3), weights, contrast, gloss], -1
+    base, second = (np.take_along_axis(palette, np.floor(5 * u(GROUPS, 1)).astype(int), 1) for _ in range(2))
+    second = base + (second - base) * u.between(0.2, 1, GROUPS, 1)
+    directions = np.where(u(GROUPS, 3, 1) < 0.7, np.eye(3), u.between(-1, 1, GROUPS, 3, 3))
+    waves = directions * np.exp(u.between(np.log(8), np.log(90), GROUPS, 1, 1))
+    weights = np.eye(LOOK["weights"])[u.chosen(list(range(6)), [0.3, 0.15, 0.15, 0.15, 0.15, 0.1], GROUPS)]
+    contrast = np.exp(u.between(0, 3, GROUPS, 1))
+    gloss = np.where(u(GROUPS, 1) < 0.4, u.between(0, 0.5, GROUPS, 1), 0)
+    return np.concatenate(
+        [base, second, waves.reshape(*waves.shape[:2], 9), u.between(0, 6.28, GROUPS, 3), weights, contrast, gloss], -1
     )
-    table = np.take_along_axis(table, parts["group"][..., None], 1)
+
+
+def _looks(u: Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
+    """[B,P,F] in the order of LOOK; all parts of a group look alike, and take their colours from one palette."""
+    table = np.take_along_axis(draw_looks(u), parts["group"][..., None], 1)
     table[..., 6:15] /= parts["half"].max(-1, keepdims=True)
     return table
 
@@ -272,7 +276,7 @@ def _skins(
     """reliefs and skins of the plan."""
     if further is None or photographs is None:
         return tuple(np.zeros((*parts["exists"].shape, sum(layout.values()))) for layout in (RELIEF, SKIN))
-    return draw_relief(further, parts), draw_skin(further, parts["group"], _GROUPS, photographs)
+    return draw_relief(further, parts), draw_skin(further, parts["group"], GROUPS, photographs)
 
 
 def draw_objects(

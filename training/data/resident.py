@@ -10,7 +10,7 @@ from training.data.cache import CachedSet
 
 
 class ResidentViews:
-    """The O objects of all sets and their M views: pixels on a device, everything else on the host.
+    """The O objects of all sets and their M views, or none: pixels on a device, everything else on the host.
 
     Attributes:
         first_view: [O], number of each object's view 0.
@@ -24,14 +24,16 @@ class ResidentViews:
         self.first_view = np.cumsum([0, *counts[:-1]])
         self.widths_px = np.repeat([views.width_px for views in objects], counts)
         self.squares, self.camera_to_world, self.intrinsics = (
-            np.concatenate([getattr(views, name) for views in objects])
-            for name in ("squares", "camera_to_world", "intrinsics")
+            np.concatenate([getattr(views, name) for views in objects]) if objects else np.zeros((0, *shape))
+            for name, *shape in (("squares", 3), ("camera_to_world", 4, 4), ("intrinsics", 4))
         )
         starts = np.cumsum([0, *(len(cached.pixels) for cached in sets[:-1])])
-        self.rectangles = np.concatenate(
-            [views.rectangles + [start, 0, 0, 0, 0] for start, cached in zip(starts, sets) for views in cached.objects]
-        )
-        self._pixels = torch.cat([torch.from_numpy(cached.pixels) for cached in sets]).to(device)
+        placed = [
+            views.rectangles + [start, 0, 0, 0, 0] for start, cached in zip(starts, sets) for views in cached.objects
+        ]
+        self.rectangles = np.concatenate(placed) if placed else np.zeros((0, 5), np.int64)
+        pixels = [torch.from_numpy(cached.pixels) for cached in sets]
+        self._pixels = (torch.cat(pixels) if pixels else torch.zeros(0, dtype=torch.int32)).to(device)
 
     @property
     def device(self) -> torch.device:

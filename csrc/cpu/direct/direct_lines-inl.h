@@ -28,7 +28,7 @@ class DirectLines {
   // lane.
   static constexpr bool pays(int lens_columns) { return kLanes >= 4 && lens_columns >= kLine / 2; }
 
-  // Transpose `samples`, [patch][lens_column][lane], into `lines`, which has room for four bytes a sample.
+  // Transpose `samples`, [patch][lens_column][lane], into `lines`, which holds four bytes a sample.
   DirectLines(const DirectTile<T>& tile, const uint8_t* samples, uint8_t* lines)
       : tile_(tile), lines_(lines), blocks_((tile.lens_columns() + kLine - 1) / kLine) {
     for (int64_t p = 0; p < tile.patches(); ++p)

@@ -267,17 +267,17 @@ class LatticeErrors {
   using V = hn::Vec<D>;
   static constexpr int kLanes = LatticeNodes::kLanes;
 
-  // Make room for the errors at the middles that this plan has.
+  // Allocate the errors at the middles of this plan.
   void lay(const LatticePlan& middles) {
     cells_ = middles.across, down_ = middles.down, planes_ = middles.planes;
-    // Room at both ends of rows: for cells beside a node beyond the samples, and for the rest of a vector
+    // Spare entries at both ends of rows: for cells beside a node beyond the samples, and for the rest of a vector
     spare_ = 2 * middles.margin + kLanes + 1, wide_ = cells_ + 2 * spare_;
     errors_.resize(size_t(3 * planes_ * down_) * size_t(wide_));
   }
   float* row(int channel, int plane, int row) {
     return errors_.data() + size_t((channel * planes_ + plane) * down_ + row) * size_t(wide_) + spare_;
   }
-  // Fill the room beyond the ends of rows with the errors at the ends.
+  // Fill the spare entries of rows with the errors at the ends.
   void widen() {
     for (float* row = errors_.data() + spare_; row < errors_.data() + errors_.size(); row += wide_)
       std::fill_n(row - spare_, spare_, row[0]), std::fill_n(row + cells_, spare_, row[cells_ - 1]);

@@ -24,13 +24,13 @@ struct LensLayout {
   int lens_columns = 1;  // most sub-pixels in a cell
   int cells_per_tile = 16;
   double s_start = 0, s_step = 0;  // normalized offset s = s_start + s_step * x, in [-1, 1]
-  // The offsets of samples at lens column t are within half_s of s_of_column_0 + t * s_per_column.
+  // Samples at lens column t have offsets within half_s of s_of_column_0 + t * s_per_column
   double s_of_column_0 = 0, s_per_column = 0, half_s = 0;
   double x_per_column = 1;  // pixels from one lens column to the next; 1 where there is one lens column only
   float half_patch_px = 0;  // half spread in x of a patch's samples at one lens column, within a row
-  // For panels whose sub-pixels do not stand in stripes: the largest distance of a sub-pixel from its stripe, in
-  // sub-pixels. `lead`: the number of sub-pixels before the first stripe of a lens, and after its last, that may belong
-  // to the lens.
+  // For panels whose sub-pixels do not stand in stripes. `beyond`: the largest distance of a sub-pixel from its stripe,
+  // in sub-pixels. `lead`: how many sub-pixels before the first stripe of a lens may belong to it, and how many after
+  // its last.
   double beyond = 0;
   int lead = 0;
 

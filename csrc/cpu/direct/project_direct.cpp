@@ -47,7 +47,7 @@ double project_direct(const Gaussians<const T>& gaussians, const Camera<double>&
     std::vector<dvec3> chebyshev(nodes);
     for (int64_t i = begin; i < end; ++i) {
       // The splat, unless it is pruned or outside the image
-      const Shape<double> shape = load_shape(gaussians, i);
+      const Shape<double> shape = load_shape<double>(gaussians, i);
       Compensation<double> compensation{};
       Splat<double> splat = projected(rig, shape, compensation);
       const bool pruned = least_light > 0 && alpha_integral(splat) < least_light;
@@ -114,7 +114,7 @@ void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<d
       sum_intersections(splat, lens.height_px, first_intersection[i], size, intersection_gradients, sum.data());
 
       // The gradient of the splat, back to the Gaussian
-      const Shape<double> shape = load_shape(gaussians, i);
+      const Shape<double> shape = load_shape<double>(gaussians, i);
       Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
       const Projection<double> projection(rig, shape);
       const Splat<double> g_splat = g_intersection.splat();

@@ -7,7 +7,7 @@
 
 #include "base/config.h"
 #include "base/parallel.h"
-#include "math/fit/ssim.h"
+#include "math/fit/photo_loss.h"
 #include "stages/fit.h"
 
 #undef HWY_TARGET_INCLUDE

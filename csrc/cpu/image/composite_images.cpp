@@ -4,17 +4,13 @@
 // fit). Splats are blended into a tile nearest first.
 #include <algorithm>
 #include <iterator>
-#include <vector>
 
-#include "base/parallel.h"
 #include "cpu/dispatch.h"
-#include "cpu/tile_lists.h"
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "cpu/image/composite_images.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
-#include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "cpu/patches-inl.h"
 #include "math/over-inl.h"
@@ -210,17 +206,7 @@ void CompositeBand(const ImagesJob<T>& job, int64_t item, TileLists& lists, Imag
   const int64_t bands = band_count(job.height_px), image = item / bands, band = item % bands, y0 = band * kBandRows;
   const int64_t tiles = (job.width_px + Tile::kSide - 1) / Tile::kSide;
   const Splat<T>* splats = job.splats.splats + image * job.splats.count;
-  const int64_t begin = job.bins.band_offsets[item], end = job.bins.band_offsets[item + 1];
-
-  // Which splats touch which tile
-  const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
-  lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
-    T left, right;
-    if (!footprint_columns(splats[id], low, high, T(0), left, right)) return {0, -1};
-    const Range pixels = pixels_within(left, right, job.width_px);
-    if (pixels.last < pixels.first) return {0, -1};
-    return {pixels.first / Tile::kSide, pixels.last / Tile::kSide};
-  });
+  ListSplats(job, image, band, Tile::kSide, lists);
   counters.intersections += lists.intersections();
 
   // Tile by tile, splats nearest first
@@ -259,20 +245,10 @@ void CompositeBand(const ImagesJob<T>& job, int64_t item, TileLists& lists, Imag
 
 template <class T>
 Counters CompositeImages(const ImagesJob<T>& job) {
-  const int64_t items = job.splats.images * band_count(job.height_px);
-  std::vector<TileLists> lists(size_t(std::max(job.threads, 1)));
-  std::vector<Counters> counters(lists.size());
-  auto tiles = hwy::MakeUniqueAlignedArray<ImageTile<T>>(lists.size());
-  parallel_for(items, job.threads, [&](int64_t item, int worker) {
-    const size_t w = size_t(worker);
-    CompositeBand(job, item, lists[w], tiles[w], counters[w]);
-  });
-  Counters sum;
-  for (size_t w = 0; w < lists.size(); ++w) {
-    sum += counters[w];
-    sum.scratch_bytes += lists[w].bytes() + int64_t(sizeof(ImageTile<T>));
-  }
-  return sum;
+  return CompositeItems<ImageTile<T>>(job.splats.images * band_count(job.height_px), job.threads,
+                                      [&](int64_t item, TileLists& lists, ImageTile<T>& tile, Counters& counters) {
+                                        CompositeBand(job, item, lists, tile, counters);
+                                      });
 }
 
 LFGS_FOR_EVERY_TARGET(CompositeImages, ImagesJob)

@@ -21,7 +21,7 @@ void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& camer
     const Camera<double> camera = cameras.camera(image);
     const dvec3 eye = camera.centre();
     for (int64_t i = begin; i < end; ++i) {
-      const Shape<double> shape = load_shape(scene, i);
+      const Shape<double> shape = load_shape<double>(scene, i);
       Compensation<double> unused;
       Splat<double> splat = projected(camera, shape, unused);
       cull_outside(splat, cameras.width_px, cameras.height_px);
@@ -67,7 +67,7 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
                           sum.data());
 
         // From the splat to the Gaussian and the camera
-        const Shape<double> shape = load_shape(scene, i);
+        const Shape<double> shape = load_shape<double>(scene, i);
         Shape<double>& g = over_views[i - begin];
         const Projection<double> projection(camera, shape);
         Splat<double> g_splat = g_intersection.splat();
@@ -95,7 +95,7 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
       g_camera.rotation += glm::outerProduct(-camera.translation, g_eye);
       g_camera.translation -= camera.rotation * g_eye;
     }
-    for (int64_t i = begin; i < end; ++i) add_gradient(load_shape(scene, i), over_views[i - begin], g_scene, i);
+    for (int64_t i = begin; i < end; ++i) add_gradient(load_shape<double>(scene, i), over_views[i - begin], g_scene, i);
   });
 
   // Gradients of the cameras, summed over chunks

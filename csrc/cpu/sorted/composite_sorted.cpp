@@ -7,16 +7,13 @@
 #include <vector>
 
 #include "base/error.h"
-#include "base/parallel.h"
 #include "cpu/dispatch.h"
-#include "cpu/tile_lists.h"
 #include "math/saturate.h"
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "cpu/sorted/composite_sorted.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
-#include "hwy/aligned_allocator.h"
 #include "hwy/cache_control.h"
 #include "hwy/highway.h"
 #include "cpu/patches-inl.h"
@@ -131,16 +128,7 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   const int64_t begin = job.bins.band_offsets[item], end = job.bins.band_offsets[item + 1];
   // The splats lie anywhere in memory. Ask for all at once, rather than wait for one after the other.
   for (int64_t k = begin; k < end; ++k) hwy::Prefetch(splats + job.bins.band_splats[k]);
-
-  // Which splats touch which tile
-  const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
-  lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
-    T left, right;
-    if (!footprint_columns(splats[id], low, high, T(0), left, right)) return {0, -1};
-    const Range pixels = pixels_within(left, right, job.width_px);
-    if (pixels.last < pixels.first) return {0, -1};
-    return {pixels.first / tile.width_px, pixels.last / tile.width_px};
-  });
+  ListSplats(job, image, band, tile.width_px, lists);
   counters.intersections += lists.intersections();
 
   // Tile by tile and batch by batch, splats nearest first
@@ -182,25 +170,15 @@ template <class T>
 Counters CompositeSorted(const SortedJob<T>& job) {
   const std::vector<int64_t> groups = HeaviestFirst(job);
   const int64_t views = job.splats.images, bands = band_count(job.height_px);
-
-  // Memory and counters of each worker
-  std::vector<TileLists> lists(size_t(std::max(job.threads, 1)));
-  std::vector<Counters> counters(lists.size());
-  auto batches = hwy::MakeUniqueAlignedArray<SubpixelBatch<T>>(lists.size());
-
   // All views of a group of bands before the next, for they write to the same lines of the image
-  parallel_for(int64_t(groups.size()) * views, job.threads, [&](int64_t item, int worker) {
-    const size_t w = size_t(worker);
-    const int64_t first = groups[size_t(item / views)] * kBandsPerItem;
-    for (int64_t band = first; band < std::min(first + kBandsPerItem, bands); ++band)
-      CompositeBand(job, item % views, band, lists[w], batches[w], counters[w]);
-  });
-  Counters sum;
-  sum.scratch_bytes = int64_t(2 * groups.size() * sizeof(int64_t));
-  for (size_t w = 0; w < lists.size(); ++w) {
-    sum += counters[w];
-    sum.scratch_bytes += lists[w].bytes() + int64_t(sizeof(SubpixelBatch<T>));
-  }
+  Counters sum = CompositeItems<SubpixelBatch<T>>(
+      int64_t(groups.size()) * views, job.threads,
+      [&](int64_t item, TileLists& lists, SubpixelBatch<T>& batch, Counters& counters) {
+        const int64_t first = groups[size_t(item / views)] * kBandsPerItem;
+        for (int64_t band = first; band < std::min(first + kBandsPerItem, bands); ++band)
+          CompositeBand(job, item % views, band, lists, batch, counters);
+      });
+  sum.scratch_bytes += int64_t(2 * groups.size() * sizeof(int64_t));
   return sum;
 }
 

@@ -63,7 +63,7 @@ __device__ inline float over_again(float& alpha, float& transmittance) {
 
 // dL/dalpha of a splat, see math/over-inl.h. `before`: the transmittance before it; v: the derivative of the loss by
 // its weight; `later`: the part of the loss of everything behind it. kEstimate: whether an approximate division will
-// do; the lens sensor divides exactly, as on the CPU.
+// do; panels divide exactly, as on the CPU.
 template <bool kEstimate>
 __device__ inline float over_backward(float alpha, float before, float v, float later) {
   return before * v - (kEstimate ? later * fast_reciprocal(1 - alpha) : later / (1 - alpha));

@@ -10,12 +10,6 @@
 
 namespace lfgs::cuda {
 
-// All of Gaussian i but its harmonics.
-__device__ inline Shape<float> load_shape(const Gaussians<const float>& g, int64_t i) {
-  const float *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
-  return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, g.opacities[i]};
-}
-
 // Read all harmonics of one Gaussian; those beyond its degree are zero. It reads 16 bytes at a time where they are
 // aligned. Lanes read places far apart, so each load costs a cache line a lane.
 __device__ inline void read_harmonics(const Gaussians<const float>& g, int64_t i, float (&sh)[3 * kMaxShCount]) {

@@ -6,8 +6,8 @@
 // 32 x 16 pixels, and a warp 16 x 4 of them. A lane has two pixels two rows apart: six sub-pixels, each at its own
 // offset.
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
-#include "cuda/common/compensated.cuh"
+#include "cuda/common/launch.h"
+#include "cuda/stages/projection.cuh"
 #include "cuda/stages/stages.h"
 #include "math/colour_circle.h"
 #include "math/colour_polynomial.h"

@@ -1,6 +1,6 @@
-// Stage project for the lens sensor on the device: reads Gaussians, writes splats with their colour polynomials and the
+// Stage project for a panel on the device: reads Gaussians, writes splats with their colour polynomials and the
 // keys by which they are sorted. A thread has a Gaussian.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/direct/project_direct.cuh"
 #include "cuda/stages/stages.h"
 

@@ -1,13 +1,13 @@
-// Projection for the lens sensor on the device, a Gaussian at a time: what project_direct and frame_project have in
-// common. It reads a Gaussian, and writes its splat, its colour polynomial and where asked its depth. Arithmetic is in
-// float, but for where the mean is seen, and for the shapes of compensated splats.
+// Projection of one Gaussian for a panel on the device; the common part of project_direct and frame_project. It reads a
+// Gaussian, and writes its splat, its colour polynomial and, if asked, its depth. Arithmetic is in float. The position
+// of the mean and the shapes of compensated splats are in double.
 #pragma once
 
 #include <string>
 #include <type_traits>
 
 #include "base/error.h"
-#include "cuda/common/compensated.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/halves.cuh"
 #include "cuda/direct/rounded_rig.cuh"
@@ -41,7 +41,7 @@ struct CircleOfGaussian {
   glm::vec3 terms[kCircleTerms];
 
   __device__ CircleOfGaussian(const Gaussians<const float>& g, const Camera<double>& rig, int64_t i)
-      : circle(ColourCircle<double>(rig, glm::dvec3(load_shape(g, i).mean))) {
+      : circle(ColourCircle<double>(rig, glm::dvec3(load_shape<float>(g, i).mean))) {
     circle_colour(g.sh_degree, g.sh + 3 * g.sh_count() * i, circle, terms);
   }
 };
@@ -151,7 +151,7 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
                                     bool by_patches, float least_light, int64_t i, const Splats<float>& out,
                                     uint32_t* depths, unsigned* error, const Watch& watch) {
   const Camera<float>& rig = rigs.rounded;
-  const Shape<float> shape = load_shape(gaussians, i);
+  const Shape<float> shape = load_shape<float>(gaussians, i);
   Splat<float> splat;
   if constexpr (kCompensated)
     splat = compensated_splat(rigs.exact, shape, out.compensations[i]);

@@ -1,9 +1,9 @@
-// Backward pass of stage project for the lens sensor on the device: reads the sums of all intersections, writes the
+// Backward pass of stage project for a panel on the device: reads the sums of all intersections, writes the
 // gradients of the Gaussians. A thread has a Gaussian, and adds up its intersections in their order, so that the bits
 // are always the same.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/compensated.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/direct/rounded_rig.cuh"
 #include "cuda/stages/stages.h"
 #include "math/colour_circle.h"
@@ -40,7 +40,7 @@ __global__ void __launch_bounds__(kThreads)
   // The backward pass of the projection. It is in double, since the covariance of a long needle has no digits left in
   // float. That costs little: a Gaussian has only one projection
   const Splat<double> g_splat = direct_gradient(s, sum);
-  const Shape<float> shape = load_shape(gaussians, i);
+  const Shape<float> shape = load_shape<float>(gaussians, i);
   const Shape<double> exact = widened(shape);
   Shape<double> g{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   CameraGradient<double> unused;

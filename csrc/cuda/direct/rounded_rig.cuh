@@ -1,4 +1,4 @@
-// What the kernels of the lens sensor take by value: the rig, exact and in float, and the colour basis.
+// Arguments that the kernels for panels take by value: the rig, exact and in float, and the colour basis.
 #pragma once
 
 #include "math/colour_polynomial.h"

@@ -6,7 +6,6 @@
 #include <cstdint>
 
 #include "cuda/stages/stages.h"
-#include "math/fit/dropout.h"
 #include "math/fit/random.h"
 #include "math/fit/photo_loss.h"
 #include "math/fit/update.h"

@@ -10,9 +10,9 @@
 //     clock and multiprocessor, 0.023 ms.
 #include <cstdint>
 
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/fit/fit.h"
-#include "math/fit/ssim.h"
+#include "math/fit/photo_loss.h"
 
 namespace lfgs::cuda {
 namespace {

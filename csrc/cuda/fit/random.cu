@@ -1,5 +1,5 @@
 // Arrays of random numbers on the device: a thread has an index of the stream.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/fit/fit.h"
 #include "math/fit/random.h"
 

@@ -5,7 +5,7 @@
 // Floor: every number is read with its two moments and its gradient, and written with the moments: 28 bytes. A Gaussian
 // with harmonics of degree 3 reads and writes 59 parameters and four activated numbers, 1.68 kB. A million take 0.50 ms
 // on an H100 (3.35 TB/s). Arithmetic, about 20 instructions a number and 400 for the noise, is a fifth of that.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/fit/fit.h"
 
 namespace lfgs::cuda {

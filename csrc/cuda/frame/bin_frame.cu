@@ -1,13 +1,14 @@
-// Stage bin of a light-field frame: lists, for every tile (and group of lens columns), the splats that may touch it, in
-// no order yet. It reads the projected splats and writes DirectFrame::ranges and ids. There are three steps: count the
-// intersections (tile, splat) of every list, give every list its place, and visit the intersections again to fill it.
-// Whether the tiles are of pixels or of lenses was decided on the device, by the kernel that the frame chose.
+// Stages bin and order of a light-field frame. Stage bin lists, for every tile (and group of lens columns), the splats
+// that may touch it, in no order yet. It reads the projected splats and writes DirectFrame::ranges and ids. There are
+// three steps: count the intersections (tile, splat) of every list, give every list its place, and visit the
+// intersections again to fill it. Stage order reads the depths, and sorts every list in place. Whether the tiles are of
+// pixels or of lenses was decided on the device, by the kernel that the frame chose.
 #include <algorithm>
 
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/place_lists.cuh"
+#include "cuda/common/splat_lists.cuh"
 #include "cuda/frame/direct_frame.h"
 #include "cuda/frame/lens_optics.cuh"
 #include "cuda/frame/strip.cuh"
@@ -121,6 +122,21 @@ __global__ void __launch_bounds__(kThreads) place_lists_kernel(const __grid_cons
               frame.long_lists);
 }
 
+// Where the frame has more intersections than its capacity there is one list, of all splats drawn. The first block
+// sorts it.
+__global__ void __launch_bounds__(sorting::kThreads, 4) sort_lists_kernel(const __grid_constant__ DirectFrame frame) {
+  __shared__ uint64_t keys[sorting::kKept];
+  __shared__ unsigned buckets[sorting::kKept], warps[2 * sorting::kWarps];
+  const FrameState& state = *frame.state;
+  if (frame.overfull()) {
+    if (blockIdx.x == 0) sorting::sort_in_pieces(frame.ids, state.drawn, sorting::Keys{frame.depths}, keys);
+    return;
+  }
+  const uint2* ranges = reinterpret_cast<const uint2*>(frame.ranges);
+  sorting::sort_lists({frame.tiling().tiles(), ranges, frame.ids, frame.depths, frame.long_lists, state.long_lists},
+                      {keys, buckets, warps});
+}
+
 }  // namespace
 
 void frame_bin(const DirectFrame& frame, Stream stream) {
@@ -135,6 +151,14 @@ void frame_bin(const DirectFrame& frame, Stream stream) {
   check_launch("bin: place");
   intersections_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, Pass::kFill);
   check_launch("bin: fill");
+}
+
+void frame_order(const DirectFrame& frame, Stream stream) {
+  if (frame.splats.count == 0) return;
+  const int64_t most = blocks_for(frame.most_lists(), sorting::kWarps);
+  const unsigned blocks = unsigned(std::min<int64_t>(resident_blocks(sort_lists_kernel, sorting::kThreads, 0), most));
+  sort_lists_kernel<<<blocks, sorting::kThreads, 0, cudaStream_t(stream)>>>(frame);
+  check_launch("order");
 }
 
 }  // namespace lfgs::cuda

@@ -1,9 +1,9 @@
-// What the kernels that composite a light-field frame share: reading its lists and splats, handing out tiles, and
+// Common parts of the kernels that composite a light-field frame: reading lists and splats, handing out tiles, and
 // storing pixels.
 #pragma once
 
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/halves.cuh"
 #include "cuda/frame/direct_frame.h"
 #include "math/projection.h"

@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "base/error.h"
-#include "cuda/common/parts.h"
+#include "cuda/common/launch.h"
 #include "cuda/direct/rounded_rig.cuh"
 #include "cuda/frame/root_series.cuh"
 

@@ -9,7 +9,6 @@
 #include <cstdint>
 
 #include "base/config.h"
-#include "cuda/common/short_list.h"
 #include "cuda/stages/stages.h"
 #include "math/lattice_plan.h"
 
@@ -130,8 +129,9 @@ struct DirectFrame {
   uint32_t* depths = nullptr;      // [N]: bits of the splats' depths
   uint32_t* ids = nullptr;         // [capacity, or N if more]: the splats of all lists, nearest first after order
   uint32_t* long_lists = nullptr;  // [lists]: which of them are long, in any order
-  // With harmonics, the colours of every splat at every lens column, by place: the colour in its middle, and slope and
-  // bend in v as halves in one word. The word of the first place is the fourth number of the colour.
+  // With harmonics, the colours of every splat at every lens column, by place in the pixel. A colour is its value in
+  // the middle, with slope and bend in v as halves in one word. The word of the first place is the fourth number of the
+  // colour.
   float* lens_column_colours = nullptr;    // [N, columns, 4]
   uint32_t* lens_column_slopes = nullptr;  // [N, columns, 2]
   // With compensation: log2 of the compensation there, and its slope and bend in v as halves

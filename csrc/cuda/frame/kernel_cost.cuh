@@ -163,7 +163,7 @@ __device__ inline void add_to_sums(const DirectFrame& frame, const Splat<float>&
 
 // How many points a lattice may have in a tile whose splats are this large: drawing so many costs half of what the
 // lattice spares. Every point meets the whole list of the tile. A warp of the other kernels has a patch of about a
-// quarter of its width and height, and meets only the splats that reach it.
+// quarter of the tile's width and height. It meets only the splats that reach its patch.
 __device__ inline float points_worth(float width_px, float height_px) {
   const float w = float(kPixelTileWidth), h = float(kPixelTileHeight);
   return 1250 * (w / 4 + width_px) / (w + width_px) * (h / 4 + height_px) / (h + height_px);
@@ -211,8 +211,8 @@ __device__ inline void choose_kernel(const DirectFrame& frame) {
            pixels;
   };
 
-  // Mean errors, and the first level of limits that keeps the mean of the quadratic kernels; if none does, they draw
-  // all splats by the exact formulas (`exact`)
+  // Mean errors, and the first level of limits that keeps the mean of the quadratic kernels. If no level does, they
+  // draw all splats by the exact formulas (`exact`)
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
   const bool linear = !kCompensated && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
   int level = 0;

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cstddef>
 
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/frame/direct_frame.h"
 #include "cuda/frame/kernel_cost.cuh"
 #include "cuda/direct/project_direct.cuh"

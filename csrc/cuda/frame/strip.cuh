@@ -24,8 +24,8 @@ struct Span {
 struct Strip {
   float dy, dh;  // middle and half height of those of the rows that it reaches, counted from its centre
   float range;   // exponent that is left along x there; below zero: it does not reach these rows
-  // The line of its centres: `base`, x at dy from the middle of the rig; its slopes by row and by offset (`sweep`); and
-  // the largest slope by offset in the rows (`turn`)
+  // The line of its centres: `base` is x at dy, seen from the middle of the rig; `slope` is by row, `sweep` by offset.
+  // `turn` is the largest slope by offset in the rows
   float slope, base, sweep, turn;
 
   __device__ Strip(const Splat<float>& s, float y_low, float y_high) {

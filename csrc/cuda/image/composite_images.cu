@@ -5,7 +5,7 @@
 // A block has a tile of 16 x 16 pixels, a warp a patch of 8 x 4 of them, a thread a pixel. Both directions go over the
 // splats nearest first. A warp passes over the splats that cannot touch its patch.
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages/stages.h"
 #include "math/footprint.h"

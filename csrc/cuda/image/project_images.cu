@@ -1,9 +1,9 @@
 // Stage project for ordinary images on the device: reads Gaussians and cameras, writes splats with their colours and
 // the keys by which they are sorted. A thread has a Gaussian in one image. Arithmetic is in float, but in double for
 // compensated splats.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/stages/projected.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/stages/stages.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
@@ -32,13 +32,12 @@ __global__ void project_images_kernel(Gaussians<const float> gaussians, Cameras<
   if (i >= n) return;
   const Gaussians<const float> scene = gaussians.slice(image / cameras.per_scene * n);
   const Camera<float> camera = cameras.camera<float>(image);
-  const Shape<float> shape = load_shape(scene, i);
+  const Shape<float> shape = load_shape<float>(scene, i);
   const int64_t index = image * n + i;
   vec3 colour(0);
   if (store_splat(projected<kCompensated>(cameras, image, camera, shape), cameras, image, index, out, keys))
     colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, camera.centre());
-  reinterpret_cast<float4*>(out.colours)[index] =
-      make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
+  store_colour(colour, out.colours, index);
 }
 
 }  // namespace

@@ -7,10 +7,9 @@
 // Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
 // moves those of its 32 Gaussians together, through shared memory.
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/compensated.cuh"
-#include "cuda/stages/projected.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/stages/stages.h"
 #include "math/gradient_sums.h"
 #include "math/harmonics.h"
@@ -72,7 +71,7 @@ __device__ bool is_needle(const Splat<float>& s) {
   return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
 }
 
-// The gradients of a Gaussian and of a camera so far, and those of a splat's colour and of its place on the screen.
+// The gradients of a Gaussian and of a camera so far, and of a splat's colour and its centre on the screen.
 struct Gradients {
   Shape<float> shape{vec3(0), glm::vec4(0), vec3(0), 0};
   CameraGradient<float> camera;
@@ -80,17 +79,16 @@ struct Gradients {
   float2 place;
 };
 
-// `so_far` and the backward pass of the projection of Gaussian `i` of a scene into an image, which is computed in
+// Return `so_far` plus the gradients of the projection of Gaussian `i` of a scene into an image. They are computed in
 // double and then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything
-// once more, and gradients go in and out by value: passing addresses would force them into memory for ordinary splats
-// too.
+// once more, and gradients go in and out by value: addresses would force them into memory for ordinary splats too.
 template <bool kCompensated>
 __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const float>& gaussians,
                                                       const Cameras<float>& cameras, const AllSums& sums, int64_t image,
                                                       int64_t i, Gradients so_far) {
   const int64_t n = gaussians.count;
   const Camera<float> camera = cameras.camera<float>(image);
-  const Shape<float> shape = load_shape(gaussians.slice(image / cameras.per_scene * n), i);
+  const Shape<float> shape = load_shape<float>(gaussians.slice(image / cameras.per_scene * n), i);
   const Camera<double> exact = cameras.camera<double>(image);
   const Shape<double> wide = widened(shape);
   Splat<double> gradient = splat_gradient<double>(projected<kCompensated>(cameras, image, camera, shape),
@@ -105,7 +103,7 @@ __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const floa
   if (kCompensated) g_D = projection.compensate_backward(exact, gradient);
   projection.backward<kCompensated>(exact, wide, gradient, sum, of_camera, g_D);
 
-  // Add it to what other cameras have said
+  // Add it to the gradients of other cameras
   Shape<float>& g = so_far.shape;
   auto add = [](float& to, double what) { to = saturated<float>(to + what); };
   for (int c = 0; c < 3; ++c) add(g.mean[c], sum.mean[c]), add(g.scale[c], sum.scale[c]);
@@ -119,7 +117,7 @@ __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const floa
 }
 
 // The harmonics of a warp's Gaussians in shared memory, a row each. Rows are of odd length, so that lanes that read the
-// same column of their rows meet in no bank. kNumbers are those of a row; lanes move four at a time.
+// same column of their rows use different banks. Lanes move four numbers at a time.
 struct HarmonicRows {
   float* rows;
   int numbers;
@@ -231,7 +229,7 @@ __device__ void store_camera(const CameraGradient<float>& g_camera, float (&part
   __syncthreads();
 }
 
-// Whether any camera of a scene says something of the Gaussian `i` of it.
+// Whether Gaussian `i` of a scene has a gradient from any of its cameras.
 __device__ bool is_lit(const AllSums& sums, const Cameras<float>& cameras, int64_t scene, int64_t n, int64_t i) {
   bool lit = false;
   for (int64_t v = 0; v < cameras.per_scene; ++v)
@@ -239,7 +237,7 @@ __device__ bool is_lit(const AllSums& sums, const Cameras<float>& cameras, int64
   return lit;
 }
 
-// Write the gradient of a splat's place, and where they were asked for the absolute ones behind it.
+// Write the gradient of a splat's centre, and with `absolute` the absolute gradients behind it.
 __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolute, float* screen, int64_t index) {
   if (absolute) {
     const float* others = sums.numbers + kAbsoluteSum;
@@ -252,7 +250,7 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
 // Write all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
 // leave, or four without the gradients of cameras (kCameras). Needles, and all compensated splats (see
 // compensated_splat()), go through with_exact_backward() instead. kOneCamera: there is one camera a scene, so that the
-// gradients of harmonics can take the place of these.
+// gradients of harmonics can overwrite the harmonics.
 template <bool kCompensated, bool kOneCamera, bool kCameras>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     project_images_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
@@ -264,10 +262,10 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
   const bool real = i < n;
   const Gaussians<const float> own = gaussians.slice(scene * n);
   const Gaussians<float> g_own = out.slice(scene * n);
-  const Shape<float> shape = load_shape(own, real ? i : 0);
+  const Shape<float> shape = load_shape<float>(own, real ? i : 0);
   Gradients g;
 
-  // Harmonics of those of which something is said, and room for their gradients
+  // Load the harmonics of Gaussians that have a gradient, and clear memory for their gradients
   const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::padded(numbers);
   const int64_t first = i - threadIdx.x % 32;  // Gaussian of this warp
   const unsigned lit = __ballot_sync(~0u, real && is_lit(sums, cameras, scene, n, i));

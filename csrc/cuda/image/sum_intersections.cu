@@ -5,7 +5,7 @@
 // intersection, so that they read memory side by side. A warp sums as many splats at once as it has lanes for. Splats
 // of many intersections are summed up by a whole block. Neighbours in memory are neighbours in space and of one size:
 // warps take splats from far apart, so that none has all the large ones.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {

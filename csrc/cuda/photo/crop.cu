@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 
 namespace lfgs::cuda {
 namespace {
@@ -12,8 +12,8 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int64_t kMostRows = 65535;  // of a grid
 
-// The box is found by maxima alone, which begin at zero. They are the distance of its top edge from the bottom, and its
-// lower end; the same for left and right; and whether a value was out of range.
+// The box is found by maxima alone, which begin at zero. They are the distance of its top edge from the bottom of the
+// photo, its bottom edge, and likewise for left and right. The last says whether a value was out of range.
 enum Found { kFromBottom, kBottom, kFromRight, kRight, kOutside };
 
 // The square round the box, in whole pixels; it may reach beyond the photo.

@@ -3,8 +3,7 @@
 //
 // A block has a piece of a row, and each of its threads a segment of that. Runs end with the segment, so that threads
 // need nothing of each other but how many bits the others write.
-#include "cuda/common/check.h"
-#include "cuda/png/bit_writer.cuh"
+#include "cuda/common/launch.h"
 #include "cuda/png/huffman.cuh"
 #include "cuda/png/png.h"
 
@@ -21,6 +20,33 @@ constexpr unsigned kAdlerModulus = 65521;
 static_assert(kCodeThreads >= kDeflateSymbols && kSegment < 258);
 
 int64_t pieces_of_row(int64_t row_bytes) { return blocks_for(row_bytes, kPiece); }
+
+// Writes bits of a thread into the stream that all threads share, the lowest first. The stream is zero before. The
+// first and the last word of a thread also hold bits of its neighbours.
+class BitWriter {
+ public:
+  __device__ BitWriter(uint32_t* stream, unsigned long long bit) : word_(stream + bit / 32), filled_(int(bit % 32)) {}
+
+  // count: at most 32.
+  __device__ void put(uint32_t bits, int count) {
+    waiting_ |= uint64_t(bits) << filled_, filled_ += count;
+    if (filled_ < 32) return;
+    if (shared_)
+      atomicOr(word_++, uint32_t(waiting_));
+    else
+      *word_++ = uint32_t(waiting_);
+    shared_ = false, waiting_ >>= 32, filled_ -= 32;
+  }
+  __device__ void finish() {
+    if (waiting_ != 0) atomicOr(word_, uint32_t(waiting_));
+  }
+
+ private:
+  uint32_t* word_;
+  uint64_t waiting_ = 0;
+  int filled_;
+  bool shared_ = true;
+};
 
 // A length as deflate has it: a symbol, and bits behind it.
 struct Length {

@@ -2,9 +2,8 @@
 // tile, nearest first. They read the projected splats, and write SortedChunk::ranges and ids.
 #include <algorithm>
 
-#include "cuda/common/check.h"
-#include "cuda/common/place_lists.cuh"
-#include "cuda/common/sort_lists.cuh"
+#include "cuda/common/launch.h"
+#include "cuda/common/splat_lists.cuh"
 #include "cuda/sorted/footprint_io.cuh"
 #include "cuda/sorted/sorted.h"
 #include "cuda/stages/tile_rows.cuh"

@@ -6,7 +6,7 @@
 // sub-pixels, and then blends only those. Several groups share a warp, each with its own intersections. A splat that is
 // read serves kEach sub-pixels of a lane, and the box is no larger.
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/sorted/sorted.h"
 
 namespace lfgs::cuda {

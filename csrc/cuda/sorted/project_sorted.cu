@@ -2,12 +2,11 @@
 // and depths. A thread has a Gaussian in one view.
 #include <algorithm>
 
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/parts.h"
 #include "cuda/sorted/footprint_io.cuh"
 #include "cuda/sorted/sorted.h"
-#include "cuda/stages/projected.cuh"
+#include "cuda/stages/projection.cuh"
 #include "math/footprint.h"
 #include "math/harmonics.h"
 
@@ -24,7 +23,7 @@ __global__ void __launch_bounds__(kThreads)
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y;
   if (i >= gaussians.count) return;
   const Camera<float> camera = cameras.camera<float>(image);
-  const Shape<float> shape = load_shape(gaussians, i);
+  const Shape<float> shape = load_shape<float>(gaussians, i);
   const int64_t index = image * gaussians.count + i;
   Splat<float> splat = projected<kCompensated>(cameras, image, camera, shape);
   cull_outside(splat, cameras.width_px, cameras.height_px);
@@ -33,8 +32,7 @@ __global__ void __launch_bounds__(kThreads)
   chunk.depths[index] = __float_as_uint(splat.depth);
   const vec3 colour =
       sh_colour<float>(gaussians.sh_degree, gaussians.sh + 3 * gaussians.sh_count() * i, shape.mean, camera.centre());
-  reinterpret_cast<float4*>(chunk.colours)[index] =
-      make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
+  store_colour(colour, chunk.colours, index);
 }
 
 }  // namespace

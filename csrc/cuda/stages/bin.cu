@@ -1,6 +1,7 @@
-// Stage bin on the device: finds which splats touch which tile. It reads the splats and their order by depth; it writes
-// the intersections (tile, splat) and where each tile's intersections begin and end. Splats write their tiles in depth
-// order, and a stable sort by tile keeps that order.
+// Stages order and bin on the device. Stage order sorts the splats of all images by the keys (image, depth) that
+// project wrote, in one stable radix sort, and writes their indices. Stage bin finds which splats touch which tile. It
+// reads the splats and their order; it writes the intersections (tile, splat) and where each tile's intersections begin
+// and end. Splats write their tiles in depth order, and a stable sort by tile keeps that order.
 #include <cub/device/device_radix_sort.cuh>
 #include <cub/device/device_reduce.cuh>
 #include <cub/device/device_scan.cuh>
@@ -11,8 +12,7 @@
 #include <bit>
 
 #include "cuda/common/blend.cuh"
-#include "cuda/common/check.h"
-#include "cuda/common/count_up.cuh"
+#include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages/stages.h"
 #include "cuda/stages/tile_rows.cuh"
@@ -115,7 +115,44 @@ __global__ void ranges_kernel(Intersections intersections, int64_t* ranges) {
   intersections.sorted_splats[i] = intersections.splats[intersections.sorted_indices[i]];
 }
 
+// Write 0, 1, 2, ..., the indices that a sort moves with the keys. A thread has a number.
+__global__ void count_up_kernel(int64_t items, uint32_t* numbers) {
+  const int64_t i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x;
+  if (i < items) numbers[i] = uint32_t(i);
+}
+
+void count_up(int64_t items, uint32_t* numbers, cudaStream_t stream) {
+  constexpr int kThreads = 256;
+  if (items == 0) return;
+  count_up_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, stream>>>(items, numbers);
+  check_launch("count_up");
+}
+
 }  // namespace
+
+// The temporary storage also holds the unsorted indices, at its end.
+size_t order_bytes(int64_t items) {
+  size_t bytes = 0;
+  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, (uint64_t*)nullptr, (uint64_t*)nullptr, (uint32_t*)nullptr,
+                                        (uint32_t*)nullptr, items),
+        "order: size of the sort");
+  return (bytes + 255) / 256 * 256 + size_t(items) * sizeof(uint32_t);
+}
+
+void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
+           void* temporary, size_t temporary_bytes, Stream stream) {
+  if (items == 0) return;
+  require(items < int64_t(1) << 32, "more than 2^32 Gaussians in all images: render fewer images at a time");
+  size_t bytes = temporary_bytes - size_t(items) * sizeof(uint32_t);
+  uint32_t* unsorted = reinterpret_cast<uint32_t*>(static_cast<char*>(temporary) + bytes);
+  count_up(items, unsorted, cudaStream_t(stream));
+  // Splats that are not drawn have all bits of their keys set. Sorting by one bit more than image numbers need puts
+  // them last
+  const int end_bit = kDepthBits + int(std::bit_width(uint64_t(images)));
+  check(cub::DeviceRadixSort::SortPairs(temporary, bytes, keys, sorted_keys, unsorted, indices, items, 0, end_bit,
+                                        cudaStream_t(stream)),
+        "order");
+}
 
 size_t count_bytes(int64_t items) {
   size_t bytes = 0;

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "base/config.h"
 #include "math/gradient_sums.h"
@@ -12,6 +13,10 @@
 namespace lfgs::cuda {
 
 using Stream = void*;  // cudaStream_t
+
+// The architectures that this build was compiled for, ascending, as CMake numbers them (75, 90, 120). "native" gives
+// the architecture of the machine that compiled it.
+std::vector<int> architectures();
 
 // The size of the tiles that have lists on the device: pixels across and down.
 struct TileSize {
@@ -90,7 +95,7 @@ void composite_direct(const Splats<float>& splats, const Image& image, const int
 //
 // The numbers of an intersection are, for ordinary images, the first kImageFootprintSums of FootprintSum, then the
 // gradients of depth, r, g and b. With absolute gradients, the sums of |gradient| of u0 and of v0 over the samples
-// follow (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each power
+// follow (Ye et al., "AbsGS", 2024). For a panel they are all of FootprintSum, the gradients of r, g, b for each power
 // of s, and with compensation those of D.
 constexpr int kDepthSum = kImageFootprintSums, kColourSum = kDepthSum + 1, kImageSums = kColourSum + 3;
 constexpr int kAbsoluteSum = kImageSums, kAbsoluteImageSums = kAbsoluteSum + 2;

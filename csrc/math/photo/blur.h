@@ -8,7 +8,7 @@
 
 namespace lfgs {
 
-// The weights of the places -reach..reach; they add up to one.
+// The weights of the samples -reach..reach; they add up to one.
 struct Blur {
   float deviation = 1;  // samples
   int reach = 0;

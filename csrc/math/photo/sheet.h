@@ -14,7 +14,7 @@
 
 namespace lfgs {
 
-// What lightfield_gs/models/detail.py decides; lengths in texels where nothing else is said.
+// The choices of lightfield_gs/models/detail.py. Lengths are in texels unless noted.
 struct SheetLook {
   float deviation, thickness;             // of a texel along the surface and across it
   float blur;                             // the deviation by which drawing blurs the photo

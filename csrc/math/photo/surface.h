@@ -1,6 +1,6 @@
-// Where the sheet over a photo lies on the network's grid: the average depth of the cloud from the photo's camera, and
-// the fading of the cloud before it. lightfield_gs/models/detail.py says why, differentiably. Between what is done here
-// for a Gaussian or a pixel, planes are blurred along rows and along columns.
+// Where the sheet over a photo lies on the network's grid: at the average depth of the cloud from the photo's camera.
+// The cloud before it fades. lightfield_gs/models/detail.py has the reasons, and the same in differentiable form.
+// Between the steps here, each of a Gaussian or a pixel, planes are blurred along rows and along columns.
 #pragma once
 
 #include <cmath>
@@ -72,7 +72,7 @@ LFGS_HD void weigh(const Surface& job, int layer, int64_t pixel) {
   job.plane(0, 3 * layer + 2)[pixel] = size * off * off;
 }
 
-// A blurred number of a plane: at place `at` of `count` along the blur, where neighbours are `stride` apart.
+// A blurred number of a plane: number `at` of `count` along the blur, with neighbours `stride` apart.
 template <class Weight>
 LFGS_HD float blurred_at(const float* number, int64_t stride, int64_t at, int64_t count, int reach,
                          const Weight& weight) {
@@ -82,8 +82,8 @@ LFGS_HD float blurred_at(const float* number, int64_t stride, int64_t at, int64_
   return sum;
 }
 
-// Write the visibility of a pixel's Gaussians and their averages to set 1, from the blurred fog in set 2 and the sizes
-// in set 0. Nearer is of a larger disparity; the fog's density is a normal distribution along the line of sight.
+// Write the visibility of a pixel's Gaussians and their averages to set 1. Set 2 has the blurred fog, set 0 the sizes.
+// A nearer Gaussian has a larger disparity; the fog's density is a normal distribution along the line of sight.
 LFGS_HD void look_through(const Surface& job, int64_t pixel) {
   const int rest = job.rest(), last = job.seen_planes() - 1;
   for (int c = 0; c <= last; ++c) job.plane(1, c)[pixel] = 0;

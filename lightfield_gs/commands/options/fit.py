@@ -17,7 +17,7 @@ from lightfield_gs.io.captures.capture import TestEvery
 Add = Callable[..., argparse.Action]
 _BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
 _MOST = 10_000_000
-# Options, and the settings that they are
+# Names of options, and of their settings
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
 
 
@@ -31,8 +31,8 @@ class CaptureOptions:
         mask_folder: folder of their masks.
         scale: factor of their width.
         longest_px: their longer side at most.
-        test_every: holds out the middle one of every so many.
-        test_list: file with the names of those held out.
+        test_every: number of photographs of which the middle one is held out.
+        test_list: file with the names of the held-out photographs.
         sfm: whether pycolmap finds the cameras.
     """
 
@@ -78,7 +78,7 @@ class ConeOptions:
         cone: the panel, or degrees.
         centre: name of the photograph in the middle of the cone.
         score_cone: angle of the cone for scores, degrees.
-        contribution_cut: mean error that may be made by what is left out.
+        contribution_cut: allowed mean error of the Gaussians that are left out.
     """
 
     cone: str | None = None

@@ -1,19 +1,47 @@
-"""Options of the panel that is drawn for."""
+"""Options of the panel, of the cameras of its views, of the look of the scene, and of the image."""
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
+from pathlib import Path
 
-from lightfield_gs.commands.options.parser import within
+from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
+from lightfield_gs.commands.options.parser import byte_size, camera_choice, numbers, threads, within
+from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
 from lightfield_gs.panels.panel import DEFAULT_PANEL
+from lightfield_gs.scene.axes import UP_AXES
+
+Add = Callable[..., argparse.Action]
+_distance_mm = within(1e-3, 1e9, "mm")
+_depth_amount = within(0, 2)
+_cone_deg = within(0, 179, "degrees")
+_zoom = within(0.01, 100)
 
 
-def add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
+def add_encoding(add: Add) -> None:
+    """Add the options of how one input becomes an image, alone or in a batch."""
+    add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
+    add_camera(add)
+    add_look(add)
+    add_depth_report(add)
+    add_views(add)
+    add_scene(
+        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; it downloads 176 MB once)"
+    )
+    add_method(add)
+    add_antialiased(add)
+    add_view_filter(add)
+    add_background(add)
+    add_file(add)
+
+
+def add_panel(add: Add, purpose: str) -> None:
     """Add the options of the panel and of its viewing distance.
 
     Args:
-        purpose: What the distance is used for, for the help.
+        purpose: The use of the distance, for the help.
     """
     add(
         "--panel",
@@ -25,7 +53,7 @@ def add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
     add_viewing_distance(add, f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
 
 
-def add_device_serial(add: Callable[..., argparse.Action]) -> None:
+def add_device_serial(add: Add) -> None:
     add(
         "--device-serial",
         metavar="SERIAL",
@@ -33,5 +61,172 @@ def add_device_serial(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_viewing_distance(add: Callable[..., argparse.Action], help: str) -> None:
-    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM", help=help)
+def add_viewing_distance(add: Add, help: str) -> None:
+    add("--viewing-distance", type=_distance_mm, metavar="MM", help=help)
+
+
+def add_camera(add: Add) -> None:
+    """Add the options of the cameras of the views."""
+    add(
+        "--rig",
+        type=Path,
+        metavar="YAML",
+        help="cameras of the views, in the file's own axes (default: the cameras stored in the file, else "
+        "automatic framing)",
+    )
+    add(
+        "--camera",
+        type=camera_choice,
+        metavar="FILE[:INDEX]",
+        help="centre camera of the views, in the file's own axes, from a cameras.json (3D Gaussian splatting), "
+        "a transforms.json (NeRF) or a rig; its picture is fitted to the panel (default index 0)",
+    )
+    add_up(add)
+
+
+def add_up(add: Add) -> None:
+    add(
+        "--up",
+        choices=UP_AXES,
+        metavar="AXIS",
+        help="axis that points up in the file, x, y, z, -x, -y or -z, for automatic framing; the Gaussians stay "
+        "as they are (default: as stored in the file, else -y)",
+    )
+
+
+def add_look(add: Add) -> None:
+    """Add the options of focus, amount of depth, cone, zoom and pan."""
+    add(
+        "--focus",
+        type=_focus,
+        metavar="DEPTH|X,Y",
+        help="depth of the panel's plane before the camera, in scene units; or a point of the picture whose "
+        "surface lies in the plane: X of its width from the left, Y of its height from the top, 0..1 each "
+        "(default: the rig's, else automatic)",
+    )
+    add(
+        "--depth-amount",
+        type=_depth_amount,
+        metavar="FACTOR",
+        help="factor of all disparities, 0 (flat) to 2 (default 1)",
+    )
+    add(
+        "--cone",
+        type=_cone_deg,
+        metavar="DEG",
+        help="full angle that the cameras of the views span, in degrees, 0..179 (default: the rig's or the panel's)",
+    )
+    add("--zoom", type=_zoom, metavar="FACTOR", help="factor of the picture's size, about its middle (default 1)")
+    add(
+        "--pan",
+        type=_pan,
+        metavar="X,Y",
+        help="move the picture to the right by X of the panel's width and down by Y of its height (default 0,0)",
+    )
+
+
+def add_depth_report(add: Add) -> None:
+    add(
+        "--depth-report",
+        action="store_true",
+        help="print the depth of the scene on the panel, in px and mm: disparities, depths before and behind "
+        "the panel, comfort, the range of sharp depths, and the gaps that the outermost views show",
+    )
+
+
+def _focus(text: str) -> float | tuple[float, ...]:
+    """Parse "2.5" to 2.5, a depth; "0.5,0.4" to (0.5, 0.4), a point of the picture."""
+    if "," not in text:
+        depth = numbers(1)(text)[0]
+        if not 1e-6 <= depth <= 1e12:
+            raise argparse.ArgumentTypeError(f"expected a depth of 1e-06..1e+12 scene units, got '{text}'")
+        return depth
+    point = numbers(2)(text)
+    if not all(0 <= part <= 1 for part in point):
+        raise argparse.ArgumentTypeError(f"expected a point X,Y of the picture, 0..1 each, got '{text}'")
+    return point
+
+
+def _pan(text: str) -> tuple[float, ...]:
+    """Parse "-0.1,0.2" to (-0.1, 0.2)."""
+    pan = numbers(2)(text)
+    if not all(math.fabs(part) <= 10 for part in pan):
+        raise argparse.ArgumentTypeError(f"expected fractions of the panel's width and height, -10..10, got '{text}'")
+    return pan
+
+
+def add_device(add: Add) -> None:
+    """Add the option of the device."""
+    add(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="device of network and rasterizer (default auto: cuda if there is a GPU and this build can use it)",
+    )
+
+
+def add_views(add: Add) -> None:
+    """Add the options of cameras and a view map, in place of a rig and a lens."""
+    add(
+        "--cameras",
+        type=Path,
+        metavar="JSON",
+        help="for --method sorted, in place of a rig: one camera for each view, the right-most eye's first, "
+        "with world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px "
+        "[N,2] (pixels of the panel)",
+    )
+    add(
+        "--view-map",
+        type=Path,
+        metavar="NPY",
+        help="for --method sorted, in place of the panel's lens: the view of each sub-pixel, int32 [H,W,3], "
+        "0..N-1, or -1 for the background",
+    )
+
+
+def add_method(add: Add) -> None:
+    """Add the options of how the image is computed."""
+    add(
+        "--method",
+        choices=METHODS,
+        default="direct",
+        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; "
+        "classic: one image per view, then interlaced (slow; for comparison); default direct",
+    )
+    add(
+        "--memory-budget",
+        type=byte_size,
+        metavar="SIZE",
+        help="work memory of --method sorted in addition to the image, for example 256MB (B, KB, MB, GB, KiB, "
+        "MiB, GiB). Default: 256MiB, or 1GiB on cuda, plus the sorted sub-pixels, 0.2GB on an 8K panel",
+    )
+    add(
+        "--views",
+        choices=VIEWS,
+        default="integer",
+        help="integer: N views; continuous: a viewpoint of its own for every sub-pixel (default integer)",
+    )
+    add(
+        "--quality",
+        choices=QUALITY_NAMES,
+        default="exact",
+        help="of --method direct: less time for more error (default exact)",
+    )
+
+
+def add_file(add: Add) -> None:
+    """Add the options of how the image is stored."""
+    add(
+        "--bit-depth",
+        type=int,
+        choices=(8, 16, 32),
+        metavar="BITS",
+        help="8, 16 or 32 (float: .exr, .tif); default 8, for .exr 32",
+    )
+    add(
+        "--compression",
+        choices=COMPRESSIONS,
+        default="fast",
+        help="fast: quick to write; small: a small file (default fast)",
+    )
+    add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")

@@ -1,11 +1,10 @@
-"""Options of a scene: how its file is read, what is made of a photo, and how it is drawn."""
+"""Options of a scene: of reading its file, of a photo, and of drawing."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lightfield_gs.base.options import (
     DEPTH_INVALID,
@@ -18,12 +17,16 @@ from lightfield_gs.base.options import (
 )
 from lightfield_gs.commands.options.parser import background, numbers, within
 
-if TYPE_CHECKING:
-    pass
+Add = Callable[..., argparse.Action]
+_time = within(-1e6, 1e6)
+_depth_range = numbers(2)
+_pixel_aspect = within(0.1, 10)
+_intrinsics = numbers(4)
+_filter_views = within(0, 65536, "views")
 
 
 def add_scene(
-    add: Callable[..., argparse.Action],
+    add: Add,
     cutting: str,
     mask: str = "cut-out of a photo, of the same size: bright or opaque on the object",
     of_mask: str = "IMAGE",
@@ -49,7 +52,7 @@ def add_scene(
     add_reading(add)
 
 
-def add_reading(add: Callable[..., argparse.Action]) -> None:
+def add_reading(add: Add) -> None:
     """Add the options of how a file of Gaussians is read."""
     add(
         "--skip-invalid",
@@ -58,14 +61,14 @@ def add_reading(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--time",
-        type=within(-1e6, 1e6),
+        type=_time,
         metavar="T",
         help="time at which moving Gaussians (Spacetime Gaussians) are drawn, mostly 0..1 of their film "
         "(default: the middle; a note states it)",
     )
 
 
-def add_depth(add: Callable[..., argparse.Action]) -> None:
+def add_depth(add: Add) -> None:
     """Add the options of a photo's depth map, and of the meaning of its numbers."""
     add(
         "--depth",
@@ -86,7 +89,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--depth-range",
-        type=numbers(2),
+        type=_depth_range,
         metavar="NEAR,FAR",
         help="distances, in any unit, at the ends of the file's full scale (0..255, 0..65535, floats 0..1); "
         "their ratio sets the depth of the scene; FAR,NEAR if bright is near in a map of distances, as in "
@@ -120,7 +123,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--pixel-aspect",
-        type=within(0.1, 10),
+        type=_pixel_aspect,
         metavar="A",
         help="width by height of a pixel of a photo with depths: 2 if photo and map, side by side, are squeezed "
         "to half their width; 0.5 if to half their height (default 1)",
@@ -134,7 +137,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--intrinsics",
-        type=numbers(4),
+        type=_intrinsics,
         metavar="FX,FY,CX,CY",
         help="in place of --fov: focal lengths and principal point of the photo, in pixels from the outer "
         "corner of the first pixel",
@@ -142,7 +145,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     add_fit(add)
 
 
-def add_depth_model(add: Callable[..., argparse.Action]) -> None:
+def add_depth_model(add: Add) -> None:
     add(
         "--depth-model",
         metavar="NAME|FOLDER",
@@ -150,7 +153,7 @@ def add_depth_model(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_fit(add: Callable[..., argparse.Action]) -> None:
+def add_fit(add: Add) -> None:
     add(
         "--fit",
         choices=FITS,
@@ -159,7 +162,7 @@ def add_fit(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_detail(add: Callable[..., argparse.Action]) -> None:
+def add_detail(add: Add) -> None:
     """Add the options of how finely a photo is laid over the network's Gaussians."""
     add(
         "--detail",
@@ -171,7 +174,7 @@ def add_detail(add: Callable[..., argparse.Action]) -> None:
     add("--detail-budget", type=int, metavar="N", help="most Gaussians for --detail auto (default 1500000)")
 
 
-def add_antialiased(add: Callable[..., argparse.Action]) -> None:
+def add_antialiased(add: Add) -> None:
     add(
         "--antialiased",
         action=argparse.BooleanOptionalAction,
@@ -181,10 +184,10 @@ def add_antialiased(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_view_filter(add: Callable[..., argparse.Action]) -> None:
+def add_view_filter(add: Add) -> None:
     add(
         "--view-filter",
-        type=within(0, 65536, "views"),
+        type=_filter_views,
         default=0.0,
         metavar="VIEWS",
         help="anti-aliasing between views, with a rig: each sub-pixel's picture is averaged over camera "
@@ -193,7 +196,7 @@ def add_view_filter(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_background(add: Callable[..., argparse.Action]) -> None:
+def add_background(add: Add) -> None:
     add(
         "--background",
         type=background,

@@ -1,4 +1,4 @@
-"""Where a command serves its page, and whether a browser opens it."""
+"""Options of the server of a command's page."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Captures of apps and trainers: Polycam's raw data, Record3D's, and the cameras.json of a fit.
 
 Source: github.com/PolyCam/polyform (README, "Camera Poses"). keyframes/corrected_cameras and corrected_images hold the
-refined poses, cameras and images those that the phone tracked. t_00 to t_23 are camera to world, 3 rows of 4, OpenGL
+refined poses; cameras and images hold the phone's own tracking. t_00 to t_23 are camera to world, 3 rows of 4, OpenGL
 axes.
 
 Source: github.com/marek-simonik/record3d and nerfstudio's process_data/record3d_utils.py. metadata.json holds w, h, K

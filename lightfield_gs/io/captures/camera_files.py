@@ -71,7 +71,7 @@ class FileCamera:
         )
 
     def turned(self, quarters: int) -> FileCamera:
-        """Return the camera rolled about its axis, so that its image turns clockwise by so many quarters."""
+        """Roll the camera about its axis, so that its image turns clockwise by this number of quarters."""
         camera = self
         for _ in range(quarters % 4):
             (fx, fy), (cx, cy) = camera.focal_px, camera.principal_point_px

@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import checked_path, counted, real_number, whole_number
+from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.app_captures import read_app_capture
 from lightfield_gs.io.captures.camera_models import Distortion
 from lightfield_gs.io.captures.colmap import model_folder, read_colmap_capture
@@ -291,7 +292,7 @@ def _photographs(
         folder: the capture's folder.
         masks: the folder of masks that was given.
         scale: reduces all photographs.
-        longest_px: reduces those that are longer; takes the place of `scale`.
+        longest_px: reduces images with a longer side; replaces `scale`.
     """
     infos = [read_info(photograph.path) for photograph in posed]
     alphas = [info.has_alpha for info in infos]
@@ -335,7 +336,7 @@ def _reduced_size(stored: tuple[int, int], scale: float, longest_px: int | None)
 
 
 def _check_aspect(photograph: PosedPhotograph, stored: tuple[int, int], orientation: int) -> None:
-    """Raise InputError for a file whose aspect is not that of its camera's images, up to rounding."""
+    """Raise InputError for a file whose aspect differs from its camera's images by more than rounding."""
     (width, height), (camera_width, camera_height) = stored, photograph.camera_px
     # The size was rounded up or down by less than a pixel, each way
     slack = 1 / min(width, height) + 1 / min(camera_width, camera_height) + _STRETCH

@@ -101,7 +101,7 @@ def count_photographs(folder: Path) -> int:
 
 
 def _poses_from_frames(folder: Path, images: list[ColmapImage]) -> list[ColmapImage]:
-    """Replace the poses of images by those of frames and rigs, where these differ.
+    """Replace the poses of images by the poses of frames and rigs, where these differ.
 
     An image without a frame keeps its pose. Rigs and frames count only in the form, binary or text, of images.
     """
@@ -170,7 +170,7 @@ def model_folder(folder: Path, inner: bool = True) -> Path | None:
 def read_colmap_capture(folder: Path, images: Path | None, masks: Path | None = None) -> PosedCapture:
     """Read the posed photographs of a capture with a COLMAP model.
 
-    Of several models beside each other the one with the most photographs is read.
+    Of several models beside each other the model with the most photographs is read.
 
     Args:
         folder: the capture's folder.

@@ -380,7 +380,7 @@ def _is_number(word: str, kind: type) -> bool:
 
 
 def _parse_whole(word: str) -> int:
-    """Parse a whole number, also one that was written as 200.0. Raises ValueError."""
+    """Parse a whole number, also if written as 200.0. Raises ValueError."""
     try:
         return int(word)
     except ValueError:

@@ -111,7 +111,7 @@ def find_capture_masks(
         A file, or None, for each photograph.
 
     Raises:
-        InputError: where the folder that was given has no masks of them.
+        InputError: the given folder has no masks of the photographs.
     """
     if masks is None and any(photograph.mask for photograph in posed):
         paths, where = [photograph.mask for photograph in posed], f"mask_path of {layout.source.name}"

@@ -127,7 +127,7 @@ class FoundPhotographs:
 def find_photographs(
     folders: Sequence[Path], names: Sequence[str], known: LocatedFiles | None = None
 ) -> FoundPhotographs:
-    """Find photographs in the first of these folders that has all of them, or else the most of them.
+    """Find photographs in the first folder that has them all, or else in the folder that has the most.
 
     Where a folder has none by their whole names, they are looked for by the last parts. Other names and missing files
     are noted.
@@ -135,7 +135,7 @@ def find_photographs(
     Args:
         folders: where they may be, the likeliest first.
         names: as the model has them, with / between folders.
-        known: files of some of them, which are kept.
+        known: known files of some photographs, which are kept.
 
     Raises:
         InputError: where too few are found; it names three that are missing.

@@ -13,7 +13,7 @@ from lightfield_gs.io.ply_file import HEADER_LIMIT_BYTES, read_elements, read_he
 
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _HARMONICS = ("f_dc_0", "f_dc_1", "f_dc_2")  # of a scene of Gaussians
-# In lower case: nerfstudio's, COLMAP's and 3D Gaussian splatting's, and those of apps
+# Names in lower case, from nerfstudio, COLMAP, 3D Gaussian splatting and apps
 _NAMES = ("sparse_pc.ply", "points3d.ply", "point_cloud.ply", "pointcloud.ply", "input.ply")
 
 

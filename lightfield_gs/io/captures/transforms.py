@@ -4,11 +4,11 @@ Source: nerfstudio's data conventions, also for train_filenames, val_filenames a
 "Instant Neural Graphics Primitives", 2022. The synthetic scenes of Mildenhall et al., "NeRF", 2020, for
 transforms_train.json, transforms_val.json and transforms_test.json.
 
-The fields are those of objects.py, with these differences:
+The fields are as in objects.py, with these differences:
     camera_model: any of COLMAP's, with its coefficients by name; is_fisheye means OPENCV_FISHEYE. Cameras may differ.
     file_path: seen from the images folder or from one of its reduced copies.
     ply_file_path: points in the world of the poses. Without it, points are looked for beside the file.
-    applied_transform: from COLMAP's world to that of the poses; it changes neither poses nor points.
+    applied_transform: from COLMAP's world to the world of the poses; it changes neither poses nor points.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def has_frames(path: Path) -> bool:
 
 
 def read_frames(path: Path, given: bool) -> TransformsFrames:
-    """Read the frames of a capture, with a note of those that are left out.
+    """Read the frames of a capture, with a note on frames that are left out.
 
     Args:
         path: a transforms.json, or one of another name.
@@ -177,7 +177,7 @@ def _fields_key(frame: TransformsFrame) -> str:
 
 
 def _add_test_frames(path: Path, data: dict[str, Any], train: list[TransformsFrame]) -> TransformsFrames:
-    """Return the frames to fit to, and those of the test file beside theirs."""
+    """Return the frames to fit to, and the frames of the test file beside their file."""
     there = [name for name in _TESTS if (path.parent / name).is_file()]
     if not there:
         return _split_by_names(path, data, train)
@@ -387,7 +387,7 @@ def _points(path: Path, name: Any, applied: Any, posed: Sequence[PosedPhotograph
     Args:
         path: the file.
         name: its ply_file_path, or None.
-        applied: its applied_transform, from COLMAP's world to that of the poses.
+        applied: its applied_transform, from COLMAP's world to the world of the poses.
         posed: its photographs, which a COLMAP model beside it may have too.
 
     Returns:

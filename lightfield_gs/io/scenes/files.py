@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path, expect, real_number
+from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
 from lightfield_gs.io.scenes import ksplat, ply, sog, splat, spz
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
@@ -58,8 +59,8 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | No
     """Read a file of Gaussians.
 
     Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat and .ksplat. A .sog (versions 1
-    and 2) may be a ZIP, a folder or its meta.json. The axes are those of a .ply: an .spz (right, up, back) is turned
-    to right, down, forward. A .ply may be text or binary of either byte order, with properties in any order and number
+    and 2) may be a ZIP, a folder or its meta.json. The axes are a .ply's (right, down, forward): an .spz (right, up,
+    back) is turned to them. A .ply may be text or binary of either byte order, with properties in any order and number
     type. Properties that no Gaussian has are ignored. Coordinates stored as double, far from zero, become relative to
     an origin of whole numbers near them; Gaussians.origin holds it.
 
@@ -92,7 +93,7 @@ def write_scene(gaussians: Gaussians, path: str | Path, comments: Sequence[str] 
         comments: texts of one line each for the header of a .ply, which may have 64 KiB.
 
     Returns:
-        What the format cannot hold, one line each.
+        Losses by the format, one line each.
 
     Raises:
         InputError: Gaussians are a batch, empty or invalid, comments have several lines, or the file cannot be written.
@@ -164,10 +165,11 @@ def _find_format(path: Path) -> Format:
     Raises:
         InputError: the file is of a known kind that is not read.
     """
-    if sog.is_streamed(path):
-        return _STREAMED
-    if path.name.lower() == sog.META or path.is_dir() and (path / sog.META).is_file():
-        return FORMATS[-1]
+    if path.is_dir() or path.suffix.lower() == ".json":
+        if sog.is_streamed(path):
+            return _STREAMED
+        if path.name.lower() == sog.META or (path / sog.META).is_file():
+            return FORMATS[-1]
     refuse_unsupported(path)
     with open(path, "rb") as file:
         start = file.read(4)

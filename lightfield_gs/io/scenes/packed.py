@@ -105,7 +105,7 @@ def _scratch(path: Path, name: str) -> Iterator[Path]:
 
 
 def _scene_in_zip(path: Path) -> str | None:
-    """Return the name of the one scene in a ZIP, or a trainer's last one; None for a SOG.
+    """Return the name of the only scene in a ZIP, or of a trainer's last scene; None for a SOG.
 
     Raises:
         InputError: there is no scene, or several.

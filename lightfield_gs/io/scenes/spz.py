@@ -3,7 +3,7 @@
 Centres are fixed-point numbers of 24 bits (version 1: half floats). Logarithms of scales (b / 16 - 10), opacities
 (b / 255), colours of degree 0 ((b / 255 - 0.5) / 0.15) and further harmonics (b / 128 - 1) are bytes. Rotations are
 x y z of a quaternion as bytes, from version 3 on its three smallest components of 10 bits. The axes are right, up, back
-(RUB): they are turned about x to those of a .ply, right, down, forward (README of spz, "Coordinate System").
+(RUB): they are turned about x to the axes of a .ply: right, down, forward (README of spz, "Coordinate System").
 
 Versions 1 to 3 are one gzip stream of a header of 16 bytes and the attributes one after the other. Version 4 has a
 header of 32 bytes, extensions, a table of sizes and a zstd stream for each attribute. Layout: Niantic's spz (README,

@@ -1,1 +1,1 @@
-"""A page in the browser that shows and steers a light field: what it draws, and the small server that it comes from."""
+"""A page in the browser that shows and steers a light field: its pictures and its small server."""

@@ -1,14 +1,14 @@
-"""The addresses of the two pages: the one that steers a scene, and the panel's own."""
+"""The routes of the two pages: one steers a scene, the other is the panel's own."""
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import secrets
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +25,8 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
 from lightfield_gs.panels.simulate import missing_geometry
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, Superseded, as_json, page_file, text
-from lightfield_gs.show.page.stage import Controls, Picture, Stage, defaults, number
+from lightfield_gs.show.page.stage import Controls, Picture, Stage, number
+from lightfield_gs.show.preview import image_bytes
 
 _JPEG_QUALITY = 85
 _WAIT_S = 10.0  # for another picture of the panel, before the page asks again
@@ -75,12 +76,12 @@ class _Steering:
         return encoded(picture, lossless=still)
 
     def rest(self, query: Query) -> Answer:
-        """Has the panel show what the page has come to rest at."""
+        """Show the page's resting state on the panel."""
         self._stage.settle(Controls.of(query))
         return text("", 204)
 
     def focus(self, query: Query) -> Answer:
-        """The depth of what is seen at a point."""
+        """Return the depth of the surface at a point."""
         point = number(query, "x", 0, 1), number(query, "y", 0, 1)
         work = partial(self._stage.depth_at, Controls.of(query), point)
         return as_json({"focus": self._lines.draw(False, work)})
@@ -98,7 +99,7 @@ class _Steering:
             return Answer(path.read_bytes(), "application/octet-stream", headers=kept)
 
     def native(self) -> tuple[int, np.ndarray]:
-        """The version of what the panel is to show, and its picture."""
+        """Return the picture for the panel, and its version."""
         return self._lines.last(self._stage.settled)
 
 
@@ -146,7 +147,7 @@ class _Packed:
         with self._turn:
             if self._version != version:
                 self._version, pixels = self._native()
-                self._answer = Answer(png(pixels, 0), "image/png")
+                self._answer = Answer(image_bytes(pixels, "PNG", compress_level=0), "image/png")
             return self._answer
 
 
@@ -164,27 +165,14 @@ def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
 
 
 def encoded(picture: Picture, lossless: bool) -> Answer:
-    """PNG or JPEG, with what it is and what it took in the headers."""
-    from PIL import Image
-
+    """Return a PNG or JPEG, with its kind and its times in the headers."""
     headers = {
         "X-Picture": picture.description,
         "Server-Timing": ", ".join(f"{name};dur={value:.2f}" for name, value in picture.stages_ms.items()),
     }
     if lossless:
-        return Answer(png(picture.pixels, 1), "image/png", headers=headers)
-    file = io.BytesIO()
-    Image.fromarray(picture.pixels).save(file, "JPEG", quality=_JPEG_QUALITY)
-    return Answer(file.getvalue(), "image/jpeg", headers=headers)
-
-
-def png(pixels: np.ndarray, level: int) -> bytes:
-    """A PNG of uint8 [H, W, 3] that says nothing of its colours, so that browsers show the bytes as they are."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "PNG", compress_level=level)
-    return file.getvalue()
+        return Answer(image_bytes(picture.pixels, "PNG", compress_level=1), "image/png", headers=headers)
+    return Answer(image_bytes(picture.pixels, "JPEG", quality=_JPEG_QUALITY), "image/jpeg", headers=headers)
 
 
 def _picture(stage: Stage, query: Query, controls: Controls, still: bool) -> Picture:
@@ -200,7 +188,7 @@ def _picture(stage: Stage, query: Query, controls: Controls, still: bool) -> Pic
 
 
 def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
-    """What the page says and needs to know of the scene and the panel."""
+    """Return the page's data on the scene and the panel."""
     panel = stage.panel
     distance = panel.viewing_distance_mm
     return {
@@ -211,15 +199,17 @@ def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
         "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
         "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
         "rig": {"zero_depth": stage.base.zero_depth, "cone_deg": stage.base.cone_deg or panel.cone_deg},
-        "defaults": defaults(),
+        "defaults": asdict(Controls()),
         "qualities": QUALITY_NAMES,
         "exports": exports,
     }
 
 
 class _Lines:
-    """Threads that draw: one for what moves and one for what rests, so that a picture at rest of seconds keeps no move
-    waiting. On a GPU they are one. More threads, one a connection, would each have a pool of torch's own."""
+    """The drawing threads: one for moving pictures and one for pictures at rest, which may take seconds.
+
+    On a GPU one thread draws both. A thread for each connection would have a pool of torch's own.
+    """
 
     def __init__(self, is_live: bool):
         self._still = ThreadPoolExecutor(1, "still")
@@ -251,21 +241,17 @@ def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
     return {
         "native.png": partial(_native, stage),
         f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
-        "rig.yaml": partial(_rig, stage),
+        "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(path),  # in the axes of the scene's file
     }
 
 
 def _native(stage: Stage, controls: Controls, path: Path) -> None:
     """The native picture, with the panel and the rig in it, as `encode` writes them: `simulate` and `show` read it."""
     image, _ = stage.native(controls)
-    encoding = {
-        "method": "direct",
-        "views": "integer",
-        "background": list(stage.background),
-        "quality": controls.quality,
-        **({"antialiased": True} if stage.antialiased else {}),
-        **({"view_filter": stage.view_filter} if stage.view_filter else {}),
-    }
+    drawn = stage.drawn_as
+    encoding = {"method": "direct", "views": "integer", "background": list(drawn["background"])}
+    encoding |= {"quality": controls.quality, **({"antialiased": True} if drawn["antialiased"] else {})}
+    encoding |= {"view_filter": drawn["view_filter"]} if drawn["view_filter"] else {}
     made_by = {"panel": stage.panel.to_dict(), "rig": stage.rig_of_file(controls).to_dict(), "encoding": encoding}
     write_image(path, image, {**_origin(stage), **{name: json.dumps(value) for name, value in made_by.items()}})
 
@@ -273,22 +259,9 @@ def _native(stage: Stage, controls: Controls, path: Path) -> None:
 def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:
     """All views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
     panel, rig = layout.fitted(stage.panel, controls.rig(stage.base, stage.panel))
-    image = quilt(
-        stage.gaussians,
-        layout,
-        rig,
-        panel,
-        background=stage.background,
-        antialiased=stage.antialiased,
-        view_filter=stage.view_filter,
-    )
+    image = quilt(stage.gaussians, layout, rig, panel, **stage.drawn_as)
     write_image(path, image.cpu().numpy(), _origin(stage))
 
 
 def _origin(stage: Stage) -> dict[str, str]:
     return {"software": f"lightfield-gs {version('lightfield-gs')}", "input": stage.name}
-
-
-def _rig(stage: Stage, controls: Controls, path: Path) -> None:
-    """The cameras, for `--rig`, in the axes of the scene's file."""
-    stage.rig_of_file(controls).to_yaml(path)

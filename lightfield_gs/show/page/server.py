@@ -215,7 +215,7 @@ class Server(ThreadingHTTPServer):
         """Whether a request names this server: a page from elsewhere, whose name was made to lead here, does not.
 
         Its names are the host given, this machine's, and addresses: a browser gives these only where they were asked
-        for. A server on one address has that one, and those of this machine to itself.
+        for. A server on one address has only this address, and the local ones.
         """
         if name is None:
             return False
@@ -289,20 +289,11 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _IDLE_S
     disable_nagle_algorithm = True
 
-    def do_GET(self) -> None:
-        self._respond()
-
-    def do_HEAD(self) -> None:
-        self._respond()
-
-    def do_POST(self) -> None:
-        self._respond()
-
     def log_message(self, format: str, *args: object) -> None:
         """Says nothing: there are many requests a second."""
 
     def end_headers(self) -> None:
-        """Ends the headers of any answer, those of mistakes among them, with what all have."""
+        """End the headers of any answer, also of an error, with the common headers."""
         for name, value in _HEADERS.items():
             self.send_header(name, value)
         super().end_headers()
@@ -311,9 +302,11 @@ class _Handler(BaseHTTPRequestHandler):
         with ExitStack() as held:
             self._send(self._answer(held))
 
+    do_GET = do_HEAD = do_POST = _respond
+
     def _answer(self, held: ExitStack) -> Answer:
         try:
-            # What is not read of a request would be taken for the next one
+            # Unread data of a request would be taken for the next request
             body, self._is_read = b"", not (self.headers.get("Content-Length") or self.headers.get("Transfer-Encoding"))
             if refused := self._refused():
                 return refused

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -27,7 +27,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.preview import contact_sheet, to_integers
+from lightfield_gs.show.preview import SHEET_VIEWS, SHEET_WIDTH_PX, contact_sheet, to_integers
 
 # Each number that the page may set, with its range
 _RANGES = {
@@ -67,7 +67,7 @@ class Controls:
 
     @staticmethod
     def of(query: Mapping[str, str]) -> Controls:
-        """Controls from a query of the page; what is missing has its default, and other words are not looked at.
+        """Return the controls of a query; missing words have their defaults, unknown words are ignored.
 
         Raises InputError on a value that is no number, or out of its range.
         """
@@ -83,17 +83,12 @@ class Controls:
         return replace(self, eye=0.0)
 
     def look(self) -> Look:
-        """What these controls change of a rig, but for the turn."""
+        """Return the changes of a rig by these controls, without the turn."""
         return Look(self.focus, self.depth_amount, self.cone_deg, self.zoom, (self.pan_x, self.pan_y))
 
     def rig(self, base: Rig, panel: Panel) -> Rig:
-        """The rig that these controls make of the one that the scene was framed with."""
+        """Return the scene's rig as these controls change it."""
         return self.look().applied(orbited(base, self.yaw_deg, self.pitch_deg), panel)
-
-
-def defaults() -> dict[str, Any]:
-    """The fields of Controls and their defaults."""
-    return {field.name: field.default for field in fields(Controls)}
 
 
 def number(query: Mapping[str, str], name: str, low: float, high: float) -> float:
@@ -126,8 +121,6 @@ def orbited(rig: Rig, yaw_deg: float, pitch_deg: float) -> Rig:
     return replace(rig, world_to_camera=turn @ rig.world_to_camera)
 
 
-_SHEET_VIEWS = 12
-_SHEET_WIDTH_PX = 1920  # of the sheet at rest
 _STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed
 
 
@@ -169,9 +162,9 @@ class Stage:
         view_filter: float = 0.0,
     ):
         self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
-        self.background, self.antialiased, self.view_filter = background, antialiased, view_filter
+        self.drawn_as: dict[str, Any] = dict(background=background, antialiased=antialiased, view_filter=view_filter)
         self.is_live = gaussians.device.type == "cuda"
-        self.version = 0  # counts what the page came to rest at
+        self.version = 0  # counts the resting states of the page
         self._settled, self._changed = Controls(), threading.Condition()
         self._native: tuple[Controls, np.ndarray, dict[str, float]] | None = None
         self._moving: tuple[str, Encoder] | None = None
@@ -200,12 +193,12 @@ class Stage:
     def sheet(self, controls: Controls, still: bool) -> Picture:
         """Twelve views side by side, the left-most camera's first; smaller ones where not still."""
         upright = self.panel.height_px > self.panel.width_px
-        width_px = _SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
+        width_px = SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
         stages: dict[str, float] = {}
         with _timed(stages, "views"):
             inner = 0.5 - 0.5 / self.panel.views  # the outermost integer views
-            views = self._views(controls, np.linspace(-inner, inner, _SHEET_VIEWS).tolist(), width_px)
-        return Picture(contact_sheet(views), f"{_SHEET_VIEWS} views from left to right", stages)
+            views = self._views(controls, np.linspace(-inner, inner, SHEET_VIEWS).tolist(), width_px)
+        return Picture(contact_sheet(views), f"{SHEET_VIEWS} views from left to right", stages)
 
     def crop(self, controls: Controls, centre: tuple[float, float], size_px: tuple[int, int], still: bool) -> Picture:
         """Draw native pixels one to one, around a point of the panel.
@@ -226,8 +219,10 @@ class Stage:
         return Picture(pixels, description, stages)
 
     def native(self, controls: Controls) -> tuple[np.ndarray, dict[str, float]]:
-        """The native picture, uint8 [H, W, 3] (to be read only), and the times of its stages in ms, {} where it is the
-        one before."""
+        """Return the native picture, uint8 [H, W, 3] (to be read only), and the times of its stages in ms.
+
+        The times are {} for the same picture as before.
+        """
         if self._native is not None and self._native[0] == controls.picture():
             return self._native[1], {}
         stats: dict = {}
@@ -236,7 +231,7 @@ class Stage:
         return image, dict(stats["stages_ms"])
 
     def settle(self, controls: Controls) -> None:
-        """Says where the page has come to rest: what the panel is to show."""
+        """Set the page's resting state, which the panel shows."""
         with self._changed:
             if controls.picture() != self._settled:
                 self._settled = controls.picture()
@@ -250,13 +245,16 @@ class Stage:
         return version, self.native(controls)[0]
 
     def wait_for(self, after: int, timeout_s: float) -> int:
-        """The version of what the panel is to show, as soon as it is another than `after`, or when the time is over."""
+        """Return the version of the panel's picture as soon as it differs from `after`, or at the timeout."""
         with self._changed:
             self._changed.wait_for(lambda: self.version != after, timeout_s)
             return self.version
 
     def depth_at(self, controls: Controls, point: tuple[float, float]) -> float:
-        """Depth of what is seen at a point of the picture, 0..1 of its width and height: a focus. Raises InputError."""
+        """Return the depth of the surface at a point of the picture, 0..1 of its width and height.
+
+        The depth becomes the focus. Raises InputError.
+        """
         look = replace(controls.look(), focus=point)
         turned = orbited(self.base, controls.yaw_deg, controls.pitch_deg)
         return look.applied(turned, self.panel, self.gaussians).zero_depth
@@ -284,34 +282,15 @@ class Stage:
 
     def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
         with torch.no_grad():
-            image = encode(
-                self.gaussians,
-                panel,
-                rig,
-                background=self.background,
-                quality=controls.quality,
-                antialiased=self.antialiased,
-                view_filter=self.view_filter,
-                stats=stats,
-            )
+            image = encode(self.gaussians, panel, rig, quality=controls.quality, stats=stats, **self.drawn_as)
         return image.cpu().numpy()
 
     def _native_live(self, controls: Controls) -> dict[str, float]:
         """Draws the native picture on the GPU, where it stays; returns the time that it took."""
         rig, stages = self._rig(controls), dict[str, float]()
         if self._moving is None or self._moving[0] != controls.quality:
-            self._moving = (
-                controls.quality,
-                Encoder(
-                    self.panel,
-                    rig,
-                    background=self.background,
-                    quality=controls.quality,
-                    versioned=True,
-                    antialiased=self.antialiased,
-                    view_filter=self.view_filter,
-                ),
-            )
+            encoder = Encoder(self.panel, rig, quality=controls.quality, versioned=True, **self.drawn_as)
+            self._moving = controls.quality, encoder
         encoder = self._moving[1]
         encoder.rig = rig
         with _timed(stages, "native"):
@@ -323,16 +302,8 @@ class Stage:
         """What perfect lenses show to eyes at these places across the viewing zone, each uint8 [h, w, 3]."""
         panel, rig = self._rig(controls).reduced(self.panel, width_px)
         side = -1 if panel.invert_views else 1
-        views = render_views(
-            self.gaussians,
-            panel,
-            rig,
-            [panel.views * (0.5 - side * eye) for eye in eyes],
-            background=self.background,
-            antialiased=self.antialiased,
-            view_filter=self.view_filter,
-        )
-        return list(to_bytes(views).cpu().numpy())
+        positions = [panel.views * (0.5 - side * eye) for eye in eyes]
+        return list(to_bytes(render_views(self.gaussians, panel, rig, positions, **self.drawn_as)).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
         """Left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""
@@ -345,9 +316,9 @@ class Stage:
 
 
 def cut_out(panel: Panel, rig: Rig, left: int, top: int, width: int, height: int) -> tuple[Panel, Rig]:
-    """A part of a panel as a panel of its own: its sub-pixels show what they show on the whole one.
+    """Return a part of a panel as a panel of its own: its sub-pixels show the same views as on the whole panel.
 
-    On panels with cells, where the kinds of pixels repeat, left, top and what is left below are multiples of PERIOD.
+    On panels with cells the kinds of pixels repeat: left, top and the rows left below are multiples of PERIOD.
     """
     cx, cy = rig.principal_point_px
     phase = panel.phase + 3 * left + 3 * top * panel.slant_tan

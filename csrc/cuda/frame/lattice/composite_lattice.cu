@@ -7,7 +7,7 @@
 // once, and the middles of cells. Where the middles show that interpolation is as good as asked for, the block
 // interpolates the tile's sub-pixels. Tiles that are refused are left to the kernel chosen. Some rows of tiles go
 // first, as probes: where lattices fit in few of their tiles, the rows between do not try.
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/frame/lattice/lattice_errors.cuh"
 #include "cuda/frame/lattice/lattice_interpolate.cuh"
 #include "cuda/frame/lattice/lattice_rows.cuh"
@@ -71,8 +71,8 @@ __device__ void add_staged(const Staged& staged, int first, int end, int half_pl
 __device__ int own_part(int log2_parts) { return int(threadIdx.x) * (1 << log2_parts) / kThreads; }
 __device__ int number_abreast(int log2_parts) { return int(threadIdx.x) & ((kThreads >> log2_parts) - 1); }
 
-// The colour, 0..1, of this thread's point. Where there are few points, several threads have the same point: each
-// blends a part of the staged splats, and all of them join the parts. By all threads of the block.
+// Return the colour, 0..1, of this thread's point. Where there are few points, several threads have the same point.
+// Each of them blends a part of the staged splats, and then they join the parts. All threads of the block call this.
 __device__ float3 draw(const List& list, const Lattice& lattice, const Point& point, int log2_parts, float stop,
                        float4 background, Memory& memory) {
   const int half_planes = 2 * lattice.planes - 1, batch = min(kBatch, quotient(kShapes, half_planes));
@@ -207,9 +207,9 @@ __device__ List make_list(const DirectFrame& frame, const Lists& lists, const Ti
   return {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin()};
 }
 
-// Why a tile has no lattices; stands in the place of the number of planes of its first lattice. Outcomes without a
-// lattice: the tile is off the panel; it has no splat, and is background; its splats are few or unlisted; or a lattice
-// would not pay. The latter two are left to the kernel chosen.
+// Why a tile has no lattices; stored as the number of planes of its first lattice. In order: the tile is off the panel;
+// it has no splats, only background; its splats are few or unlisted; a lattice would not pay. In the last two cases the
+// chosen kernel draws the tile.
 enum Unlaid : int { kUnseen = -3, kEmpty = -2, kUntried = -1, kPaysNot = 0 };
 
 // Lay lattices through the sections of all tiles, and write them into DirectFrame::lattices. A warp has one tile.

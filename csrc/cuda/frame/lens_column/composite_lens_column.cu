@@ -202,11 +202,11 @@ void launch(const DirectFrame& frame, const float* background, Out* out, cudaStr
   check_launch("composite_lens_column");
 }
 
-// Whether the kernel can draw a lens, on a device that has room for its tiles.
+// Whether the kernel can draw a lens, on a device whose shared memory holds its tiles.
 bool suits_lens_columns(const Lens& lens) {
   const double number = lens.line_number, views_each = double(lens.views) / number;
   if (!lens.has_cells) return number >= kMinLineNumber && number <= kMaxLineNumber && views_each <= kMostViewsEach;
-  // With cells there are two more lens columns, and each sees more views; and what lies at a place must be of one
+  // With cells there are two more lens columns, and each sees more views. All sub-pixels at a place must have one
   // channel
   return number >= kMinCellLineNumber && number <= kMaxLineNumber - 2 && lens.stands_in_order() &&
          lens.has_one_order() && (1 + 2 * lens.most_beyond()) * views_each <= kMostViewsEach;

@@ -20,7 +20,7 @@ constexpr float kMaxLineNumber = kMostLensColumns - 1, kMinLineNumber = 4, kMost
 constexpr float kMinCellLineNumber = 6;  // then half a lens is wider than a sub-pixel can stand aside of its stripe
 constexpr unsigned kOnes = 0x3c003c00u;  // 1 and 1, as halves
 constexpr unsigned kNothing = 0xe3d0;    // -1000 and 0, as halves: an exponent that draws nothing
-// Bytes of a sample's features, and offsets of the second part of d's coefficients and of A's coefficients.
+// Bytes of a sample's features; where the second part of d's coefficients begins, and where A's coefficients begin.
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 
 // How a block uses shared memory. Two blocks should stand on a multiprocessor: with one, 8 warps are too few to cover
@@ -62,9 +62,9 @@ struct WarpMemory {
   uint16_t
       queue[Layout::kBatch];  // the intersections of the lens column that is drawn: which of the staged splats they are
   float2 state[Layout::kLensColumns * kHalves][32];  // colour and transmittance of each sample
-  // For the lens of each sample, in the sample's row: the sub-pixel at lens column 0, and the first and past-the-last
-  // lens column of the lens itself. They are in memory since the compiler would rather compute them again for every
-  // lens column than keep so many registers.
+  // For the lens of each sample, in the sample's row: the sub-pixel at lens column 0, the lens's first lens column, and
+  // the one past its last. They are in memory, because the compiler would compute them again for every lens column
+  // rather than keep so many registers.
   int start[kHalves][32];
   uchar2 lens_columns[kHalves][32];
   float x_first;  // x of lens column -1/2, the left edge of the first, in the middle row

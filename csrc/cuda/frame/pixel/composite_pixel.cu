@@ -13,7 +13,7 @@
 // the rig. Where half precision will do, samples are pairs of halves.
 #include <type_traits>
 
-#include "cuda/common/check.h"
+#include "cuda/common/launch.h"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/kernel_cost.cuh"
 #include "cuda/frame/pixel/pixel_fit.cuh"

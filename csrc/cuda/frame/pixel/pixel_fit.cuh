@@ -5,7 +5,7 @@
 
 #include <type_traits>
 
-#include "cuda/common/compensated.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
 #include "cuda/frame/lens_optics.cuh"
@@ -20,8 +20,8 @@ constexpr float kMostHalfColour = 2;  // sums of brighter colours have too few d
 constexpr float kStraightColour = 2.5e-4f;  // coefficient of s^2 that is left out; on average a quarter is the error
 constexpr float kSmallEdge = 3e-3f;         // slope with which a colour may reach zero: it errs by at most a quarter
 
-// How samples are evaluated: with a straight line for r = S^(-1/2), with a parabola where a line is too coarse, or in
-// half precision.
+// How samples are evaluated: r = S^(-1/2) is a straight line, or a parabola where a line is too coarse. kHalf is the
+// line in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
 // What a kernel is compiled for. Compensated: splats have compensations. Cells: the panel may have cells, which take
@@ -107,8 +107,7 @@ __device__ inline float half_unit(const LensOptics& lens) {
   return lens.s_step != 0 ? lens.s_step * exp2f(ceilf(log2f(0.5f * float(lens.views)))) : 1.f;
 }
 
-// Turn a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With v = s
-// / unit,
+// Turn a fit of shape_polynomial(), with the steps of its colour, into the form for half precision. v is s / unit.
 //   d = (f0.x + f0.y x + f0.z y) + v (h0 + h1 x + h2 y) + v^2 h3,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2.
 // f1.z holds h0 and h1, f1.w holds h2 and h3. f2 holds the three steps of the colour and of its slope, as halves.
 __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
@@ -174,8 +173,8 @@ __device__ inline float4 steps(float4 colour, int count, float4& last) {
   return step;
 }
 
-// Whether half precision is too coarse for a splat: d changes more over the rig than its digits allow, or its colour is
-// too large or NaN.
+// Whether half precision is too coarse for a splat. It is where d changes more over the rig than the digits allow, or
+// where the colour is too large or NaN.
 template <class C>
 __device__ bool too_coarse_in_half(const float4 fit[2], const ColourFit& colour) {
   const float sweep = fabsf(fit[0].z) + 0.5f * kPatchWidth * fabsf(fit[1].z) + 0.5f * C::patch_height * fabsf(fit[0].w);

@@ -3,7 +3,7 @@
 // functions below, r is a row of the lane, p one of its two pixels there, and k a place in the pixel.
 #pragma once
 
-#include "cuda/common/compensated.cuh"
+#include "cuda/stages/projection.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lens_optics.cuh"
 #include "cuda/frame/pixel/pixel_fit.cuh"
@@ -85,8 +85,8 @@ __device__ inline __noinline__ float circle_part(const float4* terms, int channe
   return point.colour([&](int m) { return reinterpret_cast<const float*>(terms + m)[channel]; });
 }
 
-// Add an exact intersection to one sample: with a division, the limit of alpha, the whole colour polynomial or the
-// colour on its circle, and the compensation. End samples that become opaque.
+// Add an exact intersection to one sample: with a division, the limit of alpha and the compensation. The colour is the
+// whole polynomial, or on its circle. Samples that become opaque end.
 template <class C>
 struct ExactIntersection {
   const DirectFrame& frame;

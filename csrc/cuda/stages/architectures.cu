@@ -1,5 +1,5 @@
 // Find the architectures of this build: nvcc defines the list as a macro.
-#include "cuda/common/architectures.h"
+#include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
 

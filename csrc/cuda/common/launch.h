@@ -1,8 +1,10 @@
-// For the host code around kernels: every status of CUDA and CUB becomes an Error, and the sizes of launches.
+// For the host code around kernels: errors of CUDA and CUB, sizes of launches, and several arrays in one buffer.
 #pragma once
 
 #include <cuda_runtime.h>
 
+#include <cstddef>
+#include <cstdint>
 #include <string>
 
 #include "base/config.h"
@@ -30,5 +32,18 @@ unsigned resident_blocks(Kernel kernel, int threads, size_t shared_bytes) {
   check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, threads, shared_bytes), "occupancy");
   return unsigned(processors * (blocks > 0 ? blocks : 1));
 }
+
+// Hand out aligned parts of one buffer. When the buffer is null it only counts how long it must be.
+struct Parts {
+  char* base;
+  size_t used = 0;
+
+  template <class T>
+  void take(T*& part, int64_t count) {
+    used = (used + 255) / 256 * 256;
+    part = reinterpret_cast<T*>(base ? base + used : nullptr);
+    used += size_t(count) * sizeof(T);
+  }
+};
 
 }  // namespace lfgs::cuda

@@ -1,8 +1,9 @@
-// Compensated splats on the device: their projection and their compensation (math/compensation.h), in anti-aliased
-// scenes and for cameras with an aperture.
+// How kernels project one Gaussian, with and without compensation (math/compensation.h). Backward passes project again
+// rather than keep all splats.
 #pragma once
 
 #include "math/projection.h"
+#include "stages/stages.h"
 
 namespace lfgs::cuda {
 
@@ -29,6 +30,24 @@ __device__ inline float unfiltered(const Compensation<float>& c, float s) {
 // Log2 of a splat's compensation seen from s; minus infinity for a disc that is seen edge-on.
 __device__ inline float log2_compensation(const Compensation<float>& c, float s, float S) {
   return 0.5f * log2f(unfiltered(c, s) / S);
+}
+
+// The splat of a Gaussian in an image, `camera` its camera. It is in float, but in double where it is compensated.
+template <bool kCompensated>
+__device__ Splat<float> projected(const Cameras<float>& cameras, int64_t image, const Camera<float>& camera,
+                                  const Shape<float>& shape) {
+  if constexpr (kCompensated) {
+    Compensation<float> of_one_camera;  // not needed: with one camera it is in the opacity
+    return compensated_splat(cameras.camera<double>(image), shape, of_one_camera);
+  } else {
+    return Projection<float>(camera, shape).splat(camera, shape.opacity);
+  }
+}
+
+// Write a colour for one camera, not below zero.
+__device__ inline void store_colour(const glm::vec3& colour, float* colours, int64_t index) {
+  reinterpret_cast<float4*>(colours)[index] =
+      make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
 }
 
 }  // namespace lfgs::cuda

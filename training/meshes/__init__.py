@@ -1,0 +1,1 @@
+"""Examples rendered from textured meshes, new ones in every step."""
