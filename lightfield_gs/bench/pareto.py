@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.options import QUALITY_NAMES
 from lightfield_gs.bench import options
 from lightfield_gs.bench.photo import EXAMPLE, network
 from lightfield_gs.bench.report import aligned, check_plot, in_ms, new_figure, or_dash
@@ -30,7 +31,7 @@ from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.load import load_photo
-from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
@@ -66,7 +67,7 @@ def settings() -> dict[str, Setting]:
     found = {name: Setting(quality) for name, quality in _qualities().items()}
     drawn = {
         "": EXACT,
-        "fast, ": QUALITIES["fast"],
+        "fast, ": Quality.of("fast"),
         **{f"{_knobs(approximate)}, ": approximate for approximate in map(_approximate, CUTS)},
     }
     for cut in PRUNED:
@@ -75,7 +76,7 @@ def settings() -> dict[str, Setting]:
 
 
 def _approximate(opacity_cut: float) -> Quality:
-    return Quality(opacity_cut=opacity_cut, evaluation_error=QUALITIES["fast"].evaluation_error)
+    return Quality(opacity_cut=opacity_cut, evaluation_error=Quality.of("fast").evaluation_error)
 
 
 def _knobs(approximate: Quality) -> str:
@@ -83,7 +84,7 @@ def _knobs(approximate: Quality) -> str:
 
 
 def _qualities() -> dict[str, Quality]:
-    found = dict(QUALITIES)
+    found: dict[str, Quality] = {name: Quality.of(name) for name in QUALITY_NAMES}
     for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
     for approximate in map(
@@ -92,7 +93,8 @@ def _qualities() -> dict[str, Quality]:
         found[_knobs(approximate)] = approximate
         found[f"{_knobs(approximate)}, lattice_error {_value(LATTICE)}"] = replace(approximate, lattice_error=LATTICE)
     for knob in KNOBS:
-        for name, quality in QUALITIES.items():
+        for name in QUALITY_NAMES:
+            quality = found[name]
             value, without = getattr(quality, knob), getattr(EXACT, knob)
             if value == without:
                 continue
@@ -168,7 +170,7 @@ def rows(
                 **what,
                 "setting": name,
                 "gaussians": drawn.gaussians.count,
-                "named": name in QUALITIES,
+                "named": name in QUALITY_NAMES,
                 **oracle.errors(out),
                 "pairs": stats["pairs"],
                 "evaluations_per_subpixel": stats["evaluations_per_subpixel"],

@@ -21,17 +21,17 @@ from lightfield_gs.bench.pareto import Subject, drawing, scene_subjects
 from lightfield_gs.bench.report import aligned, in_ms, or_dash
 from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoding.encode import draw_direct, encode
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
-from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 SCENES = ("cloud:65536",)
-OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error
+OPACITY_CUT, LATTICE_ERROR = Quality.of("fast").opacity_cut, Quality.of("high").lattice_error
 TRANSMITTANCE_STOP, CONTRIBUTION_CUT = 5e-2, 2e-2
 PRUNED = 3e-4  # the contribution_cut of `prune`
 _HARMONICS = 3  # degree of the harmonics that a scene without any is given
@@ -223,7 +223,7 @@ def _colours(subject: Subject, quality: Quality) -> Draw:
         frames = DirectFrames(job, quality)
         frames.orders, frames.colour_order = (COLOUR_ORDER,), COLOUR_ORDER
         return partial(frames.draw, job, True)
-    return partial(draw_direct, job, True, quality)
+    return partial(job.draw, True, quality)
 
 
 @dataclass
