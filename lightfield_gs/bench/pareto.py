@@ -111,7 +111,7 @@ def _value(value: float) -> str:
 def subjects(
     scenes: Sequence[str], photos: Sequence[str], panel: Panel, cones: Sequence[Any], device: str
 ) -> list[Callable[[], Subject]]:
-    """Calls that make the subjects: every scene (as load_scene names them) and every photo, in every cone."""
+    """Return functions that make the subjects: every scene of load_scene and every photo, in every cone."""
     return [
         *(partial(_of_scene, scene, panel, cone, device) for scene in scenes for cone in cones),
         *(partial(_of_photo, path, panel, cone, device) for path in photos for cone in cones),
@@ -150,7 +150,7 @@ def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
 def rows(
     subject: Subject, chosen: dict[str, Setting], repeats: int | None, threads: int | None
 ) -> list[dict[str, Any]]:
-    """A row for each setting, the exact one first. Raises InputError."""
+    """Return a row for each setting, the exact setting first. Raises InputError."""
     oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
     what = {
         "scene": subject.name,
@@ -190,7 +190,7 @@ def rows(
 def drawing(
     subject: Subject, quality: Quality = EXACT, threads: int | None = None, out: Tensor | None = None
 ) -> Callable[[], Tensor]:
-    """A call that draws a subject; on CUDA an Encoder's replayed frame, on the CPU over `out`."""
+    """Return a function that draws a subject: on CUDA an Encoder's replayed frame, on the CPU over `out`."""
     if subject.gaussians.means.is_cuda:
         return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
     return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads, out=out)
@@ -228,7 +228,7 @@ COLUMNS = 4
 
 
 def plot(found: list[dict[str, Any]], path: Path) -> None:
-    """Writes the picture. Raises InputError."""
+    """Write the plot. Raises InputError."""
     cases: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
     for row in found:
         cases.setdefault((row["scene"], row["cone_deg"], row["device"]), []).append(row)
@@ -248,7 +248,7 @@ def plot(found: list[dict[str, Any]], path: Path) -> None:
 
 
 def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
-    """The settings as dots, the named ones by name, and the front as a line."""
+    """Draw the settings as dots, with their names, and the front as a line."""
     front = sorted((row for row in rows if row["front"]), key=lambda row: row["ms"])
     axis.step(
         [row["ms"] for row in front],
@@ -296,7 +296,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(given: Options) -> tuple[dict[str, Any], str]:
-    """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
+    """Return the rows of every scene, photo, cone and setting, and their text; draw the plot."""
     if given.plot is not None:
         check_plot(given.plot)
     photos = [] if given.scene and not given.photo else (given.photo or str(EXAMPLE)).split(",")

@@ -65,7 +65,7 @@ def mirrored(raw: Tensor, layers: int, sh_degree: int) -> Tensor:
 
 
 def _flat(channels: Tensor) -> Tensor:
-    """[B,C,H,W] to [B,H*W,C]."""
+    """Reshape [B,C,H,W] to [B,H*W,C]."""
     return channels.flatten(2).transpose(1, 2)
 
 

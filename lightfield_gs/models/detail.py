@@ -272,7 +272,7 @@ def _quaternions(first: Tensor, second: Tensor, third: Tensor) -> Tensor:
 
 
 def _flat(channels: Tensor) -> Tensor:
-    """[B,C,H,W] to [B,H*W,C]."""
+    """Reshape [B,C,H,W] to [B,H*W,C]."""
     return channels.flatten(2).transpose(1, 2)
 
 
