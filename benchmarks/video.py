@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from torch import Tensor
 
+from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import options
 from lightfield_gs.bench.report import aligned
@@ -20,12 +23,29 @@ from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.camera_path import turntable
 from lightfield_gs.video.frame_folder import FrameFolder
-from lightfield_gs.video.rendering import FrameOptions, NativeRenderer, NullSink, Sink, render_frames
+from lightfield_gs.video.rendering import FrameOptions, NativeRenderer, Sink, render_frames
 from lightfield_gs.video.video_file import VideoFile
 
 SINKS = ("none", "png", "h264-rgb", "ffv1")
 FRAMES = {"cpu": 10, "cuda": 300}
 _FPS = Fraction(30)
+
+
+class NullSink(nullcontext):
+    """Discards frames, to measure rendering alone."""
+
+    def __init__(self, count: int):
+        self.missing = list(range(count))
+
+    def __enter__(self) -> NullSink:
+        return self
+
+    def fetch(self, image: Tensor) -> np.ndarray:
+        """Copy the frame to the host."""
+        return to_numpy(image)
+
+    def put(self, number: int, image: np.ndarray) -> None:
+        """Discard it."""
 
 
 @torch.inference_mode()

@@ -391,7 +391,8 @@ def _scale(path: str | Path, values: np.ndarray, sky: np.ndarray | None, kind: s
     if scale is None and values.dtype.kind in "iu":
         raise InputError(
             f"{path} holds whole numbers; say what they mean: near and far (depth_range=NEAR,FAR, with "
-            "depth_kind=disparity where bright is near), or the length of one (depth_scale=, 0.001 for millimetres to metres)"
+            "depth_kind=disparity where bright is near), or the length of one (depth_scale=, 0.001 for "
+            "millimetres to metres)"
         )
     scale, values = 1.0 if scale is None else _positive("depth scale", scale), values.astype(np.float64)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
