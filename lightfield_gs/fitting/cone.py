@@ -77,10 +77,6 @@ class Cone:
             )
         return ConeAngles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
 
-    def weights(self) -> np.ndarray:
-        """Return [C] float64, FLOOR..1, the weight of each photograph in the fit."""
-        return cone_weights(self.angles_deg, self.cone_deg)
-
 
 def cone_weights(angles_deg: np.ndarray, cone_deg: float) -> np.ndarray:
     """Return weights FLOOR..1 at angles from the centre.
@@ -262,7 +258,7 @@ class Display:
 
     def photo_weights(self, indices: Sequence[int]) -> list[float]:
         """Return the weights of photographs, by their indices in the capture; the largest is 1."""
-        weights = self.cone.weights()[list(indices)]
+        weights = cone_weights(self.cone.angles_deg, self.cone.cone_deg)[list(indices)]
         return (weights / weights.max()).tolist()
 
     def comments(self) -> list[str]:
@@ -300,9 +296,8 @@ def place_display(
     judged = None if display is None else display.cone
     if score_cone is not None:
         judged = place_cone(capture, score_cone, centre if display is None else display.cone.name)
-    if display is not None:
-        return display, judged, display.messages
-    return None, judged, () if judged is None else judged.messages
+    placed = display or judged
+    return display, judged, () if placed is None else placed.messages
 
 
 def read_cone(cone: Panel | str | Path | float) -> tuple[Panel, str]:

@@ -215,22 +215,9 @@ class PosedImages:
         poses, intrinsics, limits = (
             tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, self.intrinsics, self.limits)
         )
-        means, quaternions, scales, opacities, sh = (tensor[None] for tensor in gaussians.fields().values())
-        arguments = ImageArguments(
-            means,
-            quaternions,
-            scales,
-            opacities,
-            sh,
-            background[None],
-            poses,
-            intrinsics,
-            limits,
-            width,
-            height,
-            antialiased,
-        )
-        return ImageRender.from_arguments(arguments, capacity=capacity)
+        fields = [tensor[None] for tensor in gaussians.fields().values()]
+        views = (background[None], poses, intrinsics, limits, width, height, antialiased)
+        return ImageRender.from_arguments(ImageArguments(*fields, *views), capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
         """Return [H,W] float32, the weights 0..1 of a photograph's pixels."""

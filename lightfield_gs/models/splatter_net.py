@@ -160,9 +160,8 @@ class SplatterNet(nn.Module):
         """
         photo, size = photo.to(self.device), self.config.image_size_px
         if photo.is_cuda and hasattr(_core, "cuda"):
-            checks, (cropped, *finer) = crop_on_device(
-                photo.contiguous(), [size] if level is None else [size, level.factor * size]
-            )
+            sizes = [size] if level is None else [size, level.factor * size]
+            checks, (cropped, *finer) = crop_on_device(photo.contiguous(), sizes)
             values_in_range, has_object = checks.tolist()
             check_values(values_in_range)
             crop.check_object(has_object)
