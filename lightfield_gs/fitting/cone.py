@@ -329,12 +329,8 @@ def upright_turns(capture: Capture, centre: int) -> tuple[int, tuple[str, ...]]:
     counts = np.bincount(votes[np.linalg.norm(down, axis=1) > _LEAST_ACROSS], minlength=len(_DOWN))
     own = int(votes[centre])
     quarters = own if counts[own] == counts.max() else int(counts.argmax())
-    how = (
-        "is not turned",
-        "is turned by 90 degrees clockwise",
-        "is turned by 180 degrees",
-        "is turned by 90 degrees counter-clockwise",
-    )[quarters]
+    ways = ("", "90 degrees clockwise", "180 degrees", "90 degrees counter-clockwise")
+    how = f"is turned by {ways[quarters]}" if quarters else "is not turned"
     name = capture.names[centre]
     return quarters, (
         f"cone: the rig {how} from {name} as stored (Exif orientation {tags[centre]}), so that "
