@@ -1,7 +1,7 @@
-"""A fit beside others: how good the views that were held out are after so many steps and seconds.
+"""Compare fits: the quality of held-out photographs after some steps and seconds.
 
-All arms fit the same Gaussians at the same points to the same photographs, one a step and in the same order, in the
-same coordinates and before black; their cameras stay as they are, and so do the photographs' exposures.
+All arms fit the same Gaussians at the same points to the same photographs, one a step, in the same order. Coordinates
+are the same, and the background is black. Cameras and exposures stay fixed.
 """
 
 from __future__ import annotations
@@ -202,8 +202,10 @@ class Fit(Protocol):
 
 @dataclass(frozen=True)
 class Photographs:
-    """A capture on its device, in normalised coordinates: images to fit to, held-out images, and where points [P,3] of
-    colours [P,3] uint8 and the centres of all cameras [C,3] are."""
+    """A capture on its device, in normalised coordinates: training images and held-out images.
+
+    It also has points [P,3], their colours [P,3] uint8, and the centres [C,3] of all cameras.
+    """
 
     name: str
     train: PosedImages
@@ -233,8 +235,10 @@ class Photographs:
 
 @torch.no_grad()
 def scores(fit: Fit, images: PosedImages) -> dict[str, float]:
-    """Means over photographs of PSNR in dB and SSIM by the protocol of fitting/evaluate.py, drawn by the fit's own
-    rasterizer; and of the PSNR of the same scene drawn by ours."""
+    """Return means over photographs: PSNR in dB, SSIM, and the PSNR of the same scene drawn by ours.
+
+    The first two are drawn by the fit's own rasterizer, by the protocol of fitting/evaluate.py.
+    """
     scene, found = fit.gaussians(), []
     for place, (width, height) in enumerate(images.sizes):
         by_ours, photo, weights = render_and_photo(scene, images, place, BLACK)

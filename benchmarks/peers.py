@@ -1,7 +1,7 @@
 """Other programs beside ours in the benchmarks, when they are installed.
 
-gsplat (Ye et al., "gsplat: An Open-Source Library for Gaussian Splatting", JMLR 2025; PyPI `gsplat`, Apache-2.0) draws
-the dense views of the classic pipeline, and is the peer of a training step.
+gsplat draws the views of the classic pipeline, and is compared with a training step. Source: Ye et al., "gsplat: An
+Open-Source Library for Gaussian Splatting", JMLR 2025; PyPI `gsplat`, Apache-2.0.
 """
 
 from __future__ import annotations

@@ -123,7 +123,9 @@ def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussian
     Raises:
         InputError: the framing in the file cannot be read, or there is nothing to frame.
     """
-    own = None if up else _own_rig(path, file, panel, gaussians)
+    own = None
+    if not up and (file.comments or file.elements):
+        own = _own_rig(path, file, panel, gaussians)
     return own or _frame(up, file, panel, gaussians)
 
 

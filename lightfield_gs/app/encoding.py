@@ -12,7 +12,7 @@ import numpy as np
 
 from lightfield_gs.app.cameras import load_view_cameras, read_camera, refuse_look, scene_comments
 from lightfield_gs.app.options import EncodeOptions
-from lightfield_gs.app.panel import file_facts, load_panel, package_versions, scene_facts, software
+from lightfield_gs.app.panel import file_facts, load_panel, package_versions, software
 from lightfield_gs.app.scene import (
     LoadedScene,
     RenderSettings,
@@ -30,6 +30,7 @@ from lightfield_gs.io.atomic import check_folder, check_output_path, check_outpu
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.png import CompressedImage, compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.gaussians import scene_facts
 
 if TYPE_CHECKING:
     from torch import Tensor

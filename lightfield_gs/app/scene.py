@@ -213,8 +213,10 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
     """
     antialiased, background = options.antialiased, options.background
     comments = file.comments if file is not None and None in (antialiased, background) else ()
-    with named(path):
-        fitted, trained = find_fit_record(comments), antialiasing_source(comments)
+    fitted, trained = None, None
+    if comments:
+        with named(path):
+            fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     messages = []
     if antialiased is None:
         antialiased = trained is not None

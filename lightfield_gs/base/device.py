@@ -6,12 +6,13 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from queue import SimpleQueue
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
 
@@ -32,9 +33,7 @@ def choose_device(name: Device) -> Literal["cpu", "cuda"]:
 
 def _missing_for_cuda() -> str | None:
     """Return what CUDA lacks, the build, the torch or the GPU, and what to do; None where nothing is missing."""
-    from lightfield_gs import build_info
-
-    if "cuda" not in cast(list[str], build_info()["devices"]):
+    if not hasattr(_core, "cuda"):
         return "this build has no CUDA stages; install it with nvcc on the PATH and -C cmake.define.LFGS_CUDA=ON"
     if torch.version.cuda is None:
         return f"this torch, {torch.__version__}, is a CPU build; install a CUDA build of torch"

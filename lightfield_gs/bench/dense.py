@@ -46,27 +46,27 @@ class Step:
         self._outputs: Any = None
 
     def forward(self) -> None:
-        """draw(gaussians)."""
+        """Run draw(gaussians)."""
         for field in self.gaussians.fields().values():
             field.grad = None
         self._outputs = self._draw(self.gaussians)
 
     def backward(self) -> None:
-        """Through loss(outputs) to the fields of the Gaussians."""
+        """Run the backward pass from loss(outputs) to the fields of the Gaussians."""
         self._loss(self._outputs).backward()
 
     def both(self) -> None:
-        """Forward and backward."""
+        """Run forward and backward pass."""
         self.forward()
         self.backward()
 
     def image_and_gradients(self) -> dict[str, Tensor]:
-        """The image of the last step, and the gradient of every field."""
+        """Return the image of the last step, and the gradient of every field."""
         gradients = {name: cast(Tensor, field.grad) for name, field in self.gaussians.fields().items()}
         return {"image": self._outputs.detach(), **gradients}
 
     def release(self) -> None:
-        """Lets go of what was drawn; the gradients stay."""
+        """Release the drawn images; the gradients stay."""
         self._outputs = None
 
 
@@ -96,7 +96,7 @@ def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussia
 
 
 def camera(width_px: int, height_px: int, device: str) -> Cameras:
-    """The camera before which `frustum` puts its Gaussians."""
+    """Return the camera in front of the Gaussians of `frustum`."""
     focal, centre = (
         torch.tensor([pair], device=device) for pair in ([_FOCAL_WIDTHS * width_px] * 2, [width_px / 2, height_px / 2])
     )
@@ -104,7 +104,7 @@ def camera(width_px: int, height_px: int, device: str) -> Cameras:
 
 
 def rows(counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: int | None) -> list[dict[str, Any]]:
-    """A row for each number of Gaussians and program.
+    """Return a row for each number of Gaussians and program.
 
     There are rows of gsplat on CUDA if it is installed; else a line on stderr says why not.
     """
@@ -143,7 +143,7 @@ def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
 def _scene_rows(
     gaussians: Gaussians, cameras: Cameras, programs: dict[str, Program], repeats: int | None
 ) -> list[dict[str, Any]]:
-    """The rows of one scene. Every program has Gaussians of its own, whose gradients are held."""
+    """Return the rows of one scene. Every program has its own Gaussians, which keep their gradients."""
     device, cuda = cameras.world_to_camera.device, cameras.world_to_camera.is_cuda
     width, height = cast(int, cameras.width_px), cast(int, cameras.height_px)
     gradient = np.random.default_rng(1).normal(size=(1, height, width, 3)).astype(np.float32)
@@ -170,13 +170,13 @@ def _scene_rows(
 
 
 def _medians(times: list[tuple[float, ...]]) -> dict[str, float]:
-    """Of the runs of a program: of forward, backward and both."""
+    """Return the medians of a program's runs: forward, backward and both."""
     forward, backward, both = map(statistics.median, (*zip(*times), map(sum, times)))
     return {"ms_forward": forward, "ms_backward": backward, "ms_total": both, "runs": len(times)}
 
 
 def _peak_bytes(step: Step, cuda: bool) -> int | None:
-    """The most that a step holds on the device beyond the Gaussians and their gradients; it is left with both."""
+    """Return the peak bytes of a step on the device, beyond the Gaussians and their gradients."""
     step.both()
     if not cuda:
         return None
@@ -201,7 +201,7 @@ def _differences(ours: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each, and how ours compares with the other program's."""
+    """Return the rows as text, one a line, and a comparison of ours with the other program."""
     head = (
         "Gaussians",
         "program",
@@ -267,7 +267,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Rows of every number of Gaussians, gsplat's too where it can be had on CUDA, and their text."""
+    """Return the rows of every number of Gaussians, also of gsplat if it is installed, on CUDA; and their text."""
     torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
     counts, size = args.gaussians or COUNTS[args.device], args.size or SIZES_PX[args.device]
     found = rows(counts, size, args.device, args.repeats)

@@ -125,7 +125,7 @@ def bench_case(
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each."""
+    """Return the rows as text, one a line."""
     head = (
         "scene",
         "Gaussians",
@@ -180,7 +180,7 @@ def _cone(row: dict[str, Any]) -> str:
 
 
 def comparison_line(c: dict[str, Any]) -> str:
-    """How two methods' times and images compare."""
+    """Return a line that compares times and images of two methods."""
     return (
         f"{c['scene']} {_cone(c)} SH {c['sh_degree']}: {c['methods'][0]} is {c['times_faster']:.1f} times as fast "
         f"as {c['methods'][1]}; of {c['subpixels']} sub-pixels {c['differing']} differ, {c['over_1']} by more than "
@@ -189,7 +189,7 @@ def comparison_line(c: dict[str, Any]) -> str:
 
 
 def cost_line(c: dict[str, Any]) -> str:
-    """What harmonics cost."""
+    """Return a line on the cost of harmonics."""
     low, high = c["sh_degrees"]
     return (
         f"{c['scene']} {c['cone']} {c['method']}: SH degree {high} takes {c['times_as_long']:.2f} times as long as "
@@ -221,7 +221,7 @@ def harmonics_cost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
-    """Of all sub-pixels of two 8-bit images: the largest difference in 1/255, how many differ, how many by over 1."""
+    """Return the largest difference of two 8-bit images, in 1/255, and how many sub-pixels differ, and by over 1."""
     difference = (a.to(torch.int16) - b).abs_()
     return {
         "subpixels": difference.numel(),
@@ -248,7 +248,7 @@ class Measurement:
     peak_bytes: int | None = None
 
     def summary(self) -> dict[str, float]:
-        """ms_median, ms_min, ms_max and the number of runs."""
+        """Return ms_median, ms_min, ms_max and the number of runs."""
         return {
             "ms_median": statistics.median(self.times_ms),
             "ms_min": min(self.times_ms),
@@ -297,7 +297,7 @@ def measure(
 
 
 def _measure_on_cpu(draw: Callable[..., Tensor], repeats: int | None) -> Measurement:
-    """Here counting costs nothing: the counters come from the run of median time."""
+    """Measure a case on the CPU. Counting costs nothing: the counters come from the run of median time."""
     collected: list[dict[str, Any]] = []
 
     def counted() -> Tensor:
@@ -310,7 +310,7 @@ def _measure_on_cpu(draw: Callable[..., Tensor], repeats: int | None) -> Measure
 
 
 def _counted_on_cuda(counted: Callable[[], dict[str, Any]], image: Tensor) -> tuple[dict[str, Any], int]:
-    """The counters, and the device memory that collecting them held at most beyond what was held before."""
+    """Return the counters, and the peak of additional device memory while collecting them."""
     before = torch.cuda.memory_allocated(image.device)
     torch.cuda.reset_peak_memory_stats(image.device)
     stats = counted()
@@ -325,7 +325,7 @@ SCENES, USUAL_METHODS = ("sheet:128",), ("direct",)
 def add_arguments(
     parser: argparse.ArgumentParser, scenes: Sequence[str] = SCENES, methods: Sequence[str] = USUAL_METHODS
 ) -> None:
-    """Those of a light-field image; scenes, methods: what is measured where nothing is said."""
+    """Add the options of a light-field image; scenes, methods: the defaults."""
     options.add_scene(parser, scenes)
     options.add_panel(parser)
     options.add_cone(parser)
@@ -353,7 +353,7 @@ def add_arguments(
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Rows of every case and method, and their text."""
+    """Return the rows of every case and method, and their text."""
     result = measure_cases(args, SCENES, USUAL_METHODS)
     lines = [table(result["rows"]), *map(comparison_line, result["comparisons"])]
     return result, "\n".join([*lines, *map(cost_line, result["harmonics"])])

@@ -16,7 +16,7 @@ from lightfield_gs.photo.load import load_photo
 
 
 def add_machine(parser: argparse.ArgumentParser, several_threads: bool = False) -> None:
-    """Where it runs, and where the rows go."""
+    """Add the options of the machine and of the file of rows."""
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     more = "; several with commas" if several_threads else ""
     parser.add_argument("--threads", help=f"threads (default: all cores){more}")
@@ -42,7 +42,7 @@ def add_panel(parser: argparse.ArgumentParser) -> None:
 
 
 def load_panel(args: argparse.Namespace) -> Panel:
-    """The panel that was asked for. Raises InputError."""
+    """Load the panel of the options. Raises InputError."""
     return Panel.load(args.panel, serial=args.device_serial)
 
 
@@ -53,7 +53,7 @@ def add_scene(parser: argparse.ArgumentParser, usual: Sequence[str]) -> None:
 
 
 def check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (None,)) -> None:
-    """Raises InputError before the first is measured: what was measured until then would be lost."""
+    """Raise InputError before the first measurement, so that no measurements are lost."""
     for scene in scenes:
         for degree in sh_degrees:
             check_scene(scene, degree)
@@ -68,7 +68,7 @@ def add_cone(parser: argparse.ArgumentParser, usual: str = "the panel's") -> Non
 
 
 def cones(text: str | None) -> list[str | float | None]:
-    """Cones as `cone_degrees` takes them; [None] when the option was not given."""
+    """Return the cones as `cone_degrees` takes them; [None] without the option."""
     if text is None:
         return [None]
     return [part if part in NAMED_CONES else _cone(part) for part in text.split(",")]
@@ -89,7 +89,7 @@ def add_sh_degree(parser: argparse.ArgumentParser) -> None:
 
 
 def sh_degrees(text: str | None) -> list[int | None]:
-    """The degrees of "0,3"; [None] when the option was not given."""
+    """Return the degrees of "0,3"; [None] without the option."""
     if text is None:
         return [None]
     if not all(part in ("0", "1", "2", "3") for part in text.split(",")):
@@ -102,7 +102,7 @@ def add_photo(parser: argparse.ArgumentParser, usual: Path) -> None:
 
 
 def check_photos(photos: Sequence[str]) -> None:
-    """Raises InputError before the first is measured: what was measured until then would be lost."""
+    """Raise InputError before the first measurement, so that no measurements are lost."""
     for path in photos:
         with named("--photo"):
             load_photo(path)
@@ -113,7 +113,7 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
 
 
 def thread_counts(text: str | None) -> list[int | None]:
-    """The numbers of "1,2"; [None] when the option was not given."""
+    """Return the numbers of "1,2"; [None] without the option."""
     if text is None:
         return [None]
     try:
@@ -126,7 +126,7 @@ def thread_counts(text: str | None) -> list[int | None]:
 
 
 def one_thread_count(text: str | None) -> int | None:
-    """The number of --threads, of a benchmark that takes one; None when it was not given."""
+    """Return the number of --threads for a benchmark that takes one number; None without the option."""
     counts = thread_counts(text)
     if len(counts) > 1:
         raise InputError(f"--threads: expected one number, got {text}")
@@ -134,5 +134,5 @@ def one_thread_count(text: str | None) -> int | None:
 
 
 def progress(line: str) -> None:
-    """Says how far the benchmark is."""
+    """Print the progress of the benchmark."""
     print(f"bench: {line}", file=sys.stderr, flush=True)

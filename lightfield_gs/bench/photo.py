@@ -95,7 +95,7 @@ def row(
 
 
 def _stages(encoder: PhotoEncoder, rgba: np.ndarray, runs: int) -> dict[str, float]:
-    """Medians of the stages."""
+    """Return the medians of the stages."""
     found: list[dict[str, float]] = []
     for _ in range(runs):
         stats: dict[str, Any] = {}
@@ -113,12 +113,12 @@ def rows(
     threads: list[int | None],
     detail: tuple[Detail | None, int],
 ) -> list[dict[str, Any]]:
-    """A row for each photo and number of threads. Raises InputError."""
+    """Return a row for each photo and number of threads. Raises InputError."""
     return [row(path, model, panel, device, repeats, count, detail) for path in photos for count in threads]
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each."""
+    """Return the rows as text, one a line."""
     head = (
         "photo",
         "size",
@@ -168,7 +168,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Rows of every photo and number of threads, and their text."""
+    """Return the rows of every photo and number of threads, and their text."""
     photos = [str(EXAMPLE)] if args.photo is None else args.photo.split(",")
     options.check_photos(photos)
     threads, detail = options.thread_counts(args.threads), network_detail(read_options(PhotoOptions, args))

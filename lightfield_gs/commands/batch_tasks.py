@@ -136,8 +136,8 @@ class EncodeTask:
 
     def record(self) -> Record:
         """Return status, inputs and outputs, as far as they are known."""
-        said = [] if self.encoding is None else [*map(as_options, self.encoding.messages)]
-        return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": said}
+        messages = [] if self.encoding is None else [*map(as_options, self.encoding.messages)]
+        return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": messages}
 
     def files(self) -> list[Path | str | None]:
         """Return the files and folders that the item reads, its input first."""

@@ -74,5 +74,8 @@ def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
     from lightfield_gs.rasterizer.stats import skipped_lines
 
     each = stats["evaluations_per_subpixel"]
-    lines = [f"pairs of tile and Gaussian: {stats['pairs']}", *skipped_lines(stats.get("skipped", {}), gaussians)]
+    lines = [
+        f"intersections of tile and Gaussian: {stats['pairs']}",
+        *skipped_lines(stats.get("skipped", {}), gaussians),
+    ]
     return lines if each is None else [*lines, f"evaluations per sub-pixel: {each:.1f}"]

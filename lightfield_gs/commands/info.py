@@ -81,13 +81,13 @@ def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -
     import torch
 
     from lightfield_gs.app.cameras import fit_and_cameras, scene_up
-    from lightfield_gs.app.panel import scene_hash
     from lightfield_gs.app.scene import read_noted
+    from lightfield_gs.scene.gaussians import scene_hash
 
     file = read_noted(path, skip_invalid, time)
     scene = file.gaussians
     centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
-    quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
+    quantile = [centres[int(fraction * (scene.count - 1))].tolist() for fraction in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
         ("format", file.kind),
         ("gaussians", scene.count),

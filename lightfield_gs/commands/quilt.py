@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views, scene_facts, software
+from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views, software
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.cli_messages import Stopwatch, say
@@ -38,6 +38,7 @@ from lightfield_gs.panels.quilt import (
     with_suffix,
 )
 from lightfield_gs.photo.side_by_side import is_rgbd_name
+from lightfield_gs.scene.gaussians import scene_facts
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig

@@ -58,7 +58,7 @@ def describe_pixels(images: Tensor, intrinsics: Tensor) -> Pixels:
 
 
 def flat(channels: Tensor) -> Tensor:
-    """[B,C,H,W] to [B,H*W,C]."""
+    """Reshape [B,C,H,W] to [B,H*W,C]."""
     return channels.flatten(2).transpose(1, 2)
 
 

@@ -20,10 +20,10 @@ from torch import Tensor, nn
 
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
-from lightfield_gs.base.checks import checked_path, expect
+from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.atomic import atomic_path, checked_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
 from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.models import crop

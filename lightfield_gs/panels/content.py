@@ -122,7 +122,7 @@ def content_bounds(gaussians: Gaussians, turn: Tensor | None = None) -> Tensor:
 
 def subsample(gaussians: Gaussians) -> Gaussians:
     """Return some of the Gaussians, enough to measure their extent."""
-    return select(gaussians, slice(None, None, 1 + gaussians.count // _ENOUGH))
+    return select(gaussians, slice(None, None, 1 + len(gaussians.means) // _ENOUGH))
 
 
 def photo_extent(gaussians: Gaussians) -> Tensor:

@@ -14,8 +14,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
-from lightfield_gs.encoding.arguments import check_options
-from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encode import check_options, encode
 from lightfield_gs.models import crop
 from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel

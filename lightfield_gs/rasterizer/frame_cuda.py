@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from dataclasses import replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
@@ -19,10 +19,12 @@ from lightfield_gs import _core
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.device import device_guard, free_memory
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import float_and_byte_addresses
+
+if TYPE_CHECKING:
+    from lightfield_gs.rasterizer.direct import DirectRender
 
 # Capacity beyond the intersections of the last frame, as a fraction of them: for one rig, and for rigs that change
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0

@@ -101,6 +101,7 @@ class ImageInputs:
             raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
         self.lead = lead = (scene.batch, world_to_camera.shape[1])
         self.images, self.width, self.height = lead[0] * lead[1], width, height
+        self.shapes = (*lead, height, width, 3), (*lead, height, width), (*lead, height, width)  # image, alpha, depth
         self._camera_tensors = [
             check_tensor("world_to_camera", world_to_camera, (*lead, 4, 4), scene.dtype, scene.device),
             check_tensor("intrinsics", intrinsics, (*lead, 4), scene.dtype, scene.device),
@@ -108,12 +109,6 @@ class ImageInputs:
         ]
         poses, optics, edges = (t.data_ptr() for t in self._camera_tensors)
         self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
-
-    @property
-    def shapes(self) -> list[tuple[int, ...]]:
-        """Shapes of image, alpha and depth."""
-        size = (*self.lead, self.height, self.width)
-        return [(*size, 3), size, size]
 
     def without_values(self) -> ImageInputs:
         """Return a copy that keeps no tensors alive: see SceneTensors.without_values."""
@@ -289,7 +284,9 @@ def draw_in_chunks(
     for first in range(0, count, step):
         chunk = slice(first, first + step)
         chunk_stats = Stats(device=None if stats is None else stats.device)
-        inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
+        inputs = whole
+        if step < count:
+            inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
         render = ImageRender(inputs, background[:, chunk], stats=chunk_stats, threads=threads)
         drawn = render.draw(ImageBuffers(image[:, chunk], *(None if t is None else t[:, chunk] for t in found)))
         if stats is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from lightfield_gs import _core
@@ -65,7 +65,7 @@ class Quality:
             return quality
         if not isinstance(quality, str) or quality not in QUALITIES:
             raise InputError(f"quality must be one of {', '.join(QUALITIES)} or a Quality, got {shown(quality)}")
-        return QUALITIES[quality]
+        return replace(EXACT, **QUALITIES[quality]) if QUALITIES[quality] else EXACT
 
     @property
     def is_exact(self) -> bool:
@@ -91,9 +91,9 @@ EXACT = Quality()
 # On the 8K frames of `bench pareto`, scenes and photos, high reaches a PSNR of at least 50 dB, fast 40 dB, draft 33 dB.
 # The opacity cuts are made for photos, in which many faint Gaussians overlap; scenes that are less deep bear cuts four
 # times as high.
-QUALITIES: dict[str, Quality] = {
-    "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 128, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
-    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.08, evaluation_error=0.02),
-    "draft": Quality(opacity_cut=1 / 20, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.02),
+QUALITIES: dict[str, dict[str, float]] = {  # the knobs of each name that are not those of EXACT
+    "exact": {},
+    "high": {"opacity_cut": 1 / 128, "colour_error": 1e-3, "lattice_error": 0.02, "evaluation_error": 0.02},
+    "fast": {"opacity_cut": 1 / 64, "colour_error": 4e-3, "lattice_error": 0.08, "evaluation_error": 0.02},
+    "draft": {"opacity_cut": 1 / 20, "colour_error": 1e-2, "lattice_error": 0.2, "evaluation_error": 0.02},
 }

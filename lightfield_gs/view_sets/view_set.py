@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import refuse_large_non_image, refuse_video
 from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.io.pillow_images import pillow_errors

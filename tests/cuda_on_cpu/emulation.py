@@ -1,5 +1,8 @@
-"""Import this before all else that loads the package's native module: it becomes the one of build.py, the program's
-first argument, and torch's streams and events what a CPU needs of them."""
+"""Import this before anything that loads the native module.
+
+The module of build.py, the program's first argument, replaces it. Streams and events of torch become stand-ins for a
+CPU.
+"""
 
 from __future__ import annotations
 

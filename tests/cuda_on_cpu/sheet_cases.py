@@ -39,8 +39,10 @@ CASES = [
 
 
 def inputs(case: Case) -> tuple[SheetSurface, Tensor, Tensor]:
-    """A slanted wavy surface with an edge in the middle; a photo of an object with a soft
-    outline and haze round it; and its camera. float64."""
+    """A slanted wavy surface with an edge in the middle, a photo, and its camera, in float64.
+
+    The photo shows an object with a soft outline and haze round it.
+    """
     random = torch.Generator().manual_seed(case.width)
 
     def draw(*shape: int) -> Tensor:
@@ -83,8 +85,10 @@ def expected(case: Case) -> Gaussians:
 
 
 def compare(case: Case, found: dict[str, Tensor]) -> None:
-    """Asserts that what a stage wrote is what PyTorch makes, as far as float32 can: slopes are differences of
-    disparities between texels, divided by their footprints."""
+    """Assert that a stage's result is PyTorch's within float32.
+
+    Slopes are differences of disparities between texels, divided by the texels' footprints.
+    """
     right = expected(case)
     assert all(field[:, -OTHERS:].isnan().all() for field in found.values())
     mine = from_tensors(field[:, :-OTHERS].double() for field in found.values())

@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import checked_path, counted, real_number, whole_number
+from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.app_captures import read_app_capture
 from lightfield_gs.io.captures.camera_models import Distortion
 from lightfield_gs.io.captures.colmap import model_folder, read_colmap_capture

@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.atomic import scratch_folder
+from lightfield_gs.io.atomic import checked_path, scratch_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, names_outside
 from lightfield_gs.io.images import as_floats, read_info, read_picture
 

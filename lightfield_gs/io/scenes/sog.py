@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path, is_row, shown, whole_number
+from lightfield_gs.base.checks import is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.npy import stored_arrays
 from lightfield_gs.io.scenes.comments import ANTIALIASED, is_antialiased
 from lightfield_gs.io.scenes.scene_arrays import (
