@@ -32,7 +32,7 @@ MARGIN_DEG = 5.0
 FALL_DEG, FLOOR = 20.0, 0.05
 _LEAST_SPREAD_DEG = 3.0  # of axes; below it their intersection is too uncertain
 _IN_FRONT = 0.9  # the fraction of cameras that must have the intersection before them
-_FEWEST = 3  # cameras, and of points ten times as many, to learn a depth from
+_FEWEST = 3  # least number of cameras, and a tenth of the least number of points, to estimate a depth
 
 # The direction (x, y) of down in a stored photograph: by the quarter turns clockwise that make it upright, and by Exif
 # orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.

@@ -76,7 +76,7 @@ class Scores:
         return {"psnr_db": round(self.mean_psnr_db, 4), "ssim": round(self.mean_ssim, 5), "views": rows}
 
     def table(self) -> str:
-        """Return a text with a row for each photograph and one of the means."""
+        """Return a text with a row for each photograph and a row of the means."""
         rows = [*zip(self.names, self.psnr_db, self.ssim), ("mean", self.mean_psnr_db, self.mean_ssim)]
         width = max(len("photograph"), *(len(name) for name, *_ in rows))
         lines = [f"{'photograph':{width}}  PSNR dB   SSIM"]

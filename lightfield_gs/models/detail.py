@@ -42,7 +42,7 @@ _HAZE, _OBJECT = 0.1, 0.3
 _AVERAGED = 2.0
 _SOFTNESS = 1.5  # depth over which the cloud in front of the sheet fades, footprints
 _STEEPEST = 3.0  # footprints of depth between texels: steeper gaps of the sheet stay open
-# Depth in footprints between neighbours of one surface; from twice as much on they are of two.
+# Depth in footprints between neighbours of one surface; from twice this depth on they belong to two surfaces.
 SAME_SURFACE = 3.0
 
 

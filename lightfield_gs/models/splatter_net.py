@@ -185,7 +185,7 @@ class SplatterNet(nn.Module):
     def all_gaussians(
         self, cropped: Tensor, intrinsics: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
     ) -> Gaussians:
-        """Return all layers * H * W Gaussians of one cropped picture, invisible ones included.
+        """Return all layers * H * W Gaussians of one cropped picture, including invisible Gaussians.
 
         Args:
             cropped: [4,H,W], premultiplied.
