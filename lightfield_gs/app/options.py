@@ -221,7 +221,7 @@ class EncodeOptions:
 def files_read(
     scene: SceneOptions, camera: CameraOptions, panel: PanelOptions, *more: Path | None
 ) -> tuple[Path | str | None, ...]:
-    """Return the files that the options name to be read, the scene first; None for those not given."""
+    """Return the input files of the options, the scene first; None for missing files."""
     photo = scene.photo
     files = (scene.input, camera.rig, panel.panel, photo.mask, photo.depth, photo.checkpoint, *more)
     return (*files, camera.camera and camera.camera[0])

@@ -24,9 +24,9 @@ def counted(count: int, what: str = "item", of: int | None = None, does: str = "
 
     Args:
         count: how many.
-        what: one of them.
+        what: the noun, singular.
         of: of how many in all.
-        does: what they do, as it is said of several; are, have, were and their are put as one's where it is one.
+        does: the predicate, plural; for a count of one, are, have, were and their become singular.
     """
     share = f"{count}" if of is None else f"{count} of {of}"
     words = [_OF_ONE.get(word, word) if count == 1 else word for word in does.split()]

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 class InputError(ValueError):
     """A file, value, shape, dtype or device that cannot be used.
 
-    The message is one line: what was expected, what came, what to do. The command line prints it to stderr and exits
-    with status 2.
+    The message is one line: the expected value, the given value, the remedy. The command line prints it to stderr and
+    exits with status 2.
     """
 
 

@@ -1,4 +1,4 @@
-"""What an ordinary image costs: forward and backward of one camera, ours and gsplat's by turns.
+"""Measure the time of an ordinary image: forward and backward of one camera, ours and gsplat's by turns.
 
 The scene is synthetic, so that other programs can draw the same one: see `frustum`.
 """
@@ -32,7 +32,7 @@ COUNTS = {"cpu": (10_000,), "cuda": (100_000, 500_000, 1_000_000, 3_000_000)}
 SIZES_PX = {"cpu": (400, 266), "cuda": (1600, 1066)}
 SH_DEGREE = 3
 RUNS_IN_A_ROW = {"cpu": 3, "cuda": 30}
-_STD_PX, _STD_COUNT, _STD_PIXELS = 1.2, 1_000_000, 1600 * 1066  # a median of 1.2 px for a million before so many pixels
+_STD_PX, _STD_COUNT, _STD_PIXELS = 1.2, 1_000_000, 1600 * 1066  # median: 1.2 px for a million at this size
 _FOCAL_WIDTHS = 0.75  # the focal length in widths of the image
 _HARMONIC_DEVIATIONS = (0.5, 0.1)  # of the coefficients of degree 0, and of the others
 

@@ -1,6 +1,6 @@
 """Synthetic scenes and cones for benchmarks: the same Gaussians, bit for bit, wherever they are made.
 
-`sheet:S` is what a single-image network draws: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
+`sheet:S` is like a single-image network's result: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
 `cloud:N` is the opposite: N Gaussians of random rotation and log-normal size on three nested shells, with much overlap.
 The centre camera stands at the origin and looks along +z. The zero plane is at depth 2; the focal length is the panel's
 width in pixels.

@@ -228,7 +228,7 @@ def _colours(subject: Subject, quality: Quality) -> Draw:
 
 @dataclass
 class _Film:
-    """A scene of its own, in which something changes before every frame."""
+    """Return a separate scene, in which something changes before every frame."""
 
     scene: Gaussians
     rig: Rig

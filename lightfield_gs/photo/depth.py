@@ -180,7 +180,7 @@ def _read_npz(path: str | Path) -> DepthNumbers:
 
 
 def _is_depth_map(shape: tuple[int, ...]) -> bool:
-    """Return whether an array is [H, W] but for axes of length 1, as [1, H, W] of a network."""
+    """Return whether an array is [H, W] apart from axes of length 1, like [1, H, W] of a network."""
     return len(shape) == 2 or len(shape) > 2 and sum(size != 1 for size in shape) == 2
 
 

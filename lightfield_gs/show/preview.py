@@ -26,7 +26,7 @@ _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of th
 FILES = ("views.png", "look-around.webp", "look-around.html", *_EYES)
 _FRAMES, _LOOP_MS, _WEBP_QUALITY = 24, 60 * 46, 85
 _FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels take no longer
-# From so many Gaussians on, rendering a view takes a CPU longer than all else, and every second view has to do.
+# From this number of Gaussians on, views dominate the time on a CPU, and only every second view is rendered.
 _MANY_GAUSSIANS = 200_000
 _MOST_SPLATS = 1_000_000  # that the views have which are rendered at a time, so that threads wait less for each other
 SHEET_VIEWS, SHEET_WIDTH_PX = 12, 1920

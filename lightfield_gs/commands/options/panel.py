@@ -21,7 +21,7 @@ _zoom = within(0.01, 100)
 
 
 def add_encoding(add: Add) -> None:
-    """Add the options of how one input becomes an image, alone or in a batch."""
+    """Add the options of encoding one input, alone or in a batch."""
     add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
     add_camera(add)
     add_look(add)

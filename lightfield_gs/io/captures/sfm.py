@@ -277,7 +277,7 @@ MAPPING_SETTINGS = (
 
 
 def best_model(pycolmap: ModuleType, database: Path, photographs: Path, count: int, progress: Progress) -> Any:
-    """Reconstruct with one setting after the other, and return the best reconstruction; None where none is found.
+    """Reconstruct with one setting after the other, and return the best reconstruction, or None.
 
     Tries end when nearly all photographs are posed with plausible focal lengths. Plausible models of at least half of
     the photographs go before others; then the number of photographs decides. Raises the errors of pycolmap.

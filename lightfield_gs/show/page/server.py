@@ -50,7 +50,7 @@ _HEADERS = {
 
 @dataclass
 class Answer:
-    """What a request gets: bytes of a type, with more headers."""
+    """The answer to a request: bytes of a type, with more headers."""
 
     body: bytes
     type: str
