@@ -66,7 +66,7 @@ class LoadedScene:
 
 @dataclass
 class FramedScene:
-    """A scene on the device, and the rig that looks at it, in its coordinates; messages: lines on what was decided."""
+    """A scene on the device, and a rig in its coordinates; messages: lines on decisions."""
 
     scene: LoadedScene
     rig: Rig
@@ -130,7 +130,7 @@ def check_scene_path(path: Path) -> None:
 
 
 def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
-    """Read a file of Gaussians, and note what looks wrong in it and what was left out. Raises InputError."""
+    """Read a file of Gaussians, and note suspicious contents and losses. Raises InputError."""
     from lightfield_gs.io.scenes.files import read_scene
 
     scene = read_scene(path, skip_invalid=skip_invalid, time=time)
@@ -202,7 +202,7 @@ def load_scene(
 
 
 def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) -> tuple[RenderSettings, list[str]]:
-    """Return how a scene is drawn, by the options or else its file, and lines on what was taken from the file.
+    """Return the options of drawing a scene, or else its file's, and lines on the file's part.
 
     Args:
         options: those given.

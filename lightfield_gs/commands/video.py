@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
-    """Make the frames of a video, and print what was made. Raises InputError."""
+    """Make the frames of a video, and print a summary. Raises InputError."""
     panel = load_panel(options.panel)
     target = video_target(options, panel)
     if target.layout is not None:

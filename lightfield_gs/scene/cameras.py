@@ -42,8 +42,8 @@ class Cameras:
             camera's frustum and 15 % of the image beyond each edge (Kerbl et al.).
 
     Raises:
-        InputError: shapes or values make no camera. Values on a device are not checked, for a check would wait for it:
-            NaN and infinity draw a meaningless image.
+        InputError: shapes or values make no camera. Values on a device are not checked, for a check would wait for the
+            device: NaN and infinity draw a meaningless image.
     """
 
     world_to_camera: torch.Tensor

@@ -99,7 +99,8 @@ def test_a_sample_that_ends_leaves_its_rest_to_the_background(drawn):
         where = [axis.ravel() for axis in np.indices((panel.height_px, panel.width_px, 3))]
         expected = reference.subpixel_colours(scene, panel, rig, *where, background=cases.BACKGROUND)
         ended = np.abs(expected - (0.5 + SH_CONSTANT * scene.sh[0, 0, 0].item())) < 3e-4  # nothing else shows of others
-        # What is left is 1e-4 or little more; drawn to the end, these would be off by that times the contrast
+        # The transmittance left is 1e-4 or little more. Drawn to the end, these samples would err by it times the
+        # contrast
         assert ended.mean() > 0.3 and np.abs(frame["image"].numpy().ravel() - expected)[ended].mean() < 1e-5, kernel
 
 

@@ -22,7 +22,7 @@ _filter_views = within(0, 65536, "views")
 
 
 def add_encoding(add: Add) -> None:
-    """Add the options of how one input becomes an image, alone or in a batch."""
+    """Add the options of encoding one input, alone or in a batch."""
     add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
     add_camera(add)
     add_look(add)
