@@ -86,15 +86,15 @@ def _title(protocol: dict[str, Any]) -> str:
 
 
 def _comparisons(found: list[dict[str, Any]]) -> list[str]:
-    """Ours against every other arm at the last step, and when it was as good as that."""
+    """Compare ours with every other arm at the last step, and find when ours was as good as the arm's end."""
     last = max(row["step"] for row in found)
     ends = {row["arm"]: row for row in found if row["step"] == last}
     if OURS not in ends:
         return []
     ours, lines = ends.pop(OURS), []
     for arm, other in ends.items():
-        better, share = (ours["psnr_db"][0] - other["psnr_db"][0], ours["seconds"][0] / other["seconds"][0])
-        line = f"ours against {arm}: {better:+.2f} dB in {share:.2f} times its seconds"
+        better, times = (ours["psnr_db"][0] - other["psnr_db"][0], ours["seconds"][0] / other["seconds"][0])
+        line = f"ours against {arm}: {better:+.2f} dB in {times:.2f} times its seconds"
         reached = [r for r in found if r["arm"] == OURS and r["psnr_db"][0] >= other["psnr_db"][0]]
         if reached:
             line += (

@@ -1,9 +1,9 @@
-"""A fit as gsplat's own trainer does it: torch's Adam, its strategies for density, its rasterizer or ours.
+"""Fit as gsplat's own trainer does: torch's Adam, its strategies for density, its rasterizer or ours.
 
-gsplat is that of PyPI, Ye et al., "gsplat: An Open-Source Library for Gaussian Splatting", JMLR 2025. Rates, initial
-Gaussians and regularisers are those of its example simple_trainer.py (presets default and mcmc), which its package does
-not hold; as with its --steps_scaler all schedules are scaled to the number of steps. Its strategies are used as they
-are: the default one of 1.5.3 never resets opacities, as `step % reset_every == 0 & step > 0` is never true.
+gsplat comes from PyPI (Ye et al., "gsplat: An Open-Source Library for Gaussian Splatting", JMLR 2025). Rates, initial
+Gaussians and regularisers are as in its example simple_trainer.py (presets default and mcmc), which its package lacks.
+As with its --steps_scaler all schedules are scaled to the number of steps. Its strategies are unchanged: the default
+strategy of 1.5.3 never resets opacities, as `step % reset_every == 0 & step > 0` is never true.
 """
 
 from __future__ import annotations

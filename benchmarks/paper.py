@@ -27,8 +27,8 @@ SCENES = (
     "cloud:262144",
 )
 METHODS = ("classic", "sorted", "direct")
-STAGES = ("geometry", "image", "binning")  # of Table 3, as method "sorted" reports them
-# What the paper prints: seconds for each of its ten images, 7680 x 3840 pixels of 96 views, on an RTX 3090
+STAGES = ("geometry", "image", "binning")  # of Table 3, which method "sorted" reports
+# The paper's seconds for each of its ten images, 7680 x 3840 pixels of 96 views, on an RTX 3090
 TABLE_1 = {
     "classic": (1.476, 1.102, 1.287, 1.582, 1.069, 1.661, 1.255, 0.976, 1.202, 1.491),  # without the interlacing
     "sorted": (0.052, 0.032, 0.044, 0.049, 0.029, 0.060, 0.035, 0.027, 0.032, 0.056),
@@ -102,12 +102,15 @@ def _memory_table(rows: list[dict[str, Any]]) -> list[str]:
     return aligned(lines)
 
 
+Options = light_field.Options
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     light_field.add_arguments(parser, SCENES, METHODS)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of light-field images, for the scenes and methods of the paper by default, and its tables."""
-    result = light_field.measure_cases(args, SCENES, METHODS)
+    result = light_field.measure_cases(given, SCENES, METHODS)
     return result, "\n".join([tables(result["rows"]), *map(light_field.cost_line, result["harmonics"])])

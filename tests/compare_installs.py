@@ -1,9 +1,9 @@
-"""Compares two installs of lightfield_gs bit by bit: `python tests/compare_installs.py BEFORE AFTER`.
+"""Compare two installs of lightfield_gs bit by bit: `python tests/compare_installs.py BEFORE AFTER`.
 
-Each is a folder to be put on PYTHONPATH, made by `pip install --target FOLDER`, or a checkout with the native module in
-lightfield_gs/; with training/ beside it the training commands are compared too. Images, gradients, files, what commands
-print and refuse, schemas and signatures: the cases are in tests/installs. Prints a line a case and exits with 1 where
-any differs or fails.
+Each is a folder for PYTHONPATH: made by `pip install --target FOLDER`, or a checkout with the native module in
+lightfield_gs/. Where it has training/, the training commands are compared too. The
+cases in tests/installs compare images, gradients, files, messages, refusals, schemas and signatures. It prints a line a
+case, and exits with 1 if a case differs or fails.
 """
 
 from __future__ import annotations

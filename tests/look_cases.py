@@ -12,7 +12,7 @@ RIG = Rig(np.eye(4), (96.0, 100.0), (45.0, 28.0), zero_depth=2.0)
 
 
 def sheet(*layers) -> Gaussians:
-    """Sheets of Gaussians across the picture: (depth, opacity, left edge, right edge in shares of the width) each."""
+    """Sheets of Gaussians across the picture: (depth, opacity, left edge, right edge in widths) each."""
     means, opacities = [], []
     for depth, opacity, left, right in layers:
         columns, rows = np.meshgrid(np.arange(left * 96, right * 96, 0.75), np.arange(0, 60, 0.75))

@@ -29,20 +29,20 @@ TESTS = Path(__file__).resolve().parent
 GROUP = 5  # tests of a process: it starts in some 6 s under a tool
 NETWORK = "test_cuda_(photo|training)"
 LONG = re.compile(f"{NETWORK}|budget")  # minutes each under racecheck
-# Our kernels, and CUB's, as names are written with and without mangling. A hazard is within a kernel, and what others
-# store initcheck sees, too, so that ours lose nothing. Those of libraries take most of the time; racecheck takes some
-# of their asynchronous copies for hazards, and initcheck does not know all of their stores (tensormap instructions, as
-# its release notes say).
+# Our kernels, and CUB's, with mangled and plain names. That finds all of our hazards: a hazard is within a kernel, and
+# initcheck also sees the stores of other kernels. Kernels of libraries would take most of the time. Racecheck takes
+# some of their asynchronous copies for hazards. Initcheck does not know all of their stores (tensormap instructions, by
+# its release notes).
 OURS = ["--kernel-name", "regex=lfgs|cub::|3cub"]
 OPTIONS = {"memcheck": ["--report-api-errors", "explicit"], "racecheck": [], "initcheck": []}
-# Tests that capture CUDA graphs or count torch's memory, which takes its caching allocator. The others go without: in
-# its blocks no bounds are seen, and what was freed passes for written.
+# Tests that capture CUDA graphs or count torch's memory need its caching allocator. Other tests run without it: within
+# its blocks the tools see no bounds, and take freed memory for written.
 CACHING = re.compile(f"{NETWORK}|test_cuda_encoder|captured|budget")
-# Tests whose copies initcheck is not to check: of what torch's kernels have written it reports some as never written,
-# but only while other processes use the GPU, so that this is no fault of the test.
+# Tests whose copies initcheck does not check. While other processes use the GPU, it reports some results of torch's
+# kernels as never written, which is no fault of the test.
 COPIES_OF_TORCH = re.compile(NETWORK)
-LEFT_OUT = {"racecheck": "not 31_bits"}  # whose 2^31 pairs take more than nine minutes, and its kernels others run too
-LEAST_VERSION = (2026, 4)  # earlier ones forget what kernels store that they are not asked for, or crash with torch's
+LEFT_OUT = {"racecheck": "not 31_bits"}  # 2^31 intersections take over nine minutes; other tests run the same kernels
+LEAST_VERSION = (2026, 4)  # earlier versions miss stores of kernels that are left out, or crash with torch's
 
 
 # A line that begins a report, and the indented ones below it
@@ -53,8 +53,10 @@ KERNEL = re.compile(r"\bat (.+?)\+0x")
 
 
 class Log:
-    """What one process wrote: pytest's lines, and beside them the tool's. broken: where the names of its tests stand if
-    it ended badly, by a failure or a crash that may have disturbed the others."""
+    """The output of one process: pytest's lines, and beside them the tool's.
+
+    broken: file with the names of its tests if it ended badly, by a failure or a crash that may have disturbed others.
+    """
 
     def __init__(self, path: Path):
         self.tests, self.tool, self.broken = path, path.with_suffix(".tool"), path.with_suffix(".broken")

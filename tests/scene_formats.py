@@ -260,10 +260,10 @@ def gsplat_png(folder, degree=1):
     for name, values in stored.items():
         flat = values.reshape(4, -1)
         low, high = flat.min(0), flat.max(0)
-        shares = ((flat - low) / (high - low)).reshape(2, 2, -1).squeeze()
+        fractions = ((flat - low) / (high - low)).reshape(2, 2, -1).squeeze()
         meta[name] = {"shape": list(values.shape), "dtype": "float32", "mins": low.tolist(), "maxs": high.tolist()}
-        words = np.round(shares * 65535).astype(np.uint16)
-        parts = {"_l": words & 255, "_u": words >> 8} if name == "means" else {"": np.round(shares * 255)}
+        words = np.round(fractions * 65535).astype(np.uint16)
+        parts = {"_l": words & 255, "_u": words >> 8} if name == "means" else {"": np.round(fractions * 255)}
         for end, pixels in parts.items():
             Image.fromarray(pixels.astype(np.uint8)).save(folder / f"{name}{end}.png")
     palette = np.round((REST_4[::-1, :count].reshape(4, -1) + 1) / 2 * 63).astype(np.uint8)

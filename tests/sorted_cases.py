@@ -24,7 +24,7 @@ def toe_in(panel: Panel, count: int, span: float = 0.9, focal: float = 1.4) -> C
 
 
 def random_map(panel: Panel, views: int, seed: int, hidden: float = 0.1) -> np.ndarray:
-    """Any view at any sub-pixel, and a share that shows nothing."""
+    """Return a random view for every sub-pixel; some sub-pixels show nothing."""
     random = np.random.default_rng(seed)
     table = random.integers(0, views, (panel.height_px, panel.width_px, 3), np.int32)
     table[random.random(table.shape) < hidden] = -1

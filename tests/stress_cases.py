@@ -217,8 +217,10 @@ def one_thread() -> Iterator[None]:
 
 
 def check_gradients(case, want, single, double, least_bound=0.0):
-    """Those of the five fields in float32 and float64 are finite, and those of the oracle within the case's bound, that
-    of float32 within least_bound if it is larger."""
+    """Assert that the gradients of the five fields are finite, and equal the oracle's within the case's bound.
+
+    The bound of float32 is least_bound if that is larger.
+    """
     for name, true, s, d in zip(case.scene().fields(), want, single, double):
         assert torch.isfinite(s).all() and torch.isfinite(d).all(), name
         if name == "quaternions" and case.no_rotation:

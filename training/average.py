@@ -1,7 +1,7 @@
-"""The mean of two checkpoints of one network: `python -m training.average FIRST SECOND --share 0.6 -o MEAN`.
+"""Average two checkpoints of one network: `python -m training.average FIRST SECOND --share 0.6 -o MEAN`.
 
-The average of the weights before and after further training is mostly as good as either. It stands between them in all
-that the training changed. Source: Wortsman et al., "Model soups", ICML 2022.
+The average of the weights before and after further training is mostly as good as either. It lies between them in
+everything that the training changed. Source: Wortsman et al., "Model soups", ICML 2022.
 """
 
 from __future__ import annotations
@@ -18,17 +18,21 @@ from training.command import with_line_errors
 
 
 @torch.no_grad()
-def average(first: SplatterNet, second: SplatterNet, share: float) -> SplatterNet:
-    """(1 - share) of the first network's weights and share of the second's, 0..1; changes and returns the first.
+def average(first: SplatterNet, second: SplatterNet, weight: float) -> SplatterNet:
+    """Move the first network's parameters towards the second's, and return the first network.
 
-    Raises InputError where their configurations differ.
+    Args:
+        weight: weight of the second network in the mean, 0..1.
+
+    Raises:
+        InputError: the networks have different configurations, or the weight is out of range.
     """
-    if not 0 <= share <= 1:
-        raise InputError(f"share: expected 0..1, got {share}")
+    if not 0 <= weight <= 1:
+        raise InputError(f"share: expected 0..1, got {weight}")
     if first.config != second.config:
         raise InputError("the two checkpoints are of different networks: expected the same configuration in both")
-    for weights, other in zip(first.parameters(), second.parameters()):
-        weights.lerp_(other, share)
+    for parameter, other in zip(first.parameters(), second.parameters()):
+        parameter.lerp_(other, weight)
     return first
 
 

@@ -1,7 +1,7 @@
 """Constrained field of view against full sphere: `python -m training.compare --config configs/training/compare.yaml`.
 
-This is the comparison of Table 2 and Figure 7 of Shi et al., "Single-View Encoding of 3D Light Field Based on Editable
-Field of View Gaussian Splatting", Photonics 2025, 12(3), 279. One network is trained with targets inside the panel's
+It repeats Table 2 and Figure 7 of Shi et al., "Single-View Encoding of 3D Light Field Based on Editable Field of View
+Gaussian Splatting", Photonics 2025, 12(3), 279. One network is trained with targets inside the panel's
 cone or from all round the object, and scored inside the cone.
 
 The arms of a comparison are runs that differ in their targets only: network, steps, samples, objects, source pictures

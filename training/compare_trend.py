@@ -1,8 +1,8 @@
 """When targets inside the cone pay: `python -m training.compare_trend steps:1000=runs/a steps:3000=runs/b -o trend`.
 
-Each argument AXIS:VALUE=FOLDER is a finished comparison, a folder with the report.json of training.compare, as a point
-of the axis that was varied. The output shows the lead of the first arm over another along each axis. <output>.md is a
-table, <output>.png has a plot for each axis. A comparison may be a point of several axes.
+Each argument AXIS:VALUE=FOLDER is a finished comparison as a point of an axis that was varied. The folder has the
+report.json of training.compare. The output shows the lead of the first arm over another along each axis. <output>.md is
+a table, <output>.png has a plot for each axis. A comparison may be a point of several axes.
 """
 
 from __future__ import annotations

@@ -138,16 +138,15 @@ def compare_object(
     """Predict an object from one view and render it from all.
 
     Args:
-        path: of the object, as find_objects names it.
-        size_px: length of the longer side of the frames.
+        path: Name of the object as in find_objects.
+        size_px: Length of the longer side of the frames.
         source: see source_view.
         device: where the network is; the tensors returned are there.
         decoded, supersampling, background, detail: see score_folder.
 
     Raises:
-        InputError: the object cannot be read, has one view only, no such source, or cameras that roll, or is stored
-        smaller
-            than a size_px beyond SIZE_PX.
+        InputError: the object cannot be read, has one view only, no such source, or cameras that roll. Or size_px is
+            beyond SIZE_PX, and the object is stored smaller.
     """
     views, decoded = read_object(path), {} if decoded is None else decoded
     if len(views.image_paths) < 2:

@@ -82,35 +82,35 @@ class TrainingConfig:
         output_dir: folder for checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs and the final weights.
         data: folders of objects, SRN layout or transforms.json; [] where all examples show meshes.
         stages: run one after the other under one schedule.
-        background: of objects without masks and alpha: white or black, one colour that is found for each object (auto),
-            or none, the whole pictures being the subject. `python -m training.data.validate` shows what it comes to.
+        background: of objects without masks and alpha: white, black, or auto, one colour that is found for each object.
+            With none the whole pictures are the subject. `python -m training.data.validate` shows the result.
         cache_dir: folder where decoded views are kept.
         model: name in configs/models, or a YAML file.
-        initial_weights: checkpoint to start from, "pretrained" for the one in the package; its network takes the place
-            of model. "": none.
+        initial_weights: checkpoint to start from, "pretrained" for the network in the package; it replaces model. "":
+            none.
         symmetric: make the network symmetric (see ModelConfig), also where model or initial_weights do not.
-        detail: share of the steps, 0..1, that draw the predicted Gaussians under a sheet of the source picture's own
-            pixels, as photos are shown; the others draw them alone.
-        trained: the whole network, or the head alone, which takes the U-Net's features as they are: quick, also on a
-            CPU, to suit a trained network to other targets.
+        detail: fraction of the steps, 0..1, that draw the predicted Gaussians under a sheet of the source picture's
+            own pixels, as photos are shown. The other steps draw them alone.
+        trained: the whole network, or the head alone on fixed features of the U-Net. The head alone is quick, also on a
+            CPU, and adapts a trained network to other targets.
         seed: of weights, samples, dropout and augmentation, 0..2^31 - 1.
         cone_deg: the panel's full viewing cone, degrees; 360 with elevation_deg 90 takes every view.
         cone_margin: targets lie within this times half the cone in azimuth of the source view.
         elevation_deg: targets lie within this elevation of the source view, degrees to either side.
-        target_data: for each folder of data one with further views of the same objects, in the same worlds; targets are
-            drawn from these alone, sources from data. []: both from data.
-        neighbour_deg: only views of data of which another one looks within this angle, degrees, are sources.
+        target_data: for each folder of data a folder with further views of the same objects, in the same worlds.
+            Targets are drawn from these alone, sources from data. []: both from data.
+        neighbour_deg: a view of data is a source only if another view looks within this angle, degrees.
         targets: target views per object, beside the source view itself.
         meshes: examples rendered from meshes in place of data.
-        procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of
-            data; they are drawn about 32 at once, for as many steps as that makes.
-        photographs: folder of photographs whose pieces most parts of procedural objects and some of the meshes wear;
+        procedural: fraction of the examples of each step, 0..1, that show random objects in place of data. The device
+            draws about 32 of them at once, for several steps.
+        photographs: folder of photographs. Most parts of procedural objects and some of the meshes wear pieces of them;
             procedural objects then have lobes, turned profiles and relief too.
-            `python -m training.data.gather_photographs` makes one. "": none.
+            `python -m training.data.gather_photographs` makes a folder. "": none.
         bfloat16: run the U-Net in bfloat16.
         device: cpu, cuda, or auto (cuda where there is one).
-        compile: let torch.compile make kernels for the network, its loss and its batches, which takes a minute or two
-            at the start of every stage and process.
+        compile: let torch.compile make kernels for the network, its loss and its batches. That takes a minute or two at
+            the start of every stage and process.
         threads: of torch; 0 leaves the default. Resuming gives the same losses to the last digit on a CPU, with the
             same number of threads and of processes. On a machine that is busy with other work, 1 can be several times
             faster than more: threads wait for the slowest of them.
@@ -119,7 +119,7 @@ class TrainingConfig:
         validate_every: steps between such scores.
         validation_objects: how many of its objects, spread evenly over the folder.
         optimizer: AdamW with linear warm-up and cosine decay.
-        loss: weights of what is summed up, at least 0, not all 0.
+        loss: weights of the terms of the loss, at least 0, not all 0.
         augmentation: how examples are varied.
     """
 

@@ -1,12 +1,12 @@
 """Score a checkpoint: `python -m training.evaluate --data DIR [--checkpoint F] [--save-renders DIR] --json F`.
 
-The scores are PSNR, SSIM and sharpness (PSNR of gradients) of the network, and of two floors: a copy of the input, and
-the input as a flat card. They are written as JSON and printed as a table, over all novel views, per angle, and of the
-source view. training/evaluation.py describes the protocol. Several folders, such as plain and textured objects, are
-scored apart. Objects that cannot be scored are left out, each with a note.
+The scores are PSNR, SSIM and sharpness (PSNR of gradients). Two floors have scores beside the network: a copy of the
+input, and the input as a flat card. They are written as JSON and printed as a table, over all novel views, per angle,
+and of the source view. training/evaluation.py describes the protocol. Several folders, such as plain and textured
+objects, are scored apart. Objects that cannot be scored are left out, each with a note.
 
-Scores are of pictures of 128 px by default (--size). At 512, of objects stored so large, they tell how much detail of a
-photo the output keeps. The network still sees the object as in a photo, cropped to its own size.
+Scores are of pictures of 128 px by default (--size). At 512, if objects are stored so large, they show how much detail
+of a photo the output keeps. The network still sees the object as in a photo, cropped to its own size.
 """
 
 from __future__ import annotations

@@ -87,11 +87,11 @@ def score_folder(
         detail: how many times finer than the network's pictures the sheet of the source is (1, 2, 4); None: no sheet.
 
     Returns:
-        Means over all novel views: psnr_db, ssim, gradient_psnr_db, the same of the floors (copy_psnr_db, card_psnr_db
-        and so on), with "objects" and "views", their numbers. "bins": the same for each angle_deg, the azimuth to
-        either side rounded to 5 degrees. "source": the same for the source views. "object_psnr_db": of each object by
-        its path. "skipped": the reason for each object that could not be scored. "doubts": for scored objects whose
-        cameras stand elsewhere than the network expects.
+        Means over all novel views: psnr_db, ssim, gradient_psnr_db; copy_psnr_db, card_psnr_db and so on are the same
+        of the floors. "objects" and "views" are their numbers. "bins": the same for each angle_deg, the
+        azimuth to either side rounded to 5 degrees. "source": the same for the source views. "object_psnr_db": of each
+        object by its path. "skipped": the reason for each object that could not be scored. "doubts": for scored objects
+        whose cameras stand elsewhere than the network expects.
 
     Raises:
         InputError: no object can be scored, or the limit is below 1.

@@ -17,21 +17,21 @@ _LEAST_ERROR = 1e-4  # of an image, 40 dB: better ones count no more in the loga
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of what is summed up, at least 0, not all 0.
+    """Weights of the terms of the loss, at least 0, not all 0.
 
     Args:
         colour: of the squared colour error.
-        log_colour: of the logarithm of each image's squared colour error, which is what PSNR averages: images count
-            alike however large their errors. Its slope at an error of 0.002 (27 dB) is that of the squared error itself
-            when its weight is 0.002 times as large.
-        gradient: of the squared error of the colours' differences between neighbouring pixels, the one that
-            gradient_psnr_db is made of: a soft picture of a sharp thing costs more than its squared error says. Worth
-            most with targets as large as the source pictures (target_px), which have the detail.
+        log_colour: of the logarithm of each image's squared colour error, which PSNR averages: images count alike
+            however large their errors. At an error of 0.002 (27 dB) it has the slope of the squared error if its weight
+            is 0.002 times as large.
+        gradient: of the squared error of the colours' differences between neighbouring pixels, as in gradient_psnr_db.
+            A soft picture of a sharp edge then costs more than by its squared error. It helps most with targets as
+            large as the source pictures (target_px), which have the detail.
         ssim: of 1 - SSIM.
         alpha: of the squared error of the object's outline.
-        translucency: of what is half transparent. Where the network cannot know whether a pixel is object, squared
-            error is least at the probability that it is: a halo. This makes it decide: its weight against those of the
-            squared errors says how much sharper outlines get.
+        translucency: of half transparent pixels. Where the network cannot know whether a pixel is object, the squared
+            error is least at the probability of that: a halo. This term makes it decide. Its weight against the weights
+            of the squared errors sets how much sharper outlines get.
         roughness: of the roughness of depth.
     """
 

@@ -43,7 +43,7 @@ def profile(config: TrainingConfig, steps: int, warm_up: int) -> list[PartTime] 
 
 
 def table(parts: list[PartTime]) -> str:
-    """A line for each part, their sum, and the rasterizer's share of it (of the device's time, where there is one)."""
+    """Return a line for each part, their sum, and the rasterizer's fraction of the sum (on a device, of its time)."""
     cuda = parts[0].device_ms is not None
 
     def line(name: str, chosen: list[PartTime]) -> str:
@@ -51,13 +51,13 @@ def table(parts: list[PartTime]) -> str:
         return f"{name:<20}{device}{sum(part.host_ms for part in chosen):10.2f}"
 
     drawn = [part for part in parts if part.part in RASTERIZER]
-    share, whole = (sum(part.device_ms if cuda else part.host_ms for part in some) for some in (drawn, parts))
+    rasterizer, whole = (sum(part.device_ms if cuda else part.host_ms for part in some) for some in (drawn, parts))
     return "\n".join(
         [
             f"{'ms of a step':<20}{'device':>10}{'host':>10}",
             *(line(part.part, [part]) for part in parts),
             line("all", parts),
-            f"rasterizer: {share:.2f} of {whole:.2f} ms, {100 * share / whole:.0f} %",
+            f"rasterizer: {rasterizer:.2f} of {whole:.2f} ms, {100 * rasterizer / whole:.0f} %",
         ]
     )
 

@@ -11,12 +11,12 @@ from training.config import OptimizerConfig
 
 
 def learning_rate(step: int, total_steps: int, config: OptimizerConfig) -> float:
-    """Linear warm-up, then a cosine from the peak to final_share of it."""
+    """Return the rate of a step: a linear warm-up, then a cosine from the peak to final_share times the peak."""
     if step < config.warmup_steps:
         return config.learning_rate * (step + 1) / config.warmup_steps
     progress = (step - config.warmup_steps) / max(1, total_steps - config.warmup_steps)
-    share = config.final_share + (1 - config.final_share) * 0.5 * (1 + math.cos(math.pi * progress))
-    return config.learning_rate * share
+    fraction = config.final_share + (1 - config.final_share) * 0.5 * (1 + math.cos(math.pi * progress))
+    return config.learning_rate * fraction
 
 
 def make_optimizer(net: nn.Module, config: OptimizerConfig) -> torch.optim.AdamW:

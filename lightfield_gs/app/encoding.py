@@ -12,7 +12,7 @@ import numpy as np
 
 from lightfield_gs.app.cameras import load_view_cameras, read_camera, refuse_look, scene_comments
 from lightfield_gs.app.options import EncodeOptions
-from lightfield_gs.app.panel import file_facts, load_panel, package_versions, scene_facts, software
+from lightfield_gs.app.panel import file_facts, load_panel, package_versions, software
 from lightfield_gs.app.scene import (
     LoadedScene,
     RenderSettings,
@@ -30,6 +30,7 @@ from lightfield_gs.io.atomic import check_folder, check_output_path, check_outpu
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.png import CompressedImage, compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.gaussians import scene_facts
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -48,7 +49,7 @@ class Encoding:
 
     Attributes:
         options: what is asked for.
-        messages: lines on what was decided.
+        messages: lines on decisions.
         stats: the statistics of `lightfield_gs.encode`.
         scene: the scene, once it is drawn.
     """
@@ -70,7 +71,7 @@ class Encoding:
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
         self.scene: LoadedScene
-        self.stored: np.ndarray | CompressedImage  # the image as it is written
+        self.stored: np.ndarray | CompressedImage  # the image for the file
         self.image: np.ndarray  # its pixels, where the host has them
         self._camera = read_camera(options.camera, self.panel)
         self._sorted_views = _read_views(options, self.panel)
@@ -208,13 +209,12 @@ class Encoding:
             self._note_if_empty()
 
     def _note_if_empty(self) -> None:
-        count = self.scene.gaussians.count
         if not self._counts:
             if not _is_plain(self.stored):
                 return
             self.scene.gaussians = self.scene.gaussians.to(self.device)
             self._encode(self.stats)
-        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
+        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == (count := self.scene.gaussians.count):
             note(
                 f"{self.options.output} is all background: none of {count} Gaussians is within what the cameras see, "
                 "or opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
@@ -326,7 +326,7 @@ def _to_bits(image: np.ndarray, bits: int) -> np.ndarray:
 
 
 def use_threads(threads: int) -> None:
-    """Have torch and OpenImageIO use so many threads."""
+    """Set the number of threads of torch and OpenImageIO."""
     import OpenImageIO as oiio
     import torch
 

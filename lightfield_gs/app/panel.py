@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.base.cli_messages import note
@@ -23,7 +20,6 @@ from lightfield_gs.panels.simulate import missing_geometry
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.quilt import QuiltLayout
-    from lightfield_gs.scene.gaussians import Gaussians
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
 
@@ -131,18 +127,6 @@ def package_versions() -> dict[str, str]:
 
 def software() -> str:
     return f"lightfield-gs {package_versions()['lightfield-gs']}"
-
-
-def scene_hash(gaussians: Gaussians) -> str:
-    """Return the hexadecimal SHA-256 of the five fields as little-endian float32, one after the other."""
-    digest = hashlib.sha256()
-    for tensor in gaussians.fields().values():
-        digest.update(np.ascontiguousarray(tensor.detach().cpu().numpy(), "<f4").data)
-    return digest.hexdigest()
-
-
-def scene_facts(gaussians: Gaussians) -> dict[str, Any]:
-    return {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
 
 
 def file_facts(path: Path) -> dict[str, str]:

@@ -19,7 +19,6 @@ import numpy as np
 
 from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
 from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
-from lightfield_gs.app.panel import scene_hash
 from lightfield_gs.app.photo import photo_rig
 from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
@@ -32,7 +31,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.scene.axes import find_up, upright_rotation
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, scene_hash
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
 from lightfield_gs.video.rendering import FrameSource
 from lightfield_gs.video.sequence import ImageSequence, is_sequence, open_sequence, pictures_and_maps
@@ -66,7 +65,7 @@ class Shots:
             frame is drawn.
         render: how frames are drawn.
         job: further values, for JSON, that the frames depend on beside the options of drawing.
-        messages: lines on what was decided.
+        messages: lines on decisions.
     """
 
     count: int
@@ -221,7 +220,7 @@ def _pictures(
     """Yield the number and the options of each picture, as if it were alone.
 
     Args:
-        scene: what all have in common.
+        scene: the scene of all shots.
         parts: the pictures ("input"), and their depth maps and masks, if any.
         numbers: of the pictures.
         folder: for the frames of videos.
@@ -234,7 +233,7 @@ def _pictures(
 
 
 class _Renaming:
-    """A stream in place of sys.stdout or sys.stderr that passes text on with other names in it."""
+    """A stream in place of sys.stdout or sys.stderr that replaces names in the text."""
 
     def __init__(self, usual: Any, renamed: Callable[[str], str]):
         self._usual, self._renamed = usual, renamed

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, field, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,18 +15,18 @@ _KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
 
 
 def shown(value: object) -> str:
-    """A value of any kind as a message shows it: on one line, 80 characters at most."""
+    """Return a value of any kind as text for a message: one line, 80 characters at most."""
     return "none" if value is None else " ".join(repr(value).split())[:80]
 
 
 def counted(count: int, what: str = "item", of: int | None = None, does: str = "") -> str:
-    """How many, in words: "1 item", "2 items", "1 of 7 frames has no pose and is left out".
+    """Return a count in words: "1 item", "2 items", "1 of 7 frames has no pose and is left out".
 
     Args:
         count: how many.
-        what: one of them.
+        what: the noun, singular.
         of: of how many in all.
-        does: what they do, as it is said of several; are, have, were and their are put as one's where it is one.
+        does: the predicate, plural; for a count of one, are, have, were and their become singular.
     """
     share = f"{count}" if of is None else f"{count} of {of}"
     words = [_OF_ONE.get(word, word) if count == 1 else word for word in does.split()]
@@ -36,7 +34,7 @@ def counted(count: int, what: str = "item", of: int | None = None, does: str = "
 
 
 def expect(what: str, value: object, *kinds: type) -> None:
-    """Raises InputError unless the value is of one of these types; True and False are no numbers."""
+    """Raise InputError unless the value is of one of these types; True and False are no numbers."""
     if not isinstance(value, kinds) or isinstance(value, bool) and bool not in kinds:
         raise wrong_type(what, value, *kinds)
 
@@ -53,7 +51,7 @@ def _is_number(value: object) -> bool:
 
 
 def whole_number(what: str, value: Any, low: int, high: int) -> int:
-    """`value` as an int in low..high; raises InputError."""
+    """Return `value` as an int in low..high. Raises InputError."""
     if not _is_number(value) or value != value // 1:
         raise InputError(f"{what} must be a whole number, got {shown(value)}")
     if not low <= value <= high:
@@ -62,7 +60,7 @@ def whole_number(what: str, value: Any, low: int, high: int) -> int:
 
 
 def real_number(what: str, value: Any, low: float, high: float) -> float:
-    """`value` as a float in low..high; raises InputError."""
+    """Return `value` as a float in low..high. Raises InputError."""
     if not _is_number(value):
         raise InputError(f"{what} must be a number, got {shown(value)}")
     if not low <= value <= high:  # false for NaN
@@ -71,7 +69,7 @@ def real_number(what: str, value: Any, low: float, high: float) -> float:
 
 
 def is_row(values: Any, count: int | None = None) -> bool:
-    """Whether `values` is a sequence or array of `count` elements (None: any number), whatever they are."""
+    """Return whether `values` is a sequence or array of `count` elements of any kind (None: any number)."""
     if isinstance(values, np.ndarray):
         good = values.ndim == 1
     else:
@@ -84,18 +82,6 @@ def number_pair(what: str, values: Any, low: float, high: float) -> tuple[float,
     if not is_row(values, 2):
         raise InputError(f"{what} must be two numbers, got {shown(values)}")
     return real_number(what, values[0], low, high), real_number(what, values[1], low, high)
-
-
-def checked_path(path: str | os.PathLike) -> Path:
-    """Return `path` as a Path; raise InputError where it is none."""
-    expect("path", path, str, os.PathLike)
-    try:
-        bad = b"\0" in os.fsencode(path)
-    except UnicodeEncodeError:
-        bad = True
-    if bad:
-        raise InputError(f"path: expected a file name, got one that none can have, {ascii(os.fspath(path))[:80]}")
-    return Path(path)
 
 
 def checked_field(check: Callable[..., Any], *bounds: Any, default: Any = MISSING) -> Any:

@@ -6,12 +6,13 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from queue import SimpleQueue
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
 
@@ -32,9 +33,7 @@ def choose_device(name: Device) -> Literal["cpu", "cuda"]:
 
 def _missing_for_cuda() -> str | None:
     """Return what CUDA lacks, the build, the torch or the GPU, and what to do; None where nothing is missing."""
-    from lightfield_gs import build_info
-
-    if "cuda" not in cast(list[str], build_info()["devices"]):
+    if not hasattr(_core, "cuda"):
         return "this build has no CUDA stages; install it with nvcc on the PATH and -C cmake.define.LFGS_CUDA=ON"
     if torch.version.cuda is None:
         return f"this torch, {torch.__version__}, is a CPU build; install a CUDA build of torch"
@@ -51,7 +50,7 @@ def cores() -> list[int]:
 
 
 def device_guard(device: torch.device) -> AbstractContextManager:
-    """Make `device` the current one inside the block, so that work goes to its stream; a CPU changes nothing."""
+    """Make `device` the current device inside the block, so that work goes to its stream; a CPU changes nothing."""
     if device.type != "cuda" or device.index == torch.cuda.current_device():
         return nullcontext()
     return torch.cuda.device(device)
@@ -75,7 +74,7 @@ def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[to
     Returns:
         The graph, and the result of the call, which each replay overwrites.
     """
-    stream = torch.cuda.Stream()  # of its own: torch's belongs to the device that captured first
+    stream = torch.cuda.Stream()  # an own pool: torch's pool belongs to the device that captured first
     if warm_up:
         stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(stream):

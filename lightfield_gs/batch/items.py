@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-from lightfield_gs.base.checks import checked_path, shown
+from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.colmap import model_folder
 from lightfield_gs.io.captures.transforms import transforms_file
 from lightfield_gs.io.depth_names import depth_maps_beside

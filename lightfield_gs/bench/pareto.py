@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.options import QUALITY_NAMES
 from lightfield_gs.bench import options
 from lightfield_gs.bench.photo import EXAMPLE, network
 from lightfield_gs.bench.report import aligned, check_plot, in_ms, new_figure, or_dash
@@ -30,7 +31,7 @@ from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.load import load_photo
-from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
@@ -66,7 +67,7 @@ def settings() -> dict[str, Setting]:
     found = {name: Setting(quality) for name, quality in _qualities().items()}
     drawn = {
         "": EXACT,
-        "fast, ": QUALITIES["fast"],
+        "fast, ": Quality.of("fast"),
         **{f"{_knobs(approximate)}, ": approximate for approximate in map(_approximate, CUTS)},
     }
     for cut in PRUNED:
@@ -75,7 +76,7 @@ def settings() -> dict[str, Setting]:
 
 
 def _approximate(opacity_cut: float) -> Quality:
-    return Quality(opacity_cut=opacity_cut, evaluation_error=QUALITIES["fast"].evaluation_error)
+    return Quality(opacity_cut=opacity_cut, evaluation_error=Quality.of("fast").evaluation_error)
 
 
 def _knobs(approximate: Quality) -> str:
@@ -83,7 +84,7 @@ def _knobs(approximate: Quality) -> str:
 
 
 def _qualities() -> dict[str, Quality]:
-    found = dict(QUALITIES)
+    found: dict[str, Quality] = {name: Quality.of(name) for name in QUALITY_NAMES}
     for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
     for approximate in map(
@@ -92,7 +93,8 @@ def _qualities() -> dict[str, Quality]:
         found[_knobs(approximate)] = approximate
         found[f"{_knobs(approximate)}, lattice_error {_value(LATTICE)}"] = replace(approximate, lattice_error=LATTICE)
     for knob in KNOBS:
-        for name, quality in QUALITIES.items():
+        for name in QUALITY_NAMES:
+            quality = found[name]
             value, without = getattr(quality, knob), getattr(EXACT, knob)
             if value == without:
                 continue
@@ -109,7 +111,7 @@ def _value(value: float) -> str:
 def subjects(
     scenes: Sequence[str], photos: Sequence[str], panel: Panel, cones: Sequence[Any], device: str
 ) -> list[Callable[[], Subject]]:
-    """Calls that make the subjects: every scene (as load_scene names them) and every photo, in every cone."""
+    """Return functions that make the subjects: every scene of load_scene and every photo, in every cone."""
     return [
         *(partial(_of_scene, scene, panel, cone, device) for scene in scenes for cone in cones),
         *(partial(_of_photo, path, panel, cone, device) for path in photos for cone in cones),
@@ -148,7 +150,7 @@ def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
 def rows(
     subject: Subject, chosen: dict[str, Setting], repeats: int | None, threads: int | None
 ) -> list[dict[str, Any]]:
-    """A row for each setting, the exact one first. Raises InputError."""
+    """Return a row for each setting, the exact setting first. Raises InputError."""
     oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
     what = {
         "scene": subject.name,
@@ -168,7 +170,7 @@ def rows(
                 **what,
                 "setting": name,
                 "gaussians": drawn.gaussians.count,
-                "named": name in QUALITIES,
+                "named": name in QUALITY_NAMES,
                 **oracle.errors(out),
                 "pairs": stats["pairs"],
                 "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
@@ -188,7 +190,7 @@ def rows(
 def drawing(
     subject: Subject, quality: Quality = EXACT, threads: int | None = None, out: Tensor | None = None
 ) -> Callable[[], Tensor]:
-    """A call that draws a subject; on CUDA an Encoder's replayed frame, on the CPU over `out`."""
+    """Return a function that draws a subject: on CUDA an Encoder's replayed frame, on the CPU over `out`."""
     if subject.gaussians.means.is_cuda:
         return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
     return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads, out=out)
@@ -226,7 +228,7 @@ COLUMNS = 4
 
 
 def plot(found: list[dict[str, Any]], path: Path) -> None:
-    """Writes the picture. Raises InputError."""
+    """Write the plot. Raises InputError."""
     cases: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
     for row in found:
         cases.setdefault((row["scene"], row["cone_deg"], row["device"]), []).append(row)
@@ -246,7 +248,7 @@ def plot(found: list[dict[str, Any]], path: Path) -> None:
 
 
 def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
-    """The settings as dots, the named ones by name, and the front as a line."""
+    """Draw the settings as dots, with their names, and the front as a line."""
     front = sorted((row for row in rows if row["front"]), key=lambda row: row["ms"])
     axis.step(
         [row["ms"] for row in front],
@@ -269,6 +271,19 @@ def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
     axis.tick_params(labelsize=8)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.SceneOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        photo: files with commas. None: the example of the package, unless there are scenes.
+        plot: file for the picture of the rows.
+    """
+
+    photo: str | None = None
+    plot: Path | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_scene(parser, SCENES)
@@ -280,21 +295,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
-    if args.plot is not None:
-        check_plot(args.plot)
-    photos = [] if args.scene and not args.photo else (args.photo or str(EXAMPLE)).split(",")
+def run(given: Options) -> tuple[dict[str, Any], str]:
+    """Return the rows of every scene, photo, cone and setting, and their text; draw the plot."""
+    if given.plot is not None:
+        check_plot(given.plot)
+    photos = [] if given.scene and not given.photo else (given.photo or str(EXAMPLE)).split(",")
     options.check_photos(photos)
-    scenes = SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
+    scenes = SCENES if not given.scene and not given.photo else given.scene.split(",") if given.scene else ()
     options.check_scenes(scenes)
     found: list[dict[str, Any]] = []
-    count = options.one_thread_count(args.threads)
-    cones = CONES if args.cone is None else options.cones(args.cone)
-    for subject in subjects(scenes, photos, options.load_panel(args), cones, args.device):
+    count = given.thread_count
+    cones = CONES if given.cone is None else options.cones(given.cone)
+    for subject in subjects(scenes, photos, given.load_panel(), cones, given.device):
         made = subject()
         options.progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
-        found += rows(made, settings(), args.repeats, count)
-    if args.plot is not None:
-        plot(found, args.plot)
+        found += rows(made, settings(), given.repeats, count)
+    if given.plot is not None:
+        plot(found, given.plot)
     return {"rows": found}, table(found)

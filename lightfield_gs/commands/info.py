@@ -1,4 +1,4 @@
-"""`lightfield-gs info`: what a file holds."""
+"""`lightfield-gs info`: the contents of a file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def describe(
         time: of a scene, see `read_scene`.
 
     Raises:
-        InputError: the file cannot be read, or an option is not for it.
+        InputError: the file cannot be read, or does not take an option.
     """
     suffix = path.suffix.lower()
     if serial is not None and suffix != ".json":
@@ -81,13 +81,13 @@ def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -
     import torch
 
     from lightfield_gs.app.cameras import fit_and_cameras, scene_up
-    from lightfield_gs.app.panel import scene_hash
     from lightfield_gs.app.scene import read_noted
+    from lightfield_gs.scene.gaussians import scene_hash
 
     file = read_noted(path, skip_invalid, time)
     scene = file.gaussians
     centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
-    quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
+    quantile = [centres[int(fraction * (scene.count - 1))].tolist() for fraction in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
         ("format", file.kind),
         ("gaussians", scene.count),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views, scene_facts, software
+from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views, software
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.cli_messages import Stopwatch, say
@@ -22,10 +22,11 @@ from lightfield_gs.commands.options.panel import (
     add_depth_report,
     add_device_serial,
     add_look,
+    add_rendering,
     add_viewing_distance,
 )
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
-from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
+from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
@@ -38,6 +39,7 @@ from lightfield_gs.panels.quilt import (
     with_suffix,
 )
 from lightfield_gs.photo.side_by_side import is_rgbd_name
+from lightfield_gs.scene.gaussians import scene_facts
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
@@ -108,9 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "NAME_rgbd.png",
     )
     add_scene(add, "cut the object out of a photo with rembg")
-    add_antialiased(add)
-    add_view_filter(add)
-    add_background(add)
+    add_rendering(add)
     add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
     add(
         "--compression",

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour, background_tensor, to_bytes, to_tensor
-from lightfield_gs.base.checks import expect
+from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.encoding.arguments import check_view_filter
 from lightfield_gs.encoding.sorted_plan import views_shown
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig, view_aperture
 from lightfield_gs.rasterizer.image_render import draw_in_chunks
 from lightfield_gs.rasterizer.images import render
@@ -53,7 +52,7 @@ def render_views(
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
-    aperture = view_aperture(panel, rig, check_view_filter(view_filter))
+    aperture = view_aperture(panel, rig, real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS))
     colour = background_tensor(background, gaussians.means)
     return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0]
 

@@ -1,4 +1,4 @@
-"""A scene to the sub-pixel-encoded image of a panel."""
+"""A scene to the sub-pixel-encoded image of a panel, and the checks of the arguments."""
 
 from __future__ import annotations
 
@@ -10,89 +10,27 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour, background_tensor
-from lightfield_gs.base.options import Method, Output, QualityName, Views
-from lightfield_gs.encoding.arguments import (
-    DTYPES,
-    check_options,
-    check_out,
-    check_together,
-    check_types,
-    check_view_filter,
-    refuse_gradients,
-    refuse_with_gradients,
-    wants_gradients,
-)
+from lightfield_gs.base.checks import expect, real_number, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
 from lightfield_gs.rasterizer.direct import DirectRender
-from lightfield_gs.rasterizer.frame_cuda import known_frames
-from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, LenticularCamera
-from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE
+from lightfield_gs.rasterizer.operators import refuse_tangents
+from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats, count_culled
 from lightfield_gs.scene.cameras import Cameras, recentre
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, check_values
 
-
-def encode_direct(
-    gaussians: Gaussians,
-    camera: LenticularCamera,
-    background: Tensor,
-    output: Output,
-    quality: Quality,
-    threads: int | None,
-    stats: Stats | None,
-    out: Tensor | None,
-    antialiased: bool,
-) -> Tensor:
-    """Draw the image [H, W, 3], by the operator that has a backward where gradients are wanted. See encode.
-
-    Raises InputError for arguments that this operator does not have.
-    """
-    fields = list(gaussians.fields().values())
-    if wants_gradients(gaussians, background, output):
-        refuse_with_gradients(
-            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
-        )
-        return torch.ops.lightfield_gs.render_direct(*fields, background, *camera.numbers(), antialiased)
-    stats = stats or Stats()
-    with torch.no_grad():
-        with stats.stage("plan"):
-            job = DirectRender(fields, background, camera, antialiased)
-        return draw_direct(job, output == "uint8", quality, stats, threads, out)
-
-
-def draw_direct(
-    job: DirectRender,
-    as_bytes: bool = False,
-    quality: Quality = EXACT,
-    stats: Stats | None = None,
-    threads: int | None = None,
-    out: Tensor | None = None,
-) -> Tensor:
-    """Draw the image [H, W, 3] without gradients.
-
-    On CUDA the fast kernels of a frame draw it. They err by up to 1/255, except where a sample lies on a threshold,
-    such as the least alpha of a splat.
-
-    Args:
-        job: the render.
-        as_bytes: whether the image is uint8 = round(255 clamp(c, 0, 1)).
-        quality: how much error is allowed.
-        stats: filled with times and counts.
-        threads: of the CPU; None: torch's.
-        out: an image of that size and type, which the caller has checked.
-    """
-    stats, threads = stats or Stats(), threads or torch.get_num_threads()
-    if job.scene.device.type == "cuda":
-        return known_frames(job, quality).draw(job, as_bytes, stats, out)
-    work = job.workspace(stats, threads, quality)
-    with stats.stage("composite"):
-        out = job.new_image(as_bytes) if out is None else out
-        work.composite_direct(job.native, quality, job.background, out)
-    return out
+DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
+MOST_THREADS = 1024
+_MOST_BYTES = 1 << 62
+_BY_A_RIG = ": the other methods draw the panel's own views by a rig"
+_WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_RIG, "out": ""}
 
 
 def encode(
@@ -170,18 +108,29 @@ def encode(
         check_out(out, output, panel, gaussians.device)
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     colour = background_tensor(background, gaussians.means).reshape(-1)
-    follows = wants_gradients(gaussians, colour, output, cameras)
-    if follows and method == "sorted":
-        refuse_gradients("method 'sorted'")
-    counters = Stats(device=gaussians.device if stats is not None else None)
+    if wants_gradients(gaussians, colour, output, cameras):
+        if method == "sorted":
+            refuse_gradients("method 'sorted'")
+        refuse_with_gradients(
+            quality=not quality.is_exact,
+            threads=threads is not None,
+            stats=stats is not None,
+            out=out is not None,
+            view_filter=method == "classic" and view_filter > 0,
+        )
+        if method == "classic":
+            return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
+        numbers = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter).numbers()
+        return torch.ops.lightfield_gs.render_direct(*gaussians.fields().values(), colour, *numbers, antialiased)
+    counters = Stats(device=gaussians.means.device if stats is not None else None)
     if method == "direct":
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
-        counted = None if stats is None else counters
-        image = encode_direct(gaussians, camera, colour, output, quality, threads, counted, out, antialiased)
-    elif method == "classic" and follows:
-        refuse_with_gradients(threads=threads is not None, stats=stats is not None, view_filter=view_filter > 0)
-        return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
+        with torch.no_grad():
+            with counters.stage("plan"):
+                job = DirectRender(gaussians.fields().values(), colour, camera, antialiased)
+            image = job.draw(as_bytes, quality, counters, threads, out)
     elif method == "classic":
+        aperture = view_aperture(panel, cast(Rig, rig), view_filter)
         image = encode_classic(
             gaussians,
             panel,
@@ -192,7 +141,7 @@ def encode(
             threads,
             counters,
             antialiased,
-            view_aperture(panel, cast(Rig, rig), view_filter),
+            aperture,
         )
     else:
         with counters.stage("plan"):
@@ -204,9 +153,130 @@ def encode(
             gaussians, seen, plan, memory_budget, colour, as_bytes, threads, counters, antialiased, aperture
         )
     if stats is not None:
-        stats.update(counters.report(gaussians.count, image.numel()))
+        count = len(gaussians.means)
+        stats.update(counters.report(count, image.numel()))
         if method == "direct":
-            drawn = gaussians.count - stats["gaussians_culled"]
+            drawn = count - stats["gaussians_culled"]
             culled = count_culled(gaussians, cast(Rig, rig).world_to_camera, drawn, counters.pruned)
             stats["skipped"] = {"gaussians": culled, **counters.skipped}
     return image
+
+
+def check_options(method: str, views: str, output: str) -> None:
+    """Raise InputError for a method, views or output that `encode` does not know."""
+    for name, value in (("method", method), ("views", views), ("output", output)):
+        expect(name, value, str)
+    if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
+        raise InputError(
+            f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
+            f"{views!r} and {output!r}"
+        )
+
+
+def check_types(
+    gaussians: Gaussians, panel: Panel, rig: Rig | None, cameras: Cameras | None, stats: Any, antialiased: bool
+) -> None:
+    """Raise InputError for arguments of types that `encode` does not take, and for Gaussians that cannot be drawn."""
+    for name, value, kinds in (
+        ("gaussians", gaussians, (Gaussians,)),
+        ("panel", panel, (Panel,)),
+        ("rig", rig, (Rig, type(None))),
+        ("cameras", cameras, (Cameras, type(None))),
+        ("stats", stats, (dict, type(None))),
+        ("antialiased", antialiased, (bool,)),
+    ):
+        expect(name, value, *kinds)
+    gaussians.validate_layout()
+    if gaussians.is_batched:
+        raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
+    if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
+        check_values(gaussians)  # looks at values, which waits for the device: a stream that captures must not
+
+
+def check_view_filter(view_filter: Any, cameras: Cameras | None = None) -> float:
+    """Return encode's view_filter as a float. Raises InputError out of its range, or where cameras= replace the rig."""
+    view_filter = real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS)
+    if view_filter > 0 and cameras is not None:
+        raise InputError("view_filter= is for the views of a rig, and cameras= take its place: leave out one of them")
+    return view_filter
+
+
+def check_together(
+    method: Method,
+    views: Views,
+    output: Output,
+    rig: Rig | None,
+    quality: Quality,
+    threads: int | None,
+    memory_budget: int | None,
+    **given: Any,
+) -> tuple[int | None, int | None]:
+    """Return threads and memory_budget as whole numbers.
+
+    Raises InputError where they are out of their ranges, and where arguments of one method meet another.
+    given: the other arguments that one method alone takes (base/options.py).
+    """
+    if threads is not None:
+        threads = whole_number("threads", threads, 1, MOST_THREADS)
+    if memory_budget is not None:
+        memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
+    for name, value in {"memory_budget": memory_budget, **given}.items():
+        if value is not None and method != (only := ONLY_FOR[name]):
+            raise InputError(f"{name}= is for method {only!r}, not {method!r}{_WHY_NOT[name]}")
+    if method != "sorted" and rig is None:
+        raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
+    if memory_budget is not None and views == "continuous":
+        raise InputError(
+            "memory_budget goes with integer views: cameras for all distinct places within a lens have no "
+            "bound; use method direct, which takes little memory, or integer views"
+        )
+    if not quality.is_exact and (method != ONLY_FOR["quality"] or output == "float64"):
+        raise InputError(
+            f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
+            f"{output!r}: those are exact only"
+        )
+    return threads, memory_budget
+
+
+def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:
+    """Raise InputError where `out` is no tensor that an image of the panel can be drawn into."""
+    expect("out", out, Tensor)
+    expected = (panel.height_px, panel.width_px, 3), DTYPES[output], device
+    if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
+        raise InputError(
+            f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
+            f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
+            f"{', with gradients' if out.requires_grad else ''}"
+        )
+    if out.is_cuda and out.data_ptr() % 2:
+        raise InputError(
+            "out must begin at an even address on CUDA, got a part of another tensor at an odd one; give "
+            "a tensor of its own"
+        )
+
+
+def wants_gradients(gaussians: Gaussians, background: Any, output: Output, cameras: Cameras | None = None) -> bool:
+    """Return whether the image carries a graph: an argument asks for a gradient, and the output is not bytes.
+
+    Raises InputError where one is a dual number of forward mode, whose tangent would be lost.
+    """
+    tensors = [*gaussians.fields().values(), background]
+    if cameras is not None:
+        tensors += [cameras.world_to_camera, cameras.intrinsics(), cameras.limits()]
+    refuse_tangents(*tensors)
+    asked = any(isinstance(t, Tensor) and t.requires_grad for t in tensors)
+    return torch.is_grad_enabled() and output != "uint8" and asked
+
+
+def refuse_gradients(what: str) -> None:
+    """Raise InputError for `what`, whose images carry no graph, where gradients are wanted."""
+    raise InputError(
+        f"{what} has no gradients, and an argument requires one: use encode(method='direct') or 'classic', or "
+        "torch.no_grad()"
+    )
+
+
+def refuse_with_gradients(**given: bool) -> None:
+    """Raise InputError for the first of these arguments that was given although gradients are wanted."""
+    for name in (name for name, is_given in given.items() if is_given):
+        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")

@@ -11,8 +11,7 @@ from lightfield_gs.base.arrays import Colour, background_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding.arguments import check_options, check_view_filter, refuse_gradients, wants_gradients
-from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encode import check_options, check_view_filter, encode, refuse_gradients, wants_gradients
 from lightfield_gs.encoding.encoder_frames import STAGES, CpuFrameCache, CudaFrameCache
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera

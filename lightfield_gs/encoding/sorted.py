@@ -31,8 +31,8 @@ from lightfield_gs.scene.gaussians import Gaussians
 _MOST_VIEWS, _MOST_NUMBERED = 4096, (1 << 31) - 1  # of a chunk: views; splats, and lists
 # Bytes of a chunk: for a splat (footprint 32, colour 16, depth 4), for an intersection, for a list of intersections,
 # and for the gaps between the parts with the state
-_SPLAT_BYTES, _PAIR_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
-_STATE = struct.Struct("<Q4xI")  # SortedState: pairs, the long lists, and splats drawn
+_SPLAT_BYTES, _INTERSECTION_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
+_STATE = struct.Struct("<Q4xI")  # SortedState: intersections, the long lists, and splats drawn
 
 
 class CudaStages:
@@ -49,7 +49,7 @@ class CudaStages:
         return views * self.scene.count * _SPLAT_BYTES
 
     def binning_bytes(self, views: int, counts: tuple[int, int]) -> int:
-        return _PAIR_BYTES * counts[0] + _LIST_BYTES * views * self.plan.tiles + _GAPS
+        return _INTERSECTION_BYTES * counts[0] + _LIST_BYTES * views * self.plan.tiles + _GAPS
 
     def workspace(self, scene: SceneTensors, views: int, stats: Stats) -> Any:
         return SortedWorkspace(scene, self.plan, views, stats)
@@ -108,9 +108,9 @@ class SortedWorkspace:
         return True
 
 
-_MOST_PAIRS = (1 << 31) - 1
+_MOST_INTERSECTIONS = (1 << 31) - 1
 _PROBE = 65536  # Gaussians whose intersections are counted at a time, where even one view does not fit the budget
-_PAIRS_GUESSED = 4  # of a Gaussian in a view, until the first chunk is counted
+_GUESSED_INTERSECTIONS = 4  # of a Gaussian in a view, until the first chunk is counted
 
 Counts = tuple[int, int]  # intersections of a chunk, and the most in one band of one view
 
@@ -183,8 +183,8 @@ class _CpuStages:
 
     def binning_bytes(self, views: int, counts: Counts) -> int:
         """Return the bytes of order and lists of bands, and of the stage that takes most while it runs."""
-        (pairs, most), n, tiles = counts, self.scene.count, -(-self.plan.width_px // self.plan.tile.width_px)
-        lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * pairs
+        (intersections, most), n, tiles = counts, self.scene.count, -(-self.plan.width_px // self.plan.tile.width_px)
+        lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * intersections
         order = min(self.threads, views) * n * 4 * self.number
         bins = 8 * views * self.bands + self.threads * 8 * n
         # A growing vector may be twice as long as needed, beside its old memory
@@ -309,7 +309,7 @@ class _Encoding:
         total = budget or self.stages.default_work + plan.table_bytes() + plan.bytes()
         self.usable = total - total // self.stages.reserve
         self.resident = True  # whether the whole plan is kept, and not only the lists of the chunk at hand
-        self.expected: Counts = (_PAIRS_GUESSED * scene.count, scene.count // 8)  # of one view
+        self.expected: Counts = (_GUESSED_INTERSECTIONS * scene.count, scene.count // 8)  # of one view
         self.total: Counts = (0, 0)
 
     def run(self, out: Tensor) -> None:
@@ -345,11 +345,11 @@ class _Encoding:
 
     def _most_views(self, first: int) -> int:
         """Return how many views from `first` are expected to fit; at least one."""
-        pairs, most = self.expected
+        intersections, most = self.expected
         left = min(self.plan.count - first, self.stages.most_views)
 
         def memory(views: int) -> int:
-            return sum(self._memory(first, views, (views * pairs, most)).values())
+            return sum(self._memory(first, views, (views * intersections, most)).values())
 
         return left if memory(left) <= self.usable else max(1, bisect_right(range(1, left), self.usable, key=memory))
 
@@ -384,7 +384,7 @@ class _Encoding:
         per_view = -(-counts[0] // views)
         # A sixteenth is added for later views, which may have a few more
         self.expected = (per_view + per_view // 16, counts[1] + counts[1] // 16)
-        return counts[0] <= _MOST_PAIRS and not self._exceeds(self._memory(first, views, counts))
+        return counts[0] <= _MOST_INTERSECTIONS and not self._exceeds(self._memory(first, views, counts))
 
     def _exceeds(self, memory: dict[str, int]) -> bool:
         return sum(memory.values()) > self.usable
@@ -417,12 +417,12 @@ class _Encoding:
         Take some Gaussians at a time to save memory.
         """
         cameras = self._native_cameras(place, 1)
-        pairs = most = 0
+        intersections = most = 0
         for first in range(0, self.scene.count, _PROBE):
             some = SceneTensors(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
             work = self.stages.workspace(some, 1, Stats())
             work.project_images(cameras)
             work.order_and_bin(lambda: False)
             counts = self.stages.counts(work)
-            pairs, most = pairs + counts[0], most + counts[1]
-        return pairs, most
+            intersections, most = intersections + counts[0], most + counts[1]
+        return intersections, most

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import checked_path, expect, is_row, real_number, shown
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
@@ -30,7 +30,7 @@ from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.run import Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.io.atomic import make_folder, remove_left_over
+from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over
 from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
@@ -268,7 +268,7 @@ def _drop_masked_out(
 
 
 def _describe_dropout(settings: FitSettings, photographs: int) -> list[str]:
-    """Return a line about dropout for a fit to so many photographs, if there is something to say."""
+    """Return a line of advice on dropout for this number of photographs; None without advice."""
     if settings.dropout > 0:
         return [f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"]
     words = (

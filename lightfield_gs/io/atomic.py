@@ -1,4 +1,4 @@
-"""Files and folders that appear complete or not at all, checks of output paths, locks and checksums."""
+"""Files and folders that appear complete or not at all, checks of paths, locks and checksums."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from lightfield_gs.base.checks import checked_path
+from lightfield_gs.base.checks import wrong_type
 from lightfield_gs.base.errors import InputError, reading
 
 # Names of temporary files: the stem, a number, the suffix; earlier versions had twelve digits for the number
@@ -21,6 +21,19 @@ _TEMPORARY = re.compile(r"\..*\.(partial-\d+|[0-9a-f]{12})(\.[^.]*)?", re.DOTALL
 _LOOKED_AT = 4  # numbers checked for files of killed processes; more if all of these are taken
 _HASH_CHUNK_BYTES = 1 << 20
 _HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows
+
+
+def checked_path(path: str | os.PathLike) -> Path:
+    """Return `path` as a Path; raise InputError where it is none."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise wrong_type("path", path, str, os.PathLike)
+    try:
+        bad = b"\0" in os.fsencode(path)
+    except UnicodeEncodeError:
+        bad = True
+    if bad:
+        raise InputError(f"path: expected a file name, got one that none can have, {ascii(os.fspath(path))[:80]}")
+    return Path(path)
 
 
 def check_output_path(path: str | Path) -> Path:
@@ -44,7 +57,7 @@ def _target(path: Path) -> Path:
 
 
 def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
-    """Raise InputError where a command would overwrite its input, or one of its outputs by another.
+    """Raise InputError if a command would overwrite its input, or one output by another.
 
     None stands for a file that was not given.
     """

@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.options import Compression
-from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.io.atomic import atomic_path, check_output_path, checked_path
 from lightfield_gs.io.file_kinds import refuse_large_non_image, refuse_non_image, refuse_unsupported, refuse_video
 from lightfield_gs.io.pillow_images import decode_heif, heif_orientation, is_heif, open_heif
 from lightfield_gs.io.png import CompressedImage, png_colour, png_damage, write_png

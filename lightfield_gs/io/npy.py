@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
 
 _PARSE_ERRORS = (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError)

@@ -11,9 +11,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.atomic import atomic_path, checked_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
 
 _PACKAGE = Path(__file__).resolve().parents[1]

@@ -122,14 +122,14 @@ def content_bounds(gaussians: Gaussians, turn: Tensor | None = None) -> Tensor:
 
 def subsample(gaussians: Gaussians) -> Gaussians:
     """Return some of the Gaussians, enough to measure their extent."""
-    return select(gaussians, slice(None, None, 1 + gaussians.count // _ENOUGH))
+    return select(gaussians, slice(None, None, 1 + len(gaussians.means) // _ENOUGH))
 
 
 def photo_extent(gaussians: Gaussians) -> Tensor:
     """Return the content_extent of a photo's Gaussians, in the photo's axes; of a million an eighth is enough.
 
-    Of more than 2^17 one of each few neighbours in storage is measured. A hash chooses it, so that columns and rows of
-    a grid are met alike. Their number alone decides which ones; nothing waits for a device.
+    Of more than 2^17 Gaussians only every n-th in storage is measured. A hash chooses it, so that columns and rows of a
+    grid are met alike. Their number alone decides which ones; nothing waits for a device.
     """
     few = -(-gaussians.count // _MANY)
     if few == 1:
@@ -228,27 +228,20 @@ def find_subject(gaussians: Gaussians) -> Subject:
     low, high = content_bounds(subsample(gaussians)).unbind(1)
     extent = float((high - low).max())
     means, weights = gaussians.means, _weights(gaussians)
-    sample = _sample(weights)
+    sample = _spread(weights.nonzero()[:, 0], _SUBJECT.sample)
     points, sides, weight = (values[sample].cpu().double() for values in (means, _middle_scales(gaussians), weights))
     place, radius = _densest(points, weight)
     distances = (points - place).norm(dim=1)
     cut = _cut(points - place, distances, weight, radius)
     if cut is not None and _SUBJECT.small_ratio * cut <= math.sqrt(_SUBJECT.gap_ratio) * extent:
         fraction = float(weight[distances > cut].sum() / weight.sum())
-        return Subject(
-            _within(means, place, cut),
-            f"{fraction:.1%} of the scene lies far around its dense part and was left out of the framing",
-            fraction,
-        )
-    if radius <= _SUBJECT.small_ball * extent and _surrounds(
-        points - place, distances > 2 * _SUBJECT.neighbourhood * radius
-    ):
-        far = distances > _SUBJECT.neighbourhood * radius
-        return Subject(
-            _within(means, place, _SUBJECT.neighbourhood * radius),
-            "the scene surrounds its densest part, which was framed from within the scene",
-            float(weight[far].sum() / weight.sum()),
-        )
+        reason = f"{fraction:.1%} of the scene lies far around its dense part and was left out of the framing"
+        return Subject(_within(means, place, cut), reason, fraction)
+    reach = _SUBJECT.neighbourhood * radius
+    around = _direction_fraction((points - place)[distances > 2 * reach])
+    if radius <= _SUBJECT.small_ball * extent and around >= _SUBJECT.around:
+        reason = "the scene surrounds its densest part, which was framed from within the scene"
+        return Subject(_within(means, place, reach), reason, float(weight[distances > reach].sum() / weight.sum()))
     return _find_in_shell(means, sides, points, weight)
 
 
@@ -257,12 +250,10 @@ def _within(means: Tensor, place: Tensor, radius: float) -> Tensor:
     return (means.double() - place.to(means.device)).norm(dim=1) <= radius
 
 
-def _sample(weights: Tensor) -> Tensor:
-    """Return the indices [M] of a sample, evenly among all Gaussians that count."""
-    counting = weights.nonzero()[:, 0]
-    if len(counting) <= _SUBJECT.sample:
-        return counting
-    return counting[torch.arange(_SUBJECT.sample, device=counting.device) * len(counting) // _SUBJECT.sample]
+def _spread(values: Tensor, most: int) -> Tensor:
+    """Return at most this number of the values [N, ...], evenly spaced."""
+    count = min(most, len(values))
+    return values[torch.arange(count, device=values.device) * len(values) // count]
 
 
 def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
@@ -272,11 +263,7 @@ def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
         points: [M, 3]; some are tried as centres.
         weights: [M].
     """
-    places = points[
-        torch.arange(min(_SUBJECT.centres, len(points)), device=points.device)
-        * len(points)
-        // min(_SUBJECT.centres, len(points))
-    ]
+    places = _spread(points, _SUBJECT.centres)
     distances, order = torch.cdist(places, points).sort(1)
     sums = weights[order].cumsum(1)
     index = torch.searchsorted(sums, _SUBJECT.dense_fraction * sums[:, -1:])
@@ -304,13 +291,8 @@ def _cut(offsets: Tensor, distances: Tensor, weights: Tensor, least: float) -> f
     return None
 
 
-def _surrounds(offsets: Tensor, far: Tensor) -> bool:
-    """Return whether the far ones, bool [M], lie in many directions."""
-    return _direction_fraction(offsets[far]) >= _SUBJECT.around
-
-
 def _direction_fraction(offsets: Tensor) -> float:
-    """Return the fraction 0..1 of all directions with one of the offsets [M, 3] in them."""
+    """Return the fraction 0..1 of all directions that contain an offset of [M, 3]."""
     if len(offsets) == 0:
         return 0.0
     bins = _directions(_SUBJECT.direction_bins).to(offsets)
@@ -332,11 +314,9 @@ def _find_in_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor
         return Subject(
             reason="the scene is a shell, closed on most sides with nothing inside: it was framed from outside"
         )
-    return Subject(
-        torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _SUBJECT.inside_gauge,
-        "the scene is closed on most sides, like a room: what is inside was framed, from inside",
-        1 - kept,
-    )
+    gauges = torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device)
+    reason = "the scene is closed on most sides, like a room: what is inside was framed, from inside"
+    return Subject(gauges < _SUBJECT.inside_gauge, reason, 1 - kept)
 
 
 class _Hull:

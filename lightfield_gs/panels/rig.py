@@ -305,8 +305,8 @@ def lenticular_camera(panel: Panel, rig: Rig, continuous: bool = False, view_fil
     pose = np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist()
     optics = (float(v) for v in (*rig.focal_px, *rig.principal_point_px))
     limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
-    lens = panel_lens(panel, continuous, start, (end - start) / panel.views)
     aperture = view_aperture(panel, rig, view_filter).deviation
+    lens = panel_lens(panel, continuous, start, (end - start) / panel.views)
     return LenticularCamera(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
 
 

@@ -28,7 +28,7 @@ _FRACTION_SIZE_PX = 128  # width of the pictures that measure a visible fraction
 
 @dataclass(frozen=True)
 class VisibilityConstants:
-    """Thresholds of what a camera sees.
+    """Thresholds of the surfaces that a camera sees.
 
     All are chosen by hand and not tuned on a data set; tests/panels has the scenes that they must tell apart.
     """
@@ -293,11 +293,11 @@ def background_warning(fraction: float) -> str | None:
 
 def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float]) -> tuple[np.ndarray, np.ndarray]:
     """Return alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
+    gaussians = degree_zero(gaussians.detach())
     small_panel, small_rig = rig.reduced(panel, _SIZE_PX)
+    cameras = small_rig.cameras_at(small_panel, places)
     with torch.no_grad():
-        images = render(
-            degree_zero(gaussians.detach()), small_rig.cameras_at(small_panel, places), alpha=True, depth=True
-        )
+        images = render(gaussians, cameras, alpha=True, depth=True)
     alpha, depth = cast(Tensor, images.alpha), cast(Tensor, images.depth)[0]
     return alpha.double().cpu().numpy(), depth.double().cpu().numpy()
 

@@ -30,7 +30,7 @@ class ColourConstants:
     clipped_fraction: float = 0.001  # fraction of the pixels brighter than 1 from which on a note says so
 
 
-_CONSTANTS = ColourConstants()
+_C = ColourConstants()
 
 # Codes of ITU-T H.273 that count as sRGB: primaries of BT.709, transfer functions of BT.709 and sRGB; 2: unspecified
 _SRGB_CICP = (1, 2), (1, 2, 6, 13)
@@ -68,10 +68,9 @@ def to_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
     """
     gamma, linear = picture.colour.get("oiio:Gamma", _SRGB_GAMMA), is_linear(picture)
     if "ICCProfile" in picture.colour:
-        colours = _convert_profile(
-            rgb, bytes(picture.colour["ICCProfile"]), picture.colour.get("jpeg:ColorSpace") == "CMYK"
-        )
-    elif linear or abs(gamma - _SRGB_GAMMA) > _CONSTANTS.same_gamma:
+        was_cmyk = picture.colour.get("jpeg:ColorSpace") == "CMYK"
+        colours = _convert_profile(rgb, bytes(picture.colour["ICCProfile"]), was_cmyk)
+    elif linear or abs(gamma - _SRGB_GAMMA) > _C.same_gamma:
         colours = _convert_gamma(rgb, 1.0 if linear else gamma)
     else:
         colours = Colours(rgb, notes=_plausibility_notes(rgb, picture))
@@ -128,7 +127,7 @@ def _convert_gamma(rgb: np.ndarray, gamma: float) -> Colours:
     encoded = encode_srgb(linear)
     notes = [f"is brighter than white on {bright:.1%} of its pixels, which are clipped; expose it less"]
     description = "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, converted to sRGB"
-    return Colours(encoded.astype(np.float32), description, notes if bright > _CONSTANTS.clipped_fraction else [])
+    return Colours(encoded.astype(np.float32), description, notes if bright > _C.clipped_fraction else [])
 
 
 def _convert_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
@@ -140,32 +139,20 @@ def _convert_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours
         space = source.profile.xcolor_space.strip()
         mode = {"RGB": "RGB", "GRAY": "L"}.get(space)
         if mode is None or was_cmyk:
-            return Colours(
-                rgb,
-                notes=[
-                    f"has a colour profile for {space} ('{name}'), which cannot be used here; its "
-                    "colours are only about right; export it as RGB"
-                ],
+            note = (
+                f"has a colour profile for {space} ('{name}'), which cannot be used here; its colours are only about "
+                "right; export it as RGB"
             )
+            return Colours(rgb, notes=[note])
         # Each thread needs its own transform, because a transform caches the last colour
+        how = ImageCms.Intent.RELATIVE_COLORIMETRIC, ImageCms.Flags.BLACKPOINTCOMPENSATION
         transforms = [
-            ImageCms.buildTransform(
-                source,
-                ImageCms.createProfile("sRGB"),
-                mode,
-                "RGB",
-                ImageCms.Intent.RELATIVE_COLORIMETRIC,
-                ImageCms.Flags.BLACKPOINTCOMPENSATION,
-            )
+            ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, "RGB", *how)
             for _ in range(min(os.cpu_count() or 1, _MOST_THREADS))
         ]
     except (ImageCms.PyCMSError, OSError, ValueError, TypeError, AttributeError) as error:
-        return Colours(
-            rgb,
-            notes=[
-                f"has a colour profile that cannot be read ({_printable(str(error))}); its colours are taken as sRGB"
-            ],
-        )
+        note = f"has a colour profile that cannot be read ({_printable(str(error))}); its colours are taken as sRGB"
+        return Colours(rgb, notes=[note])
 
     def apply(block: np.ndarray, transform: ImageCms.ImageCmsTransform) -> np.ndarray:
         block = block[..., 0] if mode == "L" else block
@@ -174,7 +161,7 @@ def _convert_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours
     if mode == "L" and rgb.shape[2] == 3:
         rgb = rgb[..., :1]
     probe = _probe_colours(mode)
-    if np.abs(apply(probe, transforms[0]).astype(int) - probe).max() <= _CONSTANTS.same_levels:
+    if np.abs(apply(probe, transforms[0]).astype(int) - probe).max() <= _C.same_levels:
         return Colours(rgb)
     pixels, rows = np.empty((*rgb.shape[:2], 3), np.uint8), list(row_strips(rgb.shape[0], rgb.shape[1], _STRIP_PIXELS))
 

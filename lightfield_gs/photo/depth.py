@@ -36,13 +36,11 @@ class DepthMapConstants:
     far_ratio: int = 2
 
 
-_CONSTANTS = DepthMapConstants()
+_C = DepthMapConstants()
 
 # Names in .npz files; the first of each is Depth Pro's
-_DEPTH_KEYS, _DISPARITY_KEYS = (
-    ("depth", "depth_map", "z", "depths", "predicted_depth"),
-    ("disparity", "disp", "inverse_depth"),
-)
+_DEPTH_KEYS = ("depth", "depth_map", "z", "depths", "predicted_depth")
+_DISPARITY_KEYS = ("disparity", "disp", "inverse_depth")
 _IS_DEPTH = re.compile(r"depth|distance|^zbuffer$")  # in the name of a channel or of its layer
 _FOCAL_KEYS = ("focallength_px", "focal_length_px", "focal_px")
 
@@ -100,14 +98,10 @@ def depth_channel(names: Sequence[str]) -> int | None:
     """
     if len(names) < 2:
         return None
-    layers: dict[str, list[str]] = {}
-    for name in names:
-        layer, _, part = name.rpartition(".")
-        layers.setdefault(layer.lower(), []).append(part.lower())
+    parts = [name.lower().rpartition(".")[::2] for name in names]
     ranks = []
-    for index, name in enumerate(names):
-        layer, _, part = (text.lower() for text in name.rpartition("."))
-        beside = layers[layer]
+    for index, (layer, part) in enumerate(parts):
+        beside = [other for place, other in parts if place == layer]
         if _IS_DEPTH.search(part) or part == "z" and not {"x", "y"} & {*beside}:
             rank = 2 if "mist" in layer else 0 if layer == "" or _IS_DEPTH.search(layer) else 1
         elif _IS_DEPTH.search(layer.rpartition(".")[2]) and (part in ("v", "r", "y") or len(beside) == 1):
@@ -131,25 +125,17 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
     most = max(apart.values())
     if most == 0:
         return DepthNumbers(pixels[..., 0], orientation)
-    if most <= _CONSTANTS.almost_grey:
-        return DepthNumbers(
-            np.median(pixels[..., :3], 2).astype(pixels.dtype),
-            orientation,
-            notes=[
-                f"is almost grey: its channels differ by up to {most:.1%} of its range, and the middle one is taken"
-            ],
-        )
+    if most <= _C.almost_grey:
+        note = f"is almost grey: its channels differ by up to {most:.1%} of its range, and the middle one is taken"
+        return DepthNumbers(np.median(pixels[..., :3], 2).astype(pixels.dtype), orientation, notes=[note])
     for (one, other), difference in apart.items():
         third = pixels[..., 3 - one - other]
-        if difference <= _CONSTANTS.almost_grey and (third == third[0, 0]).all():
-            return DepthNumbers(
-                pixels[..., one],
-                orientation,
-                notes=[
-                    f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: "
-                    "the former is taken"
-                ],
+        if difference <= _C.almost_grey and (third == third[0, 0]).all():
+            note = (
+                f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: the "
+                "former is taken"
             )
+            return DepthNumbers(pixels[..., one], orientation, notes=[note])
     raise InputError(f"{path} is in colour; expected a grey depth map, one number a pixel, without a colour map")
 
 
@@ -181,11 +167,8 @@ def _read_npz(path: str | Path) -> DepthNumbers:
             f"{ascii(', '.join(arrays))[1:-1][:200] or 'nothing'}; save the map as .npy"
         )
     name = (named or [*flat.values()])[0]
-    focal = [
-        float(arrays[key].read().ravel()[0])
-        for key in _FOCAL_KEYS
-        if key in arrays and math.prod(arrays[key].shape) == 1
-    ]
+    single = [arrays[key] for key in _FOCAL_KEYS if key in arrays and math.prod(arrays[key].shape) == 1]
+    focal = [float(array.read().ravel()[0]) for array in single]
     if focal and not 0 < focal[0] < np.inf:
         raise InputError(f"{path}: expected a focal length > 0 px, got {focal[0]:g}")
     return DepthNumbers(
@@ -197,7 +180,7 @@ def _read_npz(path: str | Path) -> DepthNumbers:
 
 
 def _is_depth_map(shape: tuple[int, ...]) -> bool:
-    """Return whether an array is [H, W] but for axes of length 1, as [1, H, W] of a network."""
+    """Return whether an array is [H, W] apart from axes of length 1, like [1, H, W] of a network."""
     return len(shape) == 2 or len(shape) > 2 and sum(size != 1 for size in shape) == 2
 
 
@@ -300,15 +283,7 @@ def depth_map(
     if limits is not None:
         z = _scale_between(path, values, sky, kind, *limits, invalid)
     else:
-        if scale is None and values.dtype.kind in "iu":
-            raise InputError(
-                f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR, with "
-                "--depth-kind disparity where bright is near), or the length of one (--depth-scale, 0.001 for "
-                "millimetres to metres)"
-            )
-        scale = 1.0 if scale is None else _positive("depth scale", scale)
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            z = _scale(values.astype(np.float64), sky, kind, scale)
+        z = _scale(path, values, sky, kind, scale)
     if rays is not None and (kind == "ray" or numbers.is_along_ray):
         z = z / rays((z.shape[0], z.shape[1]))
     measured = np.isfinite(z)
@@ -319,10 +294,10 @@ def depth_map(
     if limits is not None and _is_reversed(limits):
         description += f", {nearness(kind, limits)}"
     elif given is None:
-        description += f", {nearness(kind, limits)} (assumed; --depth-kind)"
+        description += f", {nearness(kind, limits)} (assumed; depth_kind=)"
     description += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
-        beyond = min(_CONSTANTS.far_ratio * z[measured].max(), FARTHEST) if limits is None else max(limits)
+        beyond = min(_C.far_ratio * z[measured].max(), FARTHEST) if limits is None else max(limits)
         z[far] = beyond if invalid == "far" else np.nan
         words = [stored, f"put at {beyond:.4g}" if invalid == "far" else "left out"]
         description += f", {far.mean():.1%} {'sky' if stored else 'infinitely far'} ({', '.join(filter(None, words))})"
@@ -365,14 +340,10 @@ def _sky(values: np.ndarray) -> tuple[np.ndarray | None, str]:
     there = np.isfinite(values) & (values > 0)
     sky = np.zeros_like(there)
     if values.dtype.kind == "f":
-        stored = np.logical_or.reduce([np.abs(values - number) <= 1e-6 * number for number in _CONSTANTS.stored_sky])
+        stored = np.logical_or.reduce([np.abs(values - number) <= 1e-6 * number for number in _C.stored_sky])
     else:
-        stored = np.isin(values, [*_CONSTANTS.stored_sky, np.iinfo(values.dtype).max]) & (values.dtype.itemsize > 1)
-    for candidates, times in (
-        (values >= _CONSTANTS.sky, _CONSTANTS.well_above),
-        (stored, _CONSTANTS.well_above),
-        (None, _CONSTANTS.alone),
-    ):
+        stored = np.isin(values, [*_C.stored_sky, np.iinfo(values.dtype).max]) & (values.dtype.itemsize > 1)
+    for candidates, times in ((values >= _C.sky, _C.well_above), (stored, _C.well_above), (None, _C.alone)):
         left = there & ~sky
         found = left & (values == values.max(initial=0, where=left) if candidates is None else candidates)
         rest = values[left & ~found]
@@ -398,7 +369,7 @@ def _scale_between(
             raise InputError(f"{path}: near and far are for uint8, uint16 or floats in 0..1, got {values.dtype}")
         fraction = values / np.iinfo(values.dtype).max
     else:
-        fraction = np.where(np.isfinite(values) & (values > _CONSTANTS.unmeasured), values, np.nan).astype(np.float64)
+        fraction = np.where(np.isfinite(values) & (values > _C.unmeasured), values, np.nan).astype(np.float64)
         if sky is not None:
             fraction[sky] = np.nan
         if (fraction < 0).any() or (fraction > 1).any():
@@ -415,11 +386,19 @@ def _scale_between(
     return np.where(beyond, np.inf, near + (far - near) * fraction)
 
 
-def _scale(values: np.ndarray, sky: np.ndarray | None, kind: str, scale: float) -> np.ndarray:
+def _scale(path: str | Path, values: np.ndarray, sky: np.ndarray | None, kind: str, scale: float | None) -> np.ndarray:
     """Return z [H, W]: infinite where it is far away, NaN where nothing was measured."""
-    if kind == "disparity":
-        return np.where((values >= 0) & np.isfinite(values), scale / values, np.nan)
-    z = np.where(values > 0, values * scale, np.nan)
+    if scale is None and values.dtype.kind in "iu":
+        raise InputError(
+            f"{path} holds whole numbers; say what they mean: near and far (depth_range=NEAR,FAR, with "
+            "depth_kind=disparity where bright is near), or the length of one (depth_scale=, 0.001 for "
+            "millimetres to metres)"
+        )
+    scale, values = 1.0 if scale is None else _positive("depth scale", scale), values.astype(np.float64)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        if kind == "disparity":
+            return np.where((values >= 0) & np.isfinite(values), scale / values, np.nan)
+        z = np.where(values > 0, values * scale, np.nan)
     return z if sky is None else np.where(sky, np.inf, z)
 
 

@@ -6,6 +6,7 @@ All depth maps here are [H, W], view-space z in scene units, NaN where nothing w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,12 +30,12 @@ class DepthEdgeConstants:
     rim_px: int = 3  # pixels on either side of an edge whose colours may be mixed
     window_px: int = 6  # pixels to each side from which the colours of both surfaces are taken
     window_std: float = 3.0  # standard deviation of the weights in this window, pixels
-    step_ratio: float = 1.03  # ratio of disparities from which on two pixels stand one before the other
+    step_ratio: float = 1.03  # ratio of disparities from which on two pixels belong to different surfaces
     noise: float = 2e-4  # variance of a colour, 0..1, that is no difference
     trace: float = 0.04  # coverage that is not visible
 
 
-_CONSTANTS = DepthEdgeConstants()
+_C = DepthEdgeConstants()
 
 
 def joined(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor:
@@ -64,11 +65,8 @@ def slopes(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor
     """
     whole = joined(depth, focal_px, steepest)
     steps = torch.where(whole, depth[:, 1:] - depth[:, :-1], 0)
-    both = [
-        torch.nn.functional.pad(values, (1, 0)) + torch.nn.functional.pad(values, (0, 1))
-        for values in (steps, whole.to(steps))
-    ]
-    return both[0] / both[1].clamp_min(1) * focal_px / depth
+    total, count = (functional.pad(part, (1, 0)) + functional.pad(part, (0, 1)) for part in (steps, whole.to(steps)))
+    return total / count.clamp_min(1) * focal_px / depth
 
 
 def snap_mixed(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
@@ -77,7 +75,7 @@ def snap_mixed(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
     A pixel with an edge on both sides along its row or column lies on neither surface. It takes the depth of the
     neighbour that is nearer in disparity. Thin things, nearer or farther than both neighbours, stay.
     """
-    for _ in range(_CONSTANTS.snap_passes):
+    for _ in range(_C.snap_passes):
         depth = _snap_columns(depth, focal_px[0])
         depth = _snap_columns(depth.T, focal_px[1]).T
     return depth
@@ -97,8 +95,7 @@ def _snap_columns(depth: Tensor, focal_px: float) -> Tensor:
 _CHUNK = 1 << 12  # pixels whose windows are gathered at a time: 16 MB
 
 
-@dataclass(frozen=True)
-class Matte:
+class Matte(NamedTuple):
     """The M pixels beside edges.
 
     Attributes:
@@ -133,12 +130,10 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
         torn: bool [H, W], the pixels that have an edge to a neighbour.
     """
     disparity = (1 / depth).nan_to_num(0)
-    most, least = (
-        max_filter(disparity, _CONSTANTS.rim_px),
-        -max_filter(-torch.where(disparity > 0, disparity, 1e30), _CONSTANTS.rim_px),
-    )
-    band = max_filter(torn, _CONSTANTS.rim_px - 1)
-    band &= torch.isfinite(depth) & (most > _CONSTANTS.step_ratio * least)
+    most = max_filter(disparity, _C.rim_px)
+    least = -max_filter(-torch.where(disparity > 0, disparity, 1e30), _C.rim_px)
+    band = max_filter(torn, _C.rim_px - 1)
+    band &= torch.isfinite(depth) & (most > _C.step_ratio * least)
     rows, columns = band.nonzero().unbind(1)
     middle = ((most + least) / 2)[rows, columns]
     is_near = disparity[rows, columns] > middle
@@ -149,18 +144,17 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
     f, b = near.mean[known], far.mean[known]
     apart = ((f - b) ** 2).sum(1)
     alpha = (((colour - b) * (f - b)).sum(1) / apart.clamp_min(1e-9)).clamp(0, 1)
-    sure = apart / (apart + 4 * torch.where(is_near, near.variance[known], far.variance[known]) + _CONSTANTS.noise)
+    sure = apart / (apart + 4 * torch.where(is_near, near.variance[known], far.variance[known]) + _C.noise)
     hard = is_near.float()
     alpha = sure * alpha + (1 - sure) * hard
-    alpha = torch.where((alpha - hard).abs() < _CONSTANTS.trace, hard, alpha)
+    alpha = torch.where((alpha - hard).abs() < _C.trace, hard, alpha)
     # Each surface takes its visible part of the pixel's difference, so that both together give the pixel again
     rest = (colour - alpha[:, None] * f - (1 - alpha[:, None]) * b) / (alpha**2 + (1 - alpha) ** 2)[:, None]
     own_near, own_far = (f + alpha[:, None] * rest).clamp(0, 1), (b + (1 - alpha[:, None]) * rest).clamp(0, 1)
     return Matte(rows, columns, is_near, alpha, own_near, own_far, 1 / near.disparity[known].clamp_min(1e-30))
 
 
-@dataclass(frozen=True)
-class _Surface:
+class _Surface(NamedTuple):
     """One of the two surfaces by each pixel: weight [M], mean [M, 3] and variance [M] of its colours, disparity [M]."""
 
     weight: Tensor
@@ -173,16 +167,16 @@ def _measure_surfaces(
     image: Tensor, disparity: Tensor, clean: Tensor, rows: Tensor, columns: Tensor, middle: Tensor
 ) -> tuple[_Surface, _Surface]:
     """Return the near and the far surface close to these pixels, from pixels that are not mixed."""
-    padding, width = (_CONSTANTS.window_px,) * 4, disparity.shape[1] + 2 * _CONSTANTS.window_px
+    padding, width = (_C.window_px,) * 4, disparity.shape[1] + 2 * _C.window_px
     channels = torch.cat(
         [image.movedim(2, 0), (image**2).sum(2)[None], disparity[None], torch.ones_like(disparity)[None]]
     )
     values = functional.pad(channels, padding).movedim(0, 2).reshape(-1, 6)
     usable = torch.where(clean & (disparity > 0), disparity, torch.nan)
     usable = functional.pad(usable, padding, value=torch.nan).flatten()
-    reach = torch.arange(-_CONSTANTS.window_px, _CONSTANTS.window_px + 1, device=image.device)
-    window_weights = torch.exp(-(reach[:, None] ** 2 + reach**2) / 2 / _CONSTANTS.window_std**2).flatten()
-    window = ((reach[:, None] + _CONSTANTS.window_px) * width + reach + _CONSTANTS.window_px).flatten()
+    reach = torch.arange(-_C.window_px, _C.window_px + 1, device=image.device)
+    window_weights = torch.exp(-(reach[:, None] ** 2 + reach**2) / 2 / _C.window_std**2).flatten()
+    window = ((reach[:, None] + _C.window_px) * width + reach + _C.window_px).flatten()
     sums = image.new_zeros(2, len(rows), 6)
     for start in range(0, len(rows), _CHUNK):
         part = slice(start, start + _CHUNK)

@@ -12,8 +12,7 @@ import binascii
 import functools
 import mmap
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError, reading
@@ -22,9 +21,11 @@ from lightfield_gs.io.pillow_images import count_pictures, decode_picture, is_he
 from lightfield_gs.io.xmp import jpeg_xmp
 from lightfield_gs.photo.depth import DepthNumbers, depth_channel, grey_numbers
 
-_GDEPTH, _DYNAMIC = "http://ns.google.com/photos/1.0/depthmap/", "http://ns.google.com/photos/dd/1.0/depthmap/"
+_NAMESPACES = {
+    "http://ns.google.com/photos/1.0/depthmap/": "GDepth",
+    "http://ns.google.com/photos/dd/1.0/depthmap/": "Dynamic Depth",
+}
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
-_INVERSE = "rangeinverse"
 # In the boxes of HEIC and AVIF, in the XMP of an auxiliary JPEG, and in the trailer of Samsung's files
 _HEIF_DEPTH = (b"urn:mpeg:hevc:2015:auxid:2", b"urn:mpeg:mpegB:cicp:systems:auxiliary:depth")
 _APPLE_DEPTH = re.compile(rb"AuxiliaryImageType(=\"|>)(disparity|depth)", re.IGNORECASE)
@@ -55,8 +56,7 @@ class EmbeddedDepth:
     def numbers(self, path: str | Path) -> DepthNumbers:
         """Return the numbers of the map; raise InputError."""
         name = f"{path}: the depth map inside it"
-        found = grey_numbers(name, decode_picture(name, self.data))
-        return DepthNumbers(found.values, is_along_ray=self.is_along_ray, notes=found.notes)
+        return replace(grey_numbers(name, decode_picture(name, self.data)), is_along_ray=self.is_along_ray)
 
 
 def find_embedded_depth(path: str | Path) -> EmbeddedDepth | None:
@@ -116,26 +116,19 @@ def embedded_facts(path: str | Path) -> list[tuple[str, str]]:
 def _read_embedded_depth(path: Path, changed: int, size: int) -> EmbeddedDepth | None:
     """Read the depth map; changed, size: of the file, so that another file of the same name is read again."""
     xmp = jpeg_xmp(path)
-    for namespace, name, find in (
-        (_GDEPTH, "GDepth", _decode_base64),
-        (_DYNAMIC, "Dynamic Depth", _read_container_item),
-    ):
+    for (namespace, name), find in zip(_NAMESPACES.items(), (_decode_base64, _read_container_item)):
         if f'"{namespace}"' not in xmp:
             continue
         values = _properties(xmp, namespace)
         data = find(path, xmp, values)
         if data:
             near, far = (_number(values.get(key)) for key in ("Near", "Far"))
-            is_inverse = values.get("Format", "").lower() == _INVERSE
-            known = near is not None and far is not None and 0 < near < far
-            return EmbeddedDepth(
-                f"{name} {values.get('Format') or 'without a format'}",
-                data,
-                is_inverse,
-                near if known else None,
-                far if known else None,
-                values.get("MeasureType", "").lower() == "opticray",
-            )
+            if near is None or far is None or not 0 < near < far:
+                near = far = None
+            words = f"{name} {values.get('Format') or 'without a format'}"
+            is_inverse = values.get("Format", "").lower() == "rangeinverse"
+            is_along_ray = values.get("MeasureType", "").lower() == "opticray"
+            return EmbeddedDepth(words, data, is_inverse, near, far, is_along_ray)
     return None
 
 
@@ -182,32 +175,22 @@ def _describe_unused_depth(path: Path) -> str:
     if (embedded := find_embedded_depth(path)) is not None:
         return f"a depth map is in it ({embedded.name}) and is not used, as options ask for another way"
     way = "and is not read; save it as a picture of its own, for depth=FILE"
-    if is_heif(path):
-        return f"a depth map is in it (an auxiliary picture), {way}" if _contains(path, _HEIF_DEPTH) else ""
-    if _is_exr(path):
-        layer = read_layer(path, depth_channel)
-        return "" if layer is None else f"its channel {layer.name} holds distances: --depth {path} takes them"
-    if jpeg_xmp(path):
-        for namespace, name in ((_GDEPTH, "GDepth"), (_DYNAMIC, "Dynamic Depth")):
-            if f'"{namespace}"' in jpeg_xmp(path):
-                return f"a depth map should be in it ({name}), and is not found; give one with depth=FILE"
-    with open(path, "rb") as file:
-        if file.read(2) != b"\xff\xd8":
-            return ""
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            if _APPLE_DEPTH.search(data):
-                return f"a depth map is in it (Apple's auxiliary picture), {way}"
-            if data.rfind(_SAMSUNG_DEPTH, max(0, len(data) - _TRAILER_BYTES)) >= 0:
-                return f"a depth map is in it (Samsung's), {way}"
-    return ""
-
-
-def _contains(path: Path, words: Sequence[bytes]) -> bool:
     with open(path, "rb") as file:
         start = file.read(_BOXES_BYTES)
-    return any(word in start for word in words)
-
-
-def _is_exr(path: Path) -> bool:
-    with open(path, "rb") as file:
-        return file.read(4) == b"\x76\x2f\x31\x01"
+    if is_heif(path):
+        is_there = any(word in start for word in _HEIF_DEPTH)
+        return f"a depth map is in it (an auxiliary picture), {way}" if is_there else ""
+    if start.startswith(b"\x76\x2f\x31\x01"):  # EXR
+        layer = read_layer(path, depth_channel)
+        return "" if layer is None else f"its channel {layer.name} holds distances: give the file as depth= too"
+    for namespace, name in _NAMESPACES.items():
+        if f'"{namespace}"' in jpeg_xmp(path):
+            return f"a depth map should be in it ({name}), and is not found; give one with depth=FILE"
+    if not start.startswith(b"\xff\xd8"):
+        return ""
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if _APPLE_DEPTH.search(data):
+            return f"a depth map is in it (Apple's auxiliary picture), {way}"
+        if data.rfind(_SAMSUNG_DEPTH, max(0, len(data) - _TRAILER_BYTES)) >= 0:
+            return f"a depth map is in it (Samsung's), {way}"
+    return ""

@@ -14,8 +14,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
-from lightfield_gs.encoding.arguments import check_options
-from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encode import check_options, encode
 from lightfield_gs.models import crop
 from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
@@ -80,7 +79,7 @@ class PhotoEncoder:
             # torch takes memory_format of a module too, which its stub does not know
             self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.look, self.detail, self.budget = look, detail, budget
-        self._level(1)  # raises what any photo would
+        self._level(1)  # raises the errors that any photo would raise
         self.gaussians: Gaussians | None = None
         self.rig: Rig | None = None
         self._captured: _Capture | None = None
@@ -90,8 +89,8 @@ class PhotoEncoder:
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
         """Return the image [H, W, 3] of a photo, on the network's device.
 
-        Afterwards `gaussians` and `rig` belong to the image. On CUDA the next call overwrites the Gaussians, and those
-        too faint to be visible are among them.
+        Afterwards `gaussians` and `rig` belong to the image. On CUDA the next call overwrites the Gaussians, and they
+        include invisible Gaussians.
 
         Args:
             rgba: A photo as SplatterNet.predict takes it.
@@ -122,25 +121,18 @@ class PhotoEncoder:
         with stats.stage("framing"):
             self.rig = self._looked(frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
-            return encode(
-                self.gaussians,
-                self.panel,
-                self.rig,
-                views=self.views,
-                background=self.background,
-                output=self.output,
-                quality=self.quality,
-            )
+            how: dict[str, Any] = dict(views=self.views, background=self.background, output=self.output)
+            return encode(self.gaussians, self.panel, self.rig, quality=self.quality, **how)
 
     def _draw_on_cuda(self, photo: Tensor, stats: Stats) -> Tensor:
         with torch.cuda.device(self.net.device):
-            if self._captured is None or not self._captured.takes(photo):
-                self._captured = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
-            graphs = self._captured
+            graphs, kind = self._captured, (photo.shape, photo.dtype)
+            if graphs is None or kind != (graphs.photo.shape, graphs.photo.dtype):
+                self._captured = graphs = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
             with stats.stage("crop"):
                 graphs.crop(photo)
             with stats.stage("network"):
-                graphs.network()
+                graphs.network.replay()
             with stats.stage("framing"):
                 self.gaussians = graphs.gaussians
                 self.rig = self._looked(graphs.rig(self.panel), self.gaussians)
@@ -169,15 +161,12 @@ class _Capture:
         self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
         self.photo.copy_(photo)
         self._crop, (self.cropped, self.fine, self.checks) = capture_graph(self._cropped, warm_up=True)
-        self._network, self.gaussians = capture_graph(
+        self.network, self.gaussians = capture_graph(
             lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level), warm_up=True
         )
         self._framing, self.numbers = capture_graph(
             lambda: torch.cat([self.checks, photo_extent(self.gaussians)]), warm_up=True
         )
-
-    def takes(self, photo: Tensor) -> bool:
-        return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype
 
     def crop(self, photo: Tensor) -> None:
         """Cut the object out of a photo; one on the host goes through pinned memory, which the last photo has left."""
@@ -185,10 +174,6 @@ class _Capture:
             photo = self.host.copy_(photo)
         self.photo.copy_(photo, non_blocking=True)
         self._crop.replay()
-
-    def network(self) -> None:
-        """Make the Gaussians of the cropped photo."""
-        self._network.replay()
 
     def rig(self, panel: Panel) -> Rig:
         """Return the rig of these Gaussians, after waiting for the device; raise InputError for an invalid photo."""

@@ -6,6 +6,7 @@ All maps are [H, W]; disparities are 1 / z in 1 / scene units, NaN where nothing
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -35,11 +36,10 @@ class HiddenConstants:
     fringe_disparity: float = 0.97  # largest disparity of the fringe by that of the surface in front
 
 
-_CONSTANTS = HiddenConstants()
+_C = HiddenConstants()
 
 
-@dataclass(frozen=True)
-class Hidden:
+class Hidden(NamedTuple):
     """The hidden layer of a photo.
 
     Attributes:
@@ -59,17 +59,9 @@ class Hidden:
     linked: list[Tensor]
 
 
-@dataclass
-class _HiddenRun:
-    """The surface behind each pixel from one side.
-
-    Attributes:
-        source: int64 [H, W], column of its last visible pixel; -1: there is none.
-        distance: [H, W], pixels to it.
-    """
-
-    source: Tensor
-    distance: Tensor
+# The surface behind each pixel from one side: column of its last visible pixel, int64 [H, W], -1 where there is none;
+# and the pixels to it, [H, W]
+_Run = tuple[Tensor, Tensor]
 
 
 def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> Hidden:
@@ -87,12 +79,14 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     """
     # From the left and, mirrored, from the right
     both = _find_runs(torch.cat([depth, depth.flip(1)]), focal_px[0])
-    (source, mirrored), (distance, other) = both.source.chunk(2), both.distance.chunk(2)
-    mirrored = torch.where(mirrored >= 0, depth.shape[1] - 1 - mirrored, -1)
-    runs = [_HiddenRun(source, distance), _HiddenRun(mirrored.flip(1), other.flip(1))]
+    (source, mirrored), (distance, other) = (part.chunk(2) for part in both)
+    mirrored = torch.where(mirrored >= 0, depth.shape[1] - 1 - mirrored, -1).flip(1)
+    runs = [(source, distance), (mirrored, other.flip(1))]
     disparity = 1 / depth
-    covered = (runs[0].source >= 0) | (runs[1].source >= 0)
-    fringe = _find_fringe(covered, depth) & ~covered
+    covered = (source >= 0) | (mirrored >= 0)
+    # At most a fringe off a covering pixel, and farther than it
+    fringe = disparity < _C.fringe_disparity * max_filter(torch.where(covered, disparity, 0), _C.fringe_px)
+    fringe &= ~covered
     hole = covered | fringe
     if not bool(hole.any()):
         return Hidden(hole, fringe, disparity, image, [])
@@ -103,9 +97,9 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
     # In the fringe the depths may be mixed like the colours: the farthest one close by is of the far surface
     far = torch.where(hole & ~fringe, bent, torch.where(disparity > 0, disparity, torch.inf))
-    far = -max_filter(-far, _CONSTANTS.fringe_px)
-    nearest = torch.where(covered, _CONSTANTS.behind * disparity, torch.where(fringe, far, torch.inf))
-    bent = torch.minimum(bent.clamp(guess * (1 - _CONSTANTS.bend), guess * (1 + _CONSTANTS.bend)), nearest)
+    far = -max_filter(-far, _C.fringe_px)
+    nearest = torch.where(covered, _C.behind * disparity, torch.where(fringe, far, torch.inf))
+    bent = torch.minimum(bent.clamp(guess * (1 - _C.bend), guess * (1 + _C.bend)), nearest)
     known = disparity[disparity > 0]
     bent = bent.clamp(known.min(), known.max())
     return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, linked)
@@ -118,7 +112,7 @@ def fill_hidden(hidden: Hidden, depth: Tensor) -> Tensor:
     guide = hidden.disparity.nan_to_num(0).clamp_min(1e-12).log()
     filled_in = complete(hidden.image, hidden.hole, torch.isfinite(depth), guide)
     # The texture comes from the patches, larger structure from the first colours, without a seam at the border
-    off, length = hidden.image - filled_in, _CONSTANTS.texture * depth.shape[1]
+    off, length = hidden.image - filled_in, _C.texture * depth.shape[1]
     return (filled_in + solve_membrane(off, hidden.hole, hidden.linked, anchor=length**-2)).clamp(0, 1)
 
 
@@ -127,7 +121,7 @@ def joined_with(depth: Tensor, dim: int, focal_px: float) -> Tensor:
     return joined(depth, focal_px) if dim == 1 else joined(depth.T, focal_px).T
 
 
-def _find_runs(depth: Tensor, focal_px: float) -> _HiddenRun:
+def _find_runs(depth: Tensor, focal_px: float) -> _Run:
     """Return the surfaces to the left of each pixel that continue to the right behind it."""
     height, width = depth.shape
     z = depth.T.contiguous()  # a column is a row: it is read again and again
@@ -137,32 +131,25 @@ def _find_runs(depth: Tensor, focal_px: float) -> _HiddenRun:
     source = torch.full((width, height), -1, dtype=torch.int64, device=z.device)
     distance = torch.zeros((width, height), device=z.device)
     current, since = source[0].clone(), torch.zeros_like(far)
-    most = _CONSTANTS.reach * width
+    most = _C.reach * width
     for column in range(1, width):
         begins = torn[column - 1] & nearer[column - 1]
         # The second step of a smoothed edge begins no new surface: the farther one continues
-        begins &= (current < 0) | (since > _CONSTANTS.stairs_px)
+        begins &= (current < 0) | (since > _C.stairs_px)
         far = torch.where(begins, z[column - 1], far)
         current = torch.where(begins, column - 1, current)
         since = torch.where(begins, 1.0, since + 1)
         ratio = far / z[column] - 1
         reach = torch.where(begins, 0.0, reach)
-        reach = torch.maximum(reach, (focal_px * _CONSTANTS.widest_tan * ratio).clamp(max=most))
-        ends = (since > reach + _CONSTANTS.fringe_px) | ~(z[column] < far)
+        reach = torch.maximum(reach, (focal_px * _C.widest_tan * ratio).clamp(max=most))
+        ends = (since > reach + _C.fringe_px) | ~(z[column] < far)
         current = torch.where(ends, -1, current)
         source[column], distance[column] = current, since
-    return _HiddenRun(source.T.contiguous(), distance.T.contiguous())
-
-
-def _find_fringe(covered: Tensor, depth: Tensor) -> Tensor:
-    """Return the pixels at most a fringe off a covering pixel, and farther than it, bool [H, W]."""
-    return 1 / depth < _CONSTANTS.fringe_disparity * max_filter(
-        torch.where(covered, 1 / depth, 0), _CONSTANTS.fringe_px
-    )
+    return source.T.contiguous(), distance.T.contiguous()
 
 
 def _continue_disparity(
-    disparity: Tensor, depth: Tensor, focal_px: tuple[float, float], runs: list[_HiddenRun], covered: Tensor
+    disparity: Tensor, depth: Tensor, focal_px: tuple[float, float], runs: list[_Run], covered: Tensor
 ) -> tuple[Tensor, list[Tensor]]:
     """Return the hidden disparity [H, W] and its steps along columns and rows; the photo's elsewhere."""
     steps = [_slope(disparity, depth, dim, focal_px[1 - dim]) for dim in (0, 1)]
@@ -170,12 +157,12 @@ def _continue_disparity(
     # Of the pixels that cover something: weight, weighted disparity, and weighted steps
     sums = depth.new_zeros(4, len(rows))
     for sign, run in zip((1, -1), runs):
-        source, distance = run.source[rows, columns], run.distance[rows, columns]
+        source, distance = (part[rows, columns] for part in run)
         weight = torch.where(source >= 0, 1 / distance.clamp_min(1), 0)
         column, further = _clean_border(depth, rows, source, sign)
         value, *step = (values[rows, column] for values in (disparity, *steps))
         moved = value + sign * (distance + further) * step[1]
-        moved = torch.minimum(torch.maximum(moved, value * (1 - _CONSTANTS.bend)), value * (1 + _CONSTANTS.bend))
+        moved = torch.minimum(torch.maximum(moved, value * (1 - _C.bend)), value * (1 + _C.bend))
         sums += weight * torch.stack([torch.ones_like(weight), moved.nan_to_num(0), *step])
     guess = disparity.nan_to_num(0)
     for values, filled_in in zip((guess, *steps), sums[1:] / sums[0].clamp_min(1e-12)):
@@ -184,7 +171,7 @@ def _continue_disparity(
 
 
 def _clean_border(depth: Tensor, rows: Tensor, source: Tensor, sign: int) -> tuple[Tensor, Tensor]:
-    """Return the last clean pixel of a surface in each of these rows [M], beyond mixed ones of the same surface.
+    """Return the last clean pixel of a surface in each of these rows [M], beyond its mixed pixels.
 
     Args:
         depth: [H, W].
@@ -196,8 +183,8 @@ def _clean_border(depth: Tensor, rows: Tensor, source: Tensor, sign: int) -> tup
         Its column [M], and its distance from the last pixel [M].
     """
     border = source.clamp_min(0)
-    further = (border - sign * _CONSTANTS.fringe_px).clamp(0, depth.shape[1] - 1)
-    same = (depth[rows, further] / depth[rows, border] - 1).abs() < _CONSTANTS.same_depth
+    further = (border - sign * _C.fringe_px).clamp(0, depth.shape[1] - 1)
+    same = (depth[rows, further] / depth[rows, border] - 1).abs() < _C.same_depth
     column = torch.where(same, further, border)
     return column, (column - border).abs()
 
@@ -207,19 +194,19 @@ def _slope(disparity: Tensor, depth: Tensor, dim: int, focal_px: float) -> Tenso
     whole = joined_with(depth, dim, focal_px)
     differences = torch.where(whole, disparity.diff(dim=dim), 0).nan_to_num(0)
     padding = (0, 0, 0, 1) if dim == 0 else (0, 1)
-    radius = _CONSTANTS.slope_window_px // 2
+    radius = _C.slope_window_px // 2
     steps, count = (
         box_sum(torch.nn.functional.pad(part, padding), radius) for part in (differences, whole.to(differences))
     )
     return steps / count.clamp_min(1)
 
 
-def _continue_colours(image: Tensor, depth: Tensor, runs: list[_HiddenRun], covered: Tensor) -> Tensor:
+def _continue_colours(image: Tensor, depth: Tensor, runs: list[_Run], covered: Tensor) -> Tensor:
     """Return the image with the border colours of the far surfaces in the hole, from beyond mixed pixels."""
     rows, columns = covered.nonzero().unbind(1)
     weights, mixed = image.new_zeros(len(rows), 1), image.new_zeros(len(rows), 3)
     for sign, run in zip((1, -1), runs):
-        source, distance = run.source[rows, columns], run.distance[rows, columns]
+        source, distance = (part[rows, columns] for part in run)
         # Hardly mixed: it is to be texture
         cube = distance.clamp_min(1) * distance.clamp_min(1) * distance.clamp_min(1)
         weight = torch.where(source >= 0, 1 / cube, 0)[:, None]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,8 +28,7 @@ class InpaintingConstants:
     All are chosen by hand and not tuned on a data set, unless a comment says otherwise.
     """
 
-    # The membrane
-    # steps where a coarser level has been solved, so that the rest is local; twice as many at each coarser level
+    # steps of the membrane after a coarser level, when the rest is local; doubled at each coarser level
     iterations: int = 8
     # steps at most: the first guess is close, and the inside of a hole is hardly ever visible
     most_iterations: int = 60
@@ -52,7 +52,7 @@ class InpaintingConstants:
     propagated_levels: int = 2  # levels from the finest on that only propagate matches, without a random search
 
 
-_CONSTANTS = InpaintingConstants()
+_C = InpaintingConstants()
 
 
 def solve_membrane(
@@ -60,8 +60,8 @@ def solve_membrane(
     hole: Tensor,
     linked: Sequence[Tensor],
     slope: Sequence[Tensor] | None = None,
-    anchor: float = _CONSTANTS.anchor,
-    iterations: int = _CONSTANTS.iterations,
+    anchor: float = _C.anchor,
+    iterations: int = _C.iterations,
 ) -> Tensor:
     """Solve Poisson's equation on a hole: return the values [H, W, C] with new values in the hole.
 
@@ -81,15 +81,14 @@ def solve_membrane(
     if len(index) == 0:
         return values
     first = values.reshape(-1, values.shape[2])[index]
-    if len(index) > _CONSTANTS.few_pixels:
+    if len(index) > _C.few_pixels:
         values = values + _coarser_correction(values, hole, linked, slope, anchor, iterations)
     else:
-        iterations = _CONSTANTS.most_iterations
+        iterations = _C.most_iterations
     number = torch.full((hole.numel(),), -1, dtype=torch.int64, device=values.device)
     number[index] = torch.arange(len(index), device=values.device)
     neighbours, weights, guides = _graph(hole, index, linked, slope)
     flat = values.reshape(-1, values.shape[2])
-    guess = flat[index]
     inside = number[neighbours]
     known = inside < 0
     # Values of neighbours outside the hole, and the guiding steps, go to the right side
@@ -104,9 +103,8 @@ def solve_membrane(
     def apply(x: Tensor) -> Tensor:
         return diagonal * x - functional.embedding_bag(inside, functional.pad(x, (0, 0, 0, 1)), mode="sum")
 
-    solved = _conjugate_gradients(apply, right, guess, diagonal, min(iterations, _CONSTANTS.most_iterations))
     result = flat.clone()
-    result[index] = solved
+    result[index] = _conjugate_gradients(apply, right, flat[index], diagonal, min(iterations, _C.most_iterations))
     return result.reshape(values.shape)
 
 
@@ -124,10 +122,8 @@ def _coarser_correction(
     coarse_hole = halve(hole[None].float())[0] > 0
     rows, columns = coarse_hole.shape
     # A block of four is joined with the next one unless a cut goes through, in it or beside it
-    whole = [
-        halve(linked[0][None, : 2 * (rows - 1)].float())[0] > 0.5,
-        halve(linked[1][None, :, : 2 * (columns - 1)].float())[0] > 0.5,
-    ]
+    inner = linked[0][None, : 2 * (rows - 1)], linked[1][None, :, : 2 * (columns - 1)]
+    whole = [halve(part.float())[0] > 0.5 for part in inner]
     steps = None if slope is None else [2 * halve(part[None])[0] for part in slope]
     first = coarse.movedim(0, 2)
     change = (solve_membrane(first, coarse_hole, whole, steps, 4 * anchor, 2 * iterations) - first).movedim(2, 0)[None]
@@ -148,11 +144,9 @@ def _graph(
         next_step = step.clone()
         next_step.narrow(dim, 0, hole.shape[dim] - 1).add_(step.narrow(dim, 1, hole.shape[dim] - 1)).mul_(0.5)
         whole, next_step = whole.flatten(), next_step.flatten()
-        ahead = (index + stride).clamp_max(hole.numel() - 1)
         back = (index - stride).clamp_min(0)
-        neighbours += [ahead, back]
-        behind = torch.where(index >= stride, whole[back], 0.0)
-        weights += [whole[index], behind]
+        neighbours += [(index + stride).clamp_max(hole.numel() - 1), back]
+        weights += [whole[index], torch.where(index >= stride, whole[back], 0.0)]
         guides += [next_step[index], -next_step[back]]
     return torch.stack(neighbours), torch.stack(weights), torch.stack(guides)
 
@@ -163,7 +157,7 @@ def _conjugate_gradients(apply, right: Tensor, guess: Tensor, diagonal: Tensor, 
     residual = right - apply(x)
     z = residual / diagonal
     direction, product = z.clone(), _sums(residual * z)
-    enough = _CONSTANTS.tolerance**2 * product.max().clamp_min(1e-30)
+    enough = _C.tolerance**2 * product.max().clamp_min(1e-30)
     for _ in range(iterations):
         if bool((product <= enough).all()):
             break
@@ -180,17 +174,17 @@ def _conjugate_gradients(apply, right: Tensor, guess: Tensor, diagonal: Tensor, 
 
 def _sums(values: Tensor) -> Tensor:
     """Return the sum of each channel of [M, C], in an order independent of the number of threads."""
-    parts = functional.pad(values, (0, 0, 0, -len(values) % _CONSTANTS.part_values)).view(
-        -1, _CONSTANTS.part_values, values.shape[1]
-    )
-    return parts.sum(1).sum(0)
+    parts = functional.pad(values, (0, 0, 0, -len(values) % _C.part_values))
+    return parts.view(-1, _C.part_values, values.shape[1]).sum(1).sum(0)
 
 
-class _Level:
+class _Level(NamedTuple):
     """A picture of the pyramid: image [3, H, W]; hole, source: bool [H, W]; guide: [H, W]."""
 
-    def __init__(self, image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> None:
-        self.image, self.hole, self.source, self.guide = image, hole, source, guide
+    image: Tensor
+    hole: Tensor
+    source: Tensor
+    guide: Tensor
 
     def halve(self) -> _Level:
         """Return the level at half size; a hole where any of four pixels is one, a source where all four are."""
@@ -211,12 +205,10 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
         guide: [H, W], log disparity: patches of the same depth are preferred.
     """
     levels = [_Level(image.movedim(2, 0).contiguous(), hole, source & ~hole, guide)]
-    while min(levels[-1].hole.shape) >= 2 * _CONSTANTS.coarsest_px:
+    while min(levels[-1].hole.shape) >= 2 * _C.coarsest_px:
         levels.append(levels[-1].halve())
-    finest = next(
-        (number for number, level in enumerate(levels) if int(level.hole.sum()) <= _CONSTANTS.matched_pixels),
-        len(levels) - 1,
-    )
+    small = (number for number, level in enumerate(levels) if int(level.hole.sum()) <= _C.matched_pixels)
+    finest = next(small, len(levels) - 1)
     random = torch.Generator(device=image.device).manual_seed(0)
     search: _Matches | None = None
     for number in reversed(range(len(levels))):
@@ -226,12 +218,8 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
         found = _Matches(levels[number], coarser, random)
         if len(found.positions) == 0:  # too small for a patch
             continue
-        search, searches = found, number >= finest + _CONSTANTS.propagated_levels
-        for turn in range(
-            _CONSTANTS.rounds[min(number - finest, len(_CONSTANTS.rounds) - 1)]
-            if number > finest
-            else _CONSTANTS.rounds[0]
-        ):
+        search, searches = found, number >= finest + _C.propagated_levels
+        for turn in range(_C.rounds[min(max(number - finest, 0), len(_C.rounds) - 1)]):
             if turn or coarser is None or searches:
                 search.improve(searches)
             search.vote()
@@ -250,7 +238,7 @@ def _copy_matches(search: _Matches, level: _Level, scale: int) -> Tensor:
     goal = max_filter(level.hole, 1).nonzero()
     matches, is_set = search.grid()
     # The position of a pixel between four positions of the grid
-    at = ((goal + 0.5) / scale - 0.5) / _CONSTANTS.stride
+    at = ((goal + 0.5) / scale - 0.5) / _C.stride
     low = at.floor()
     fraction = ((at - low) * 2 - 0.5).clamp(0, 1)
     image = level.image.movedim(0, 2)
@@ -261,7 +249,7 @@ def _copy_matches(search: _Matches, level: _Level, scale: int) -> Tensor:
         row, column = (cell[:, dim].clamp(0, is_set.shape[dim] - 1) for dim in (0, 1))
         down, right = ((fraction if side else 1 - fraction)[:, dim] for dim, side in enumerate(corner))
         weight = (down * right + 1e-9) * is_set[row, column]
-        moved = (matches[row, column] - _CONSTANTS.stride * torch.stack([row, column], 1)) * scale
+        moved = (matches[row, column] - _C.stride * torch.stack([row, column], 1)) * scale
         source = torch.minimum((goal + moved).clamp_min(0), last)
         mixed += weight[:, None] * image[source[:, 0], source[:, 1]]
         total += weight[:, None]
@@ -278,60 +266,50 @@ class _Matches:
         self.level, self.random, self.voted = level, random, level.image
         self.height, self.width = level.hole.shape
         device = level.hole.device
-        r = _CONSTANTS.patch_radius
-        self.offsets = (
-            torch.stack(torch.meshgrid(torch.arange(-r, r + 1), torch.arange(-r, r + 1), indexing="ij"), 2)
-            .reshape(-1, 2)
-            .to(device)
-        )
+        self.last = torch.tensor([self.height - 1, self.width - 1], device=device)
+        r = _C.patch_radius
+        reach = torch.arange(-r, r + 1, device=device)
+        self.offsets = torch.cartesian_prod(reach, reach)
         # Source patches lie wholly within the source
         whole = ~max_filter(~level.source, r)
         whole[:r], whole[self.height - r :], whole[:, :r], whole[:, self.width - r :] = False, False, False, False
         self.whole = whole
         self.positions = whole.nonzero()
         near = max_filter(level.hole, r)
-        rows, columns = (torch.arange(0, size, _CONSTANTS.stride, device=device) for size in level.hole.shape)
+        rows, columns = (torch.arange(0, size, _C.stride, device=device) for size in level.hole.shape)
         chosen = near[rows][:, columns]
         self.shape = chosen.shape
         self.number = torch.full(chosen.shape, -1, dtype=torch.int64, device=device)
         cells = chosen.nonzero()
         self.number[chosen] = torch.arange(len(cells), device=device)
-        self.cells, self.centres = cells, cells * _CONSTANTS.stride
+        self.cells, self.centres = cells, cells * _C.stride
         if len(self.positions) == 0:
             return
-        self.patch_pixels = self._patch_pixels()
+        # The pixels of the patches of all positions, [M, 49], clamped to the picture
+        inside = self._clamp(self.centres[:, None] + self.offsets)
+        self.patch_pixels = inside[..., 0] * self.width + inside[..., 1]
         self.colours = level.image.movedim(0, 2).reshape(-1, 3).contiguous()
         self.patches = self.colours[self.patch_pixels]
         self.match = self._first_matches(coarser)
         self.cost = self._cost(self.match, torch.arange(len(cells), device=device))
 
     def _first_matches(self, coarser: _Matches | None) -> Tensor:
-        count = len(self.centres)
-        candidates = self.positions[
-            torch.randint(len(self.positions), (count,), generator=self.random, device=self.centres.device)
-        ]
+        size, device = (len(self.centres),), self.centres.device
+        candidates = self.positions[torch.randint(len(self.positions), size, generator=self.random, device=device)]
         if coarser is None:
             return candidates
         matches, is_set = coarser.grid()
         at = torch.minimum(self.cells // 2, torch.tensor(is_set.shape, device=self.cells.device) - 1)
-        moved = matches[at[:, 0], at[:, 1]] * 2 + self.centres - at * 2 * _CONSTANTS.stride
+        moved = matches[at[:, 0], at[:, 1]] * 2 + self.centres - at * 2 * _C.stride
         usable = is_set[at[:, 0], at[:, 1]] & self._is_usable(moved)
         return torch.where(usable[:, None], moved, candidates)
 
     def _is_usable(self, positions: Tensor) -> Tensor:
-        inside = (positions >= 0).all(1) & (positions[:, 0] < self.height) & (positions[:, 1] < self.width)
         clamped = self._clamp(positions)
-        return inside & self.whole[clamped[:, 0], clamped[:, 1]]
+        return (clamped == positions).all(1) & self.whole[clamped[:, 0], clamped[:, 1]]
 
     def _clamp(self, positions: Tensor) -> Tensor:
-        return torch.stack(
-            [positions[..., 0].clamp(0, self.height - 1), positions[..., 1].clamp(0, self.width - 1)], -1
-        )
-
-    def _patch_pixels(self) -> Tensor:
-        """Return the pixels of the patches of all positions, [M, 49], clamped to the picture."""
-        inside = self._clamp(self.centres[:, None] + self.offsets)
-        return inside[..., 0] * self.width + inside[..., 1]
+        return positions.clamp_min(0).minimum(self.last)
 
     def _flat(self, match: Tensor) -> Tensor:
         """Return the pixels of source patches, [M, 49]: they lie within the picture."""
@@ -345,23 +323,18 @@ class _Matches:
         apart = self.patches[which] - self.colours[there.flatten()].view(len(which), -1, 3)
         cost = apart.square_().sum((1, 2)) / len(self.offsets)
         apart = guide[self.patch_pixels[which, middle]] - guide[there[:, middle]]
-        return (
-            cost
-            + (_CONSTANTS.depth_weight * apart).square().clamp_max(_CONSTANTS.depth_cost_limit)
-            * _CONSTANTS.depth_cost_factor
-        )
+        return cost + (_C.depth_weight * apart).square().clamp_max(_C.depth_cost_limit) * _C.depth_cost_factor
 
     def improve(self, searches: bool) -> None:
         """Try the neighbours' matches, and with `searches` random positions closer and closer to the match."""
-        every = torch.arange(len(self.centres), device=self.centres.device)
-        self.cost = self._cost(self.match, every)
+        self.cost = self._cost(self.match, torch.arange(len(self.centres), device=self.centres.device))
         for way in ((0, 1), (0, -1), (1, 0), (-1, 0)):
             step = torch.tensor(way, device=self.cells.device)
             beside = self.cells + step
             inside = (beside >= 0).all(1) & (beside[:, 0] < self.shape[0]) & (beside[:, 1] < self.shape[1])
             beside = beside.clamp_min(0)
             other = self.number[beside[:, 0].clamp_max(self.shape[0] - 1), beside[:, 1].clamp_max(self.shape[1] - 1)]
-            candidate = self.match[other.clamp_min(0)] - step * _CONSTANTS.stride
+            candidate = self.match[other.clamp_min(0)] - step * _C.stride
             self._keep_better(candidate, inside & (other >= 0))
         radius = max(self.height, self.width) / 2
         while searches and radius >= 1:
@@ -383,8 +356,7 @@ class _Matches:
         weight = torch.exp(-self.cost / (2 * scale.clamp_min(1e-6)))[:, None]
         near = torch.exp(-(self.offsets**2).sum(1) / 4.0)  # a patch is most reliable in its middle
         goal = self.centres[:, None] + self.offsets
-        inside = (goal >= 0).all(2) & (goal[..., 0] < self.height) & (goal[..., 1] < self.width)
-        weight = ((weight * near + 1e-9) * inside).view(-1, 1)
+        weight = ((weight * near + 1e-9) * (self._clamp(goal) == goal).all(2)).view(-1, 1)
         votes = torch.cat([weight * self.colours[self._flat(self.match).flatten()], weight], 1)
         votes = votes.new_zeros(len(self.colours), 4).index_add_(0, self.patch_pixels.flatten(), votes)
         mixed, total = votes[:, :3] / votes[:, 3:].clamp_min(1e-30), votes[:, 3:]

@@ -34,7 +34,7 @@ class UpsamplingConstants:
     least_vote: float = 1e-6  # weight of any vote at least, so that a colour like none around still gets a depth
 
 
-_CONSTANTS = UpsamplingConstants()
+_C = UpsamplingConstants()
 
 
 @dataclass
@@ -58,23 +58,22 @@ class Estimate:
 
 def disparities_to_z(values: Tensor, limits: tuple[float, float] | None = None) -> Estimate:
     """Return the estimate of disparities [h, w] of unknown scale and offset; limits: near and far, None: (1, 1.6)."""
-    near, far = limits or _CONSTANTS.depth_limits
+    near, far = limits or _C.depth_limits
     low, high = _percentiles(values)
     value_range = high - low
     notes = []
-    if not value_range > _CONSTANTS.flat * max(abs(low), abs(high)):
+    if not value_range > _C.flat * max(abs(low), abs(high)):
         value_range = 1.0
         notes.append("there is no depth in what it sees, and the scene is flat")
         values = torch.full_like(values, low)
     description = f"disparities, of which the 1st and the 99th percentile are put at z {far:g} and {near:g}"
+    description += " (assumed; depth_range=)" if limits is None else ""
 
     def z(disparities: Tensor) -> Tensor:
-        fraction = ((disparities.float() - low) / value_range).clamp(0, 1 + _CONSTANTS.nearer)
+        fraction = ((disparities.float() - low) / value_range).clamp(0, 1 + _C.nearer)
         return 1 / (1 / far + (1 / near - 1 / far) * fraction)
 
-    return Estimate(
-        values, value_range, z, description + (" (assumed; --depth-range)" if limits is None else ""), notes
-    )
+    return Estimate(values, value_range, z, description, notes)
 
 
 def distances_to_z(values: Tensor) -> Estimate:
@@ -88,13 +87,13 @@ def distances_to_z(values: Tensor) -> Estimate:
     description = "distances"
     if bool(measured.any()):
         description += f" {float(values[measured].min()):.4g}..{float(values[measured].max()):.4g}"
-    return Estimate(disparities, max(high - low, _CONSTANTS.flat * high, 1 / FARTHEST), z, description, notes)
+    return Estimate(disparities, max(high - low, _C.flat * high, 1 / FARTHEST), z, description, notes)
 
 
 def _percentiles(values: Tensor) -> tuple[float, float]:
     """Return the low and the high percentile, each a value that occurs."""
     ordered = values.ravel().sort().values
-    low, high = (float(ordered[round(fraction * (len(ordered) - 1))]) for fraction in _CONSTANTS.percentiles)
+    low, high = (float(ordered[round(fraction * (len(ordered) - 1))]) for fraction in _C.percentiles)
     return low, high
 
 
@@ -118,11 +117,11 @@ def upsample(values: Tensor, photo: Tensor, value_range: float) -> Tensor:
     size = photo.shape[:2]
     values = values.float()
     smooth = interpolate(values[None, None], size=size, mode="bilinear", align_corners=False)[0, 0]
-    at_edges = _range(values, _CONSTANTS.neighbourhood_px) > _CONSTANTS.edge * value_range
+    at_edges = _range(values, _C.neighbourhood_px) > _C.edge * value_range
     rows, columns = interpolate(at_edges[None, None].float(), size=size)[0, 0].nonzero().unbind(1)
     if not len(rows):
         return smooth
-    candidates = _Voters(values, photo, _CONSTANTS.edge * value_range)
+    candidates = _Voters(values, photo, _C.edge * value_range)
     result = smooth.clone()
     for start in range(0, len(rows), _CHUNK):
         row, column = rows[start : start + _CHUNK], columns[start : start + _CHUNK]
@@ -157,22 +156,19 @@ class _Voters:
         trust = step / (step + _range(values, 1))
         stacked = torch.cat([values[None], colours, trust[None]])
         # Beyond the border nobody votes: the trust there is 0
-        self.padded = pad(stacked, (_CONSTANTS.radius_px,) * 4)
-        reach = torch.arange(-_CONSTANTS.radius_px, _CONSTANTS.radius_px + 1, device=values.device)
+        self.padded = pad(stacked, (_C.radius_px,) * 4)
+        reach = torch.arange(-_C.radius_px, _C.radius_px + 1, device=values.device)
         self.down, self.right = (part.ravel() for part in torch.meshgrid(reach, reach, indexing="ij"))
 
     def vote(self, rows: Tensor, columns: Tensor, colours: Tensor) -> Tensor:
         """Return the disparities [M] of pixels of the photo [M] with these colours [M, 3]."""
         y, x = ((index + 0.5) * small / size for index, small, size in zip((rows, columns), self.small, self.size))
         row, column = y.floor().long()[:, None] + self.down, x.floor().long()[:, None] + self.right
-        around = self.padded[:, row + _CONSTANTS.radius_px, column + _CONSTANTS.radius_px]
+        around = self.padded[:, row + _C.radius_px, column + _C.radius_px]
         values, trust = around[0], around[4]
         apart = (around[1:4] - colours.T[:, :, None]).square().sum(0)
         far = (row + 0.5 - y[:, None]).square() + (column + 0.5 - x[:, None]).square()
-        closeness = (
-            torch.exp(-apart / (2 * _CONSTANTS.colour_std**2) - far / (2 * _CONSTANTS.distance_std**2))
-            + _CONSTANTS.least_vote
-        )
+        closeness = torch.exp(-apart / (2 * _C.colour_std**2) - far / (2 * _C.distance_std**2)) + _C.least_vote
         votes = trust * closeness
         median = _weighted_median(values, votes)
         votes = torch.where((values - median).abs() <= self.step / 2, votes, 0)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
@@ -33,18 +35,18 @@ class CutOutConstants:
 
     # Fractions of the area that an object encloses
     most_faded: float = 0.12  # of a pale body: beyond it the object itself is likely to be lost, and is refused
-    most_holes: float = 0.6  # of holes: beyond it the object is refused likewise
+    most_holes: float = 0.6  # of holes: beyond it the object is also refused
     many_holes: float = 0.3  # of holes: beyond it a note says so
     few_levels: int = 16  # level, of 255, of the brightest pixel below which a mask numbers things
 
 
-_CONSTANTS = CutOutConstants()
+_C = CutOutConstants()
 
 
 def has_same_shape(shape: Sequence[int], other: Sequence[int]) -> bool:
     """Return whether two sizes, height and width, fit the same picture, reduced or not."""
     ratio = shape[0] * other[1] / (shape[1] * other[0])
-    return abs(ratio - 1) <= _CONSTANTS.same_shape
+    return abs(ratio - 1) <= _C.same_shape
 
 
 def turn_with_photo(
@@ -179,15 +181,9 @@ def load_photo(
     Raises:
         InputError: There is no cut-out, or nothing in it.
     """
-    photo = cut_out_photo(
-        path,
-        read_picture(path),
-        mask,
-        remove_background=remove_background,
-        whole=whole,
-        map_orientation=map_orientation,
-    )
-    return photo.floats()
+    picture = read_picture(path)
+    options: dict[str, Any] = dict(remove_background=remove_background, whole=whole, map_orientation=map_orientation)
+    return cut_out_photo(path, picture, mask, **options).floats()
 
 
 def cut_out_photo(
@@ -231,9 +227,7 @@ def cut_out_photo(
         alpha = rembg_alpha(as_floats(photo.pixels))
         empty = f"{path}: rembg found no object; give a cut-out with mask=FILE"
         description = "cut out by rembg"
-    elif alpha is not None and (
-        whole or (alpha > alpha.dtype.type(0.5 * _full_scale(alpha))).mean() < _CONSTANTS.covers_all
-    ):
+    elif alpha is not None and (whole or (alpha > alpha.dtype.type(0.5 * _full_scale(alpha))).mean() < _C.covers_all):
         alpha = _as_alpha(alpha)
         empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or mask=FILE"
         description = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
@@ -243,7 +237,7 @@ def cut_out_photo(
     else:
         alpha, description = _cut_from_background(path, photo, alpha)
         empty = f"{path}: its background looks plain and nothing stands out from it; {_OTHER_CUT_OUTS}"
-    if np.count_nonzero(alpha > 0.5) < _CONSTANTS.least_object * alpha.size:
+    if np.count_nonzero(alpha > 0.5) < _C.least_object * alpha.size:
         raise InputError(empty)
     photo.messages.append(description if whole else description + _clear_specks(alpha))
     photo.messages += [colours.description] if colours.description else []
@@ -283,21 +277,21 @@ def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | Non
     if cut is None:
         if covered is None:
             raise NoCutOut(
-                f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
-                "to show the whole scene, give its distances with depth=FILE, or have them estimated with depth=auto "
-                "(pip install 'lightfield-gs[depth]')"
+                f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; to show the "
+                "whole scene, give its distances with depth=FILE, or have them estimated with depth=auto (pip install "
+                "'lightfield-gs[depth]')"
             )
         photo.notes.append(
             f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
             f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"
         )
         return covered, "cut out by its alpha"
-    if cut.faded > _CONSTANTS.most_faded or cut.holes > _CONSTANTS.most_holes:
+    if cut.faded > _C.most_faded or cut.holes > _C.most_holes:
         raise InputError(
             f"{path}: the object is hardly different from its plain background: "
             f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}"
         )
-    if cut.holes > _CONSTANTS.many_holes:
+    if cut.holes > _C.many_holes:
         photo.notes.append(
             f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
             f"taken for holes; where it is not, {_OTHER_CUT_OUTS}"
@@ -309,24 +303,23 @@ def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | Non
 def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
     """Return the object on the plain background of the pixels that alpha [H, W] covers, as a cut of the photo."""
     opaque = alpha > 0.5
-    rows, columns = np.flatnonzero(opaque.any(1)), np.flatnonzero(opaque.any(0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    (box,) = ndimage.find_objects(opaque.view(np.uint8))
     inside, covered = rgb[box].copy(), opaque[box]
     edges = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
     inside[~covered] = np.median(np.concatenate([inside[edge][covered[edge]] for edge in edges]), 0)
     cut = cut_from_plain_background(inside)
-    if cut is None:
-        return None
-    whole = np.zeros_like(alpha)
-    whole[box] = np.minimum(cut.alpha, alpha[box])
-    return replace(cut, alpha=whole)
+    if cut is not None:
+        whole = np.zeros_like(alpha)
+        whole[box] = np.minimum(cut.alpha, alpha[box])
+        cut = replace(cut, alpha=whole)
+    return cut
 
 
 def _inversion_note(name: str, alpha: np.ndarray) -> list[str]:
     """Return a note where a cut-out [H, W] covers the whole rim and leaves a hole inside, as if inverted."""
     rim = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
     hole = float((alpha < 0.5).mean())
-    if (rim > 0.5).mean() < _CONSTANTS.all_of_rim or hole < _CONSTANTS.least_object:
+    if (rim > 0.5).mean() < _C.all_of_rim or hole < _C.least_object:
         return []
     return [
         f"{name} covers the whole rim of the picture and leaves a hole of {hole:.1%} of it inside: is it inverted? "
@@ -336,23 +329,18 @@ def _inversion_note(name: str, alpha: np.ndarray) -> list[str]:
 
 def _clear_specks(alpha: np.ndarray) -> str:
     """Clear specks beside the object, in place; return a description of the rest."""
-    kept, pieces, specks = object_components(alpha, _CONSTANTS.opaque)
-    alpha[(alpha >= _CONSTANTS.opaque) & ~kept] = 0
-    rows, columns = np.flatnonzero(kept.any(1)), np.flatnonzero(kept.any(0))
-    words = (
-        f", fills {kept.mean():.1%} of the picture, {columns[-1] - columns[0] + 1} x {rows[-1] - rows[0] + 1} pixels"
-    )
-    if pieces > 1:
-        words += f", in {pieces} pieces"
+    kept, pieces, specks = object_components(alpha, _C.opaque)
+    alpha[(alpha >= _C.opaque) & ~kept] = 0
+    height, width = kept[ndimage.find_objects(kept.view(np.uint8))[0]].shape
+    words = f", fills {kept.mean():.1%} of the picture, {width} x {height} pixels"
+    words += f", in {pieces} pieces" if pieces > 1 else ""
     return words + (f" (specks beside it left out: {specks})" if specks else "")
 
 
 def _colour_and_alpha(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Return colours [H, W, 1 or 3] and alpha [H, W] or None of 1 (grey), 2 (grey, alpha), 3 or more channels."""
-    channels = pixels.shape[2]
-    if channels < 3:
-        return pixels[..., :1], pixels[..., 1] if channels == 2 else None
-    return pixels[..., :3], pixels[..., 3] if channels >= 4 else None
+    colours = 1 if pixels.shape[2] < 3 else 3
+    return pixels[..., :colours], pixels[..., colours] if pixels.shape[2] > colours else None
 
 
 def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> np.ndarray:
@@ -374,7 +362,7 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
         raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
     if pixels.dtype != np.float32:
         levels = round(float(mask.max()) * _full_scale(pixels))
-        if 1 < levels < _CONSTANTS.few_levels:
+        if 1 < levels < _C.few_levels:
             raise InputError(
                 f"{path}: expected a mask of 0 and {_full_scale(pixels):g}, or of 0 and 1; its brightest pixel "
                 f"has {levels}, as where things are numbered; make the object white and the rest black"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -34,11 +35,10 @@ class MarginConstants:
     blurs_px: tuple[int, int, int] = (8, 32, 128)
 
 
-_CONSTANTS = MarginConstants()
+_C = MarginConstants()
 
 
-@dataclass(frozen=True)
-class PanelFit:
+class PanelFit(NamedTuple):
     """A photo on a panel.
 
     Attributes:
@@ -94,25 +94,21 @@ def fit_to_panel(
         panel.height_px / 2 + sizes[1] * (principal_point_px[1] - height / 2),
     )
     measured = depth[torch.isfinite(depth)].double().cpu().numpy()
-    near, far = np.quantile(measured, [_CONSTANTS.depth_tail, 1 - _CONSTANTS.depth_tail])
+    near, far = np.quantile(measured, [_C.depth_tail, 1 - _C.depth_tail])
     zero = 2 / (1 / near + 1 / far)
     tan = math.tan(math.radians(panel.cone_deg) / 2) if widest_tan is None else widest_tan
     sides = torch.cat([depth[:, 0], depth[:, -1]])
     known = sides[torch.isfinite(sides)].double().cpu().numpy()
     zeros = np.array([zero, near] if on_near else [zero])[:, None]
-    moves = np.abs(1 - zeros / np.quantile(known, _CONSTANTS.side_quantiles)).max() if len(known) else 0.0
+    moves = np.abs(1 - zeros / np.quantile(known, _C.side_quantiles)).max() if len(known) else 0.0
     shown = panel.width_px / sizes[0] / zoom, panel.height_px / sizes[1] / zoom
-    across = (shown[0] - width) / 2 + focal_px[0] * tan * moves + _CONSTANTS.more_px
-    down = (shown[1] - height) / 2 + _CONSTANTS.more_px
-    most = _CONSTANTS.widest * width, _CONSTANTS.widest * height
+    across = (shown[0] - width) / 2 + focal_px[0] * tan * moves + _C.more_px
+    down = (shown[1] - height) / 2 + _C.more_px
+    most = _C.widest * width, _C.widest * height
     x, y = (math.ceil(min(max(part, 0), limit)) for part, limit in zip((across, down), most))
     kept = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)
-    return PanelFit(
-        Rig(np.eye(4), focal, centre, float(zero)),
-        (x, y, x, y),
-        1 - kept,
-        1 - kept * width * height / (shown[0] * shown[1]),
-    )
+    made_up = 1 - kept * width * height / (shown[0] * shown[1])
+    return PanelFit(Rig(np.eye(4), focal, centre, float(zero)), (x, y, x, y), 1 - kept, made_up)
 
 
 def extend_with_margin(
@@ -140,14 +136,14 @@ def extend_with_margin(
     measured = torch.isfinite(depth)
     disparity = torch.where(measured, 1 / depth, (1 / depth[measured]).median())[within]
     smooth, reached = disparity, 0
-    for blur in _CONSTANTS.blurs_px:
+    for blur in _C.blurs_px:
         fraction = ((distance - reached) / (blur - reached)).clamp(0, 1)
         smooth = torch.lerp(smooth, _blur(disparity, blur), fraction)
         reached = blur
     known = torch.where(outside, smooth, disparity)
     # A thing before everything at the photo's border stands alone and must not appear twice
-    source = ~outside & measured[within] & (known <= _CONSTANTS.nearer * known[outside].max())
-    if int(source.sum()) < _CONSTANTS.fewest * depth.numel():
+    source = ~outside & measured[within] & (known <= _C.nearer * known[outside].max())
+    if int(source.sum()) < _C.fewest * depth.numel():
         source = ~outside & measured[within]
     colours = complete(_mirror(image, rows, columns), outside, source, known.log())
     colours = torch.where(outside[..., None], colours.clamp(0, 1), image[within])
@@ -166,8 +162,7 @@ def _mirror(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
 
 
 def _blur(values: Tensor, size: int) -> Tensor:
-    """Return a map [H, W], smooth over so many pixels."""
+    """Return a map [H, W], smoothed over this number of pixels."""
     small = functional.avg_pool2d(values[None, None], size, ceil_mode=True, count_include_pad=False)
-    return functional.interpolate(small, scale_factor=size, mode="bilinear", align_corners=False)[
-        0, 0, : values.shape[0], : values.shape[1]
-    ]
+    large = functional.interpolate(small, scale_factor=size, mode="bilinear", align_corners=False)
+    return large[0, 0, : values.shape[0], : values.shape[1]]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import cast
+from functools import reduce
 
 import numpy as np
+from scipy import ndimage
 
 from lightfield_gs.photo.image_filters import row_strips
 
@@ -36,7 +37,7 @@ class PlainPhotoConstants:
     near: float = 0.06  # colour distance up to which alpha is 0
     far: float = 0.14  # colour distance from which on alpha is 1
     same: float = 0.02  # colour distance up to which an enclosed patch may be the background, seen through a hole
-    hole_side: float = 0.025  # side by the image's shorter one of a square that fits in a hole; less is a highlight
+    hole_side: float = 0.025  # side of a square in a hole, by the image's shorter side; less: a highlight
 
     # Noise
     windows_px: tuple[int, ...] = (1, 3, 5, 7, 9)  # sides of the squares of means, the first that calms the noise
@@ -60,7 +61,7 @@ class PlainPhotoConstants:
     part_mass: float = 0.03  # a larger component is part of the object wherever it is
 
 
-_CONSTANTS = PlainPhotoConstants()
+_C = PlainPhotoConstants()
 
 
 class Components:
@@ -73,9 +74,7 @@ class Components:
 
     def __init__(self, mask: np.ndarray, diagonal: bool):
         """Label the components of a mask, bool [H, W]; diagonal: whether pixels that share a corner are neighbours."""
-        from scipy.ndimage import label
-
-        self.labels, self.count = label(mask, np.ones((3, 3)) if diagonal else None)
+        self.labels, self.count = ndimage.label(mask, np.ones((3, 3)) if diagonal else None)
 
     def touching(self, mask: np.ndarray) -> np.ndarray:
         """Return which components, bool [count], have a pixel in the mask, bool [H, W]."""
@@ -93,9 +92,8 @@ class Components:
 
     def boxes(self) -> np.ndarray:
         """Return top, left, bottom and right of each component, [count, 4]; bottom and right are exclusive."""
-        from scipy.ndimage import find_objects
-
-        boxes = [(rows.start, columns.start, rows.stop, columns.stop) for rows, columns in find_objects(self.labels)]
+        slices = ndimage.find_objects(self.labels)
+        boxes = [(rows.start, columns.start, rows.stop, columns.stop) for rows, columns in slices]
         return np.array(boxes, int).reshape(-1, 4)
 
     def mask(self, chosen: np.ndarray) -> np.ndarray:
@@ -106,8 +104,8 @@ class Components:
 def object_components(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, int]:
     """Part an object from the specks beside it.
 
-    A component of 3 % of the largest mass or more belongs to the object. One of 0.1 % does if it is near another for
-    its size, as beads are and dust is not. A smaller one does within the box of all these, down to 0.01 %.
+    A component of 3 % of the largest mass or more belongs to the object. A component of 0.1 % counts if it is near
+    another one for its size: beads are, dust is not. A smaller one does within the box of all these, down to 0.01 %.
 
     Args:
         alpha: float32 [H, W], 0..1.
@@ -116,23 +114,22 @@ def object_components(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int
     Returns:
         The mask of the object, bool [H, W], the number of its components, and the number of specks.
     """
-    c = _CONSTANTS
     components = Components(alpha >= opaque, diagonal=True)
     masses = components.sums(alpha)
     relative = masses / masses.max(initial=1e-300)
-    boxes, kept = components.boxes(), relative >= c.part_mass
-    beads = np.flatnonzero(~kept & (relative >= c.bead_mass))
-    if len(beads) <= c.most_beads:
-        kept[_near(beads, boxes, np.flatnonzero(kept), c.bead_reach * np.sqrt(masses))] = True
+    boxes, kept = components.boxes(), relative >= _C.part_mass
+    beads = np.flatnonzero(~kept & (relative >= _C.bead_mass))
+    if len(beads) <= _C.most_beads:
+        kept[_near(beads, boxes, np.flatnonzero(kept), _C.bead_reach * np.sqrt(masses))] = True
     if kept.any():
         (top, left), (bottom, right) = boxes[kept, :2].min(0), boxes[kept, 2:].max(0)
         inside = (boxes[:, :2] >= (top, left)).all(1) & (boxes[:, 2:] <= (bottom, right)).all(1)
-        kept |= inside & (relative >= c.dust_mass)
+        kept |= inside & (relative >= _C.dust_mass)
     return components.mask(kept), int(kept.sum()), int((~kept).sum())
 
 
 def _near(candidates: np.ndarray, boxes: np.ndarray, others: np.ndarray, reaches: np.ndarray) -> np.ndarray:
-    """Return the candidates whose box is within their reach of one of the others, or of a candidate found before."""
+    """Return the candidates whose box is within reach of another component, or of a candidate found before."""
     found = []
     while len(others) and len(candidates):
         one, other = boxes[candidates][:, None], boxes[others][None]
@@ -188,19 +185,20 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     background = _fit_background(rgb)
     if background is None:
         return None
-    c, window = _CONSTANTS, background.window
+    window = background.window
     distance = _distances(rgb, background.colours, window)
     outside, holes = _find_background(distance)
     if window > 1:
         raw = _distances(rgb, background.colours, 1)
-        raw -= max(0.0, c.noise_reach * background.noise - c.near)
-        outside, distance = _without_fringe(outside, distance, raw, window // 2)
+        raw -= max(0.0, _C.noise_reach * background.noise - _C.near)
+        # The fringe round the object, where means took in some of its colour, is background
+        outside |= _dilate(outside, window // 2) & (raw < _C.far)
+        np.minimum(distance, raw, out=distance)
     lost = _measure_loss(outside, holes, distance, background.differs)
-    distance -= c.near
-    distance /= c.far - c.near
-    alpha = np.clip(distance, 0, 1, out=distance)
-    alpha[~outside] = 1
-    return PlainCut(alpha, *lost)
+    distance -= _C.near
+    distance /= _C.far - _C.near
+    distance.clip(0, 1, out=distance)[~outside] = 1
+    return PlainCut(distance, *lost)
 
 
 @dataclass(frozen=True)
@@ -222,20 +220,19 @@ class _Background:
 
 def _fit_background(rgb: np.ndarray) -> _Background | None:
     """Return the background of rgb [H, W, 3], from its border; None where the border is not plain."""
-    c = _CONSTANTS
     height, width = rgb.shape[:2]
-    thick = max(1, round(c.border_fraction * min(height, width)))
+    thick = max(1, round(_C.border_fraction * min(height, width)))
     bands = _border(rgb, thick)
     noise = _noise(bands)
     window = _window_px(noise)
     border = np.concatenate([_means(band, window).reshape(-1, 3) for band in bands])
-    near = np.linalg.norm(border - np.median(border, 0), axis=1) < c.near + c.plain_std
-    if near.mean() < c.plain_fraction or border[near].std(0).max() > c.plain_std:
+    near = np.linalg.norm(border - np.median(border, 0), axis=1) < _C.near + _C.plain_std
+    if near.mean() < _C.plain_fraction or border[near].std(0).max() > _C.plain_std:
         return None
     positions = _border_positions(height, width, thick)[near]
     colours = _fit_colours(border[near], positions)
-    usual = float(np.quantile(np.linalg.norm(border[near] - positions @ colours, axis=1), c.fit_quantile))
-    return _Background(colours, noise, window, max(c.least_difference, c.fit_margin * usual))
+    usual = float(np.quantile(np.linalg.norm(border[near] - positions @ colours, axis=1), _C.fit_quantile))
+    return _Background(colours, noise, window, max(_C.least_difference, _C.fit_margin * usual))
 
 
 def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
@@ -244,30 +241,22 @@ def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
     means = np.empty((height, width, 3), rgb.dtype)
     for top, bottom in row_strips(height, width, _STRIP_PIXELS):
         block = rgb[top * factor : bottom * factor, : width * factor]
-        parts = (
-            block[down::factor, across::factor].astype(np.float32) for down in range(factor) for across in range(factor)
-        )
-        total = cast(np.ndarray, sum(parts))
-        total *= np.float32(1 / factor**2)
+        offsets = np.ndindex(factor, factor)
+        parts = (block[down::factor, across::factor].astype(np.float32) for down, across in offsets)
+        total = reduce(np.add, parts) * np.float32(1 / factor**2)
         means[top:bottom] = total if rgb.dtype == np.float32 else np.rint(total)
     return means
 
 
 def _enlarge(alpha: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
     """Return the alpha of a picture that _block_means reduced at the size of the picture, [height, width]."""
-    bottom, right = (size * factor for size in alpha.shape)
-    enlarged = np.empty((height, width), np.float32)
-    for down in range(factor):
-        for across in range(factor):
-            enlarged[down:bottom:factor, across:right:factor] = alpha
-    enlarged[bottom:] = enlarged[bottom - 1]
-    enlarged[:, right:] = enlarged[:, right - 1 : right]
-    return enlarged
+    each = ((height, alpha.shape[0]), (width, alpha.shape[1]))
+    return alpha[np.ix_(*(np.minimum(np.arange(size) // factor, small - 1) for size, small in each))]
 
 
 def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
     """Return the bands [lines, pixels, 3] along the four edges, float32 in 0..1; of thick bands only some lines."""
-    each = max(1, thick // _CONSTANTS.band_lines)
+    each = max(1, thick // _C.band_lines)
     middle = rgb[thick:-thick]
     bands = (rgb[:thick], rgb[-thick:], middle[:, :thick].swapaxes(0, 1), middle[:, -thick:].swapaxes(0, 1))
     return [_floats(band[::each]) for band in bands]
@@ -285,11 +274,10 @@ def _fit_colours(colours: np.ndarray, positions: np.ndarray) -> np.ndarray:
 
     They have a slope only where it is clear, as on a wall that is lit from the side.
     """
-    level = np.zeros((3, 3), np.float32)
-    level[0] = colours.mean(0)
     sloping = np.linalg.lstsq(positions.astype(np.float64), colours.astype(np.float64), rcond=None)[0]
     sloping = sloping.astype(np.float32)
-    return sloping if np.abs(sloping[1:]).max() > _CONSTANTS.least_slope else level
+    level = np.array([colours.mean(0), (0, 0, 0), (0, 0, 0)], np.float32)
+    return sloping if np.abs(sloping[1:]).max() > _C.least_slope else level
 
 
 def _floats(rgb: np.ndarray) -> np.ndarray:
@@ -303,22 +291,19 @@ def _noise(bands: list[np.ndarray]) -> float:
     It is measured between pixels two apart, because JPEG shares colours among neighbours.
     """
     squares = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands]) ** 2 / 2
-    usual = np.sort(squares, 0)[: max(1, round(_CONSTANTS.noise_quantile * len(squares)))]
+    usual = np.sort(squares, 0)[: max(1, round(_C.noise_quantile * len(squares)))]
     return float(np.sqrt(usual.mean()))
 
 
 def _window_px(noise: float) -> int:
     """Return the side of the squares of means that keep noise well below the colour distances that count."""
-    c = _CONSTANTS
-    enough = [window for window in c.windows_px if c.noise_factor * noise / max(1, window - 1) <= c.near]
-    return enough[0] if enough else c.windows_px[-1]
+    enough = (window for window in _C.windows_px if _C.noise_factor * noise / max(1, window - 1) <= _C.near)
+    return next(enough, _C.windows_px[-1])
 
 
 def _means(values: np.ndarray, window: int) -> np.ndarray:
     """Return means of values [H, W, C] over window x window pixels; beyond the edges the last pixel is repeated."""
-    from scipy.ndimage import uniform_filter
-
-    return values if window == 1 else uniform_filter(values, (window, window, 1), mode="nearest")
+    return values if window == 1 else ndimage.uniform_filter(values, (window, window, 1), mode="nearest")
 
 
 def _distances(rgb: np.ndarray, background: np.ndarray, window: int) -> np.ndarray:
@@ -348,40 +333,24 @@ def _distances(rgb: np.ndarray, background: np.ndarray, window: int) -> np.ndarr
 
 def _find_background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the background, bool [H, W], and its holes in the object, which are not connected to the border."""
-    c = _CONSTANTS
     height, width = distance.shape
-    thick = max(1, round(c.border_fraction * min(height, width)))
-    border = np.ones((height, width), bool)
-    border[thick:-thick, thick:-thick] = False
-    side = max(3, round(c.hole_side * min(height, width)))
-    components = Components(distance < c.far, diagonal=False)
+    thick = max(1, round(_C.border_fraction * min(height, width)))
+    border = np.pad(np.zeros((height - 2 * thick, width - 2 * thick), bool), thick, constant_values=True)
+    side = max(3, round(_C.hole_side * min(height, width)))
+    components = Components(distance < _C.far, diagonal=False)
     from_border = components.touching(border)
-    from_patch = components.touching(find_full_squares(distance < c.same, side))
+    from_patch = components.touching(find_full_squares(distance < _C.same, side))
     return components.mask(from_border | from_patch), components.mask(from_patch & ~from_border)
 
 
 def find_full_squares(mask: np.ndarray, side: int) -> np.ndarray:
     """Return the pixels, bool [H, W], about which a square of `side` pixels lies wholly in the mask."""
-    from scipy.ndimage import minimum_filter
-
-    return minimum_filter(mask, side, mode="constant")
-
-
-def _without_fringe(
-    outside: np.ndarray, distance: np.ndarray, raw: np.ndarray, reach: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return outside and distance without the fringe round the object, where means took in some of its colour."""
-    fringe = _dilate(outside, reach)
-    fringe &= raw < _CONSTANTS.far
-    fringe |= outside
-    return fringe, np.minimum(distance, raw, out=distance)
+    return ndimage.minimum_filter(mask, side, mode="constant")
 
 
 def _dilate(mask: np.ndarray, reach: int) -> np.ndarray:
     """Return the pixels within `reach` pixels of the mask, bool [H, W], along both axes."""
-    from scipy.ndimage import maximum_filter
-
-    return maximum_filter(mask, 2 * reach + 1, mode="constant")
+    return ndimage.maximum_filter(mask, 2 * reach + 1, mode="constant")
 
 
 def _measure_loss(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
@@ -396,19 +365,16 @@ def _measure_loss(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, 
         distance: Colour distance from the background, [H, W].
         differs: Distance from which on a pixel has another colour than the background.
     """
-    c = _CONSTANTS
-    step = max(1, round(max(distance.shape) / c.loss_samples))
+    step = max(1, round(max(distance.shape) / _C.loss_samples))
     outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
-    opaque = distance > (c.near + c.far) / 2
-    opaque |= ~outside
+    opaque = (distance > (_C.near + _C.far) / 2) | ~outside
     other = distance > differs
     object_ = object_components(opaque.astype(np.float32), 1)[0]
     other &= object_ | ~opaque  # leaves out specks
     opaque = object_
-    between = _between(opaque, 0) | _between(opaque, 1)
-    between &= ~opaque
+    between = (_between(opaque, 0) | _between(opaque, 1)) & ~opaque
     bodies = _with_sharp_edges(other & ~opaque, other, distance, differs)
-    bodies &= ~_dilate(opaque, round(c.block_px / step))
+    bodies &= ~_dilate(opaque, round(_C.block_px / step))
     faded = other & ~opaque & (between | bodies)
     seen_through = between & holes & ~other
     kept, gone, hollow = (int(np.count_nonzero(pixels)) for pixels in (opaque, faded, seen_through))
@@ -427,14 +393,11 @@ def _with_sharp_edges(pale: np.ndarray, other: np.ndarray, distance: np.ndarray,
         distance: Colour distance from the background, [H, W].
         differs: Distance from which on a pixel has another colour than the background.
     """
-    from scipy.ndimage import distance_transform_cdt
-
-    c = _CONSTANTS
-    depth = distance_transform_cdt(np.pad(other, 1), "taxicab")[1:-1, 1:-1]
-    ring = pale & (depth == c.edge_px)
+    depth = ndimage.distance_transform_cdt(np.pad(other, 1), "taxicab")[1:-1, 1:-1]
+    ring = pale & (depth == _C.edge_px)
     components = Components(pale, diagonal=True)
-    sharp = components.sums((ring & (distance > c.clearly * differs)).astype(np.float32))
-    return components.mask(sharp > c.sharp_fraction * np.maximum(1, components.sums(ring.astype(np.float32))))
+    sharp = components.sums((ring & (distance > _C.clearly * differs)).astype(np.float32))
+    return components.mask(sharp > _C.sharp_fraction * np.maximum(1, components.sums(ring.astype(np.float32))))
 
 
 def _between(mask: np.ndarray, axis: int) -> np.ndarray:

@@ -44,7 +44,7 @@ class RgbdConstants:
     opacity: float = 0.99  # opacity of an opaque pixel: the rasterizer makes no more of any
 
 
-_CONSTANTS = RgbdConstants()
+_C = RgbdConstants()
 
 
 def focal_length_px(field_of_view_deg: float, height_px: float, width_px: float) -> float:
@@ -113,7 +113,7 @@ def from_depth(
     height, width = depth.shape
     check_depth_size("depth", depth, image)
     depth = depth.to(image.device)
-    opacity = _CONSTANTS.opacity * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _CONSTANTS.opacity)
+    opacity = _C.opacity * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _C.opacity)
     measured = (depth >= _NEAREST) & (depth <= FARTHEST) & (opacity >= OPACITY_CUT)
     depth = torch.where(measured, depth, torch.nan)
     if not bool(measured.any()):
@@ -126,7 +126,7 @@ def from_depth(
     if any(margin_px):
         colours, z, outside = extend_with_margin(behind, 1 / found.disparity, margin_px)
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
-        full = torch.full_like(z, _CONSTANTS.opacity)
+        full = torch.full_like(z, _C.opacity)
         parts.append(_surface_gaussians(outside.nonzero(), z, full, colours, focal, corner, torn=False))
     return from_tensors(torch.cat(fields) for fields in zip(*parts))
 
@@ -143,21 +143,20 @@ def _layers(
     """Return the Gaussians of the visible surface, of the soft outlines before it, and of the hidden layer."""
     colours = image[..., :3].clone()
     matte = find_matte(colours, depth, edges(depth, focal))
-    is_near = matte.is_near
-    rows, columns = matte.rows, matte.columns
+    is_near, rows, columns = matte.is_near, matte.rows, matte.columns
     colours[rows, columns] = torch.where(is_near[:, None], matte.near, matte.far)
     front_opacity = opacity.clone()
     # A pixel is transparent only where the surface behind it is known
     soft = is_near & found.hole[rows, columns]
     front_opacity[rows[soft], columns[soft]] *= (
-        coverage_to_opacity(matte.alpha[soft], _CONSTANTS.std_px, _CONSTANTS.opacity) / _CONSTANTS.opacity
+        coverage_to_opacity(matte.alpha[soft], _C.std_px, _C.opacity) / _C.opacity
     )
     parts = [_surface_gaussians(torch.isfinite(depth).nonzero(), depth, front_opacity, colours, focal, centre)]
     before = ~is_near & (matte.alpha > 0)
     r, c = rows[before], columns[before]
     rim, front, cover = depth.clone(), colours.clone(), opacity.clone()
     rim[r, c], front[r, c] = matte.depth[before], matte.near[before]
-    cover[r, c] *= coverage_to_opacity(matte.alpha[before], _CONSTANTS.std_px, _CONSTANTS.opacity) / _CONSTANTS.opacity
+    cover[r, c] *= coverage_to_opacity(matte.alpha[before], _C.std_px, _C.opacity) / _C.opacity
     parts.append(_surface_gaussians(torch.stack([r, c], 1), rim, cover, front, focal, centre))
     parts.append(
         _surface_gaussians(found.hole.nonzero(), 1 / found.disparity, opacity, behind, focal, centre, torn=False)
@@ -186,23 +185,19 @@ def _surface_gaussians(
         torn: Whether the surface is open at edges.
     """
     rows, columns = pixels.unbind(1)
-    steepest = STEEPEST if torn else _CONSTANTS.steepest_hidden
+    steepest = STEEPEST if torn else _C.steepest_hidden
     z, across, down = (
         values[rows, columns]
         for values in (depth, slopes(depth, focal[0], steepest), slopes(depth.T, focal[1], steepest).T)
     )
     if torn:
-        limit = torch.where(_rim(depth, focal)[rows, columns], _CONSTANTS.steepest_rim, torch.inf)
+        rim = max_filter(edges(depth, focal), 1)  # the pixels with another surface beside them, and their neighbours
+        limit = torch.where(rim[rows, columns], _C.steepest_rim, torch.inf)
         across, down = (torch.minimum(torch.maximum(slope, -limit), limit) for slope in (across, down))
     rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
     return _flat_gaussians(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
-
-
-def _rim(depth: Tensor, focal: tuple[float, float]) -> Tensor:
-    """Return the pixels with another surface beside them, and their neighbours, bool [H, W]."""
-    return max_filter(edges(depth, focal), 1)
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:
@@ -234,7 +229,7 @@ def _flat_gaussians(
     area = (a * d - b * c).abs()
     long = (middle + radius).sqrt()
     scales = footprint[:, None] * torch.stack(
-        [_CONSTANTS.std_px * long, _CONSTANTS.std_px * area / long, torch.full_like(long, _CONSTANTS.thickness_px)], 1
+        [_C.std_px * long, _C.std_px * area / long, torch.full_like(long, _C.thickness_px)], 1
     )
     cos, sin = torch.cos(angle / 2), torch.sin(angle / 2)
     w, x, y, _ = turn.unbind(1)

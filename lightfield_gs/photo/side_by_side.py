@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,12 +46,12 @@ class SideBySideConstants:
     window_px: int = 5  # side of the windows whose differences are averaged
     least_contrast: float = 0.03  # standard deviation of a half, values in 0..1, at least
     alike: float = 0.2  # difference of the halves after parallax, by the contrast, at most
-    less: float = 0.3  # the same by their difference when moved in height: a pattern is as much like itself there
+    less: float = 0.3  # by their difference when moved in height, which a repeated pattern keeps small, at most
     height_step: int = 5  # steps of these moves, pixels as compared
     same_picture: float = 0.003  # mean difference up to which the halves are one picture twice, without parallax
 
 
-_CONSTANTS = SideBySideConstants()
+_C = SideBySideConstants()
 
 
 def is_rgbd_name(path: Path) -> bool:
@@ -78,13 +79,12 @@ def split_halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.nd
             f"{path}: expected two halves of one size, its {'height width'.split()[axis]} is {size}; cut "
             "photo and depth map apart and give the latter with depth="
         )
-    parts = pixels.swapaxes(0, axis)
-    first, second = (part.swapaxes(0, axis) for part in (parts[: size // 2], parts[size // 2 :]))
+    first, second = np.split(pixels, 2, axis)
     return (first, second) if side in ("right", "bottom") else (second, first)
 
 
 def depth_side(pixels: np.ndarray, is_named: bool = False) -> str | None:
-    """Return the side of pixels [H, W, C] that is grey, with some relief, beside one in colour; None without one.
+    """Return the grey side of pixels [H, W, C] with some relief, beside a side in colour; None without one.
 
     Args:
         pixels: [H, W, C].
@@ -100,16 +100,8 @@ def depth_side(pixels: np.ndarray, is_named: bool = False) -> str | None:
         colour, grey = (
             _sample(_without_seam(half, side, part)) for part, half in enumerate(split_halves("", pixels, side))
         )
-        least = (
-            max(_CONSTANTS.pale, _CONSTANTS.times_paler * float(np.ptp(grey, axis=2).mean()))
-            if is_named
-            else _CONSTANTS.colourful
-        )
-        if (
-            _is_grey(grey, is_named)
-            and grey.std() >= _CONSTANTS.relief
-            and float(np.ptp(colour, axis=2).mean()) >= least
-        ):
+        least = max(_C.pale, _C.times_paler * float(np.ptp(grey, axis=2).mean())) if is_named else _C.colourful
+        if _is_grey(grey, is_named) and grey.std() >= _C.relief and float(np.ptp(colour, axis=2).mean()) >= least:
             return side
     return None
 
@@ -143,8 +135,8 @@ def _is_grey(values: np.ndarray, is_named: bool) -> bool:
     """Return whether values [H, W, 3] in 0..1 have next to no colour; is_named: see depth_side."""
     apart, span = np.ptp(values, axis=2), float(np.ptp(values)) or 1.0
     if is_named:
-        return float(np.quantile(apart, _CONSTANTS.grey_quantile)) <= max(_CONSTANTS.grey * span, _CONSTANTS.grey_step)
-    return float(apart.max()) <= _CONSTANTS.grey * span
+        return float(np.quantile(apart, _C.grey_quantile)) <= max(_C.grey * span, _C.grey_step)
+    return float(apart.max()) <= _C.grey * span
 
 
 def _luma(pixels: np.ndarray) -> np.ndarray:
@@ -157,14 +149,14 @@ def _luma(pixels: np.ndarray) -> np.ndarray:
 def _without_seam(half: np.ndarray, side: str, part: int) -> np.ndarray:
     """Return a half [H, W, C] without the pixels at the seam, a view; part: 0 the photo, 1 the map at `side`."""
     axis = 1 if side in ("right", "left") else 0
-    cut = min(_CONSTANTS.seam_px, half.shape[axis] // 4)
+    cut = min(_C.seam_px, half.shape[axis] // 4)
     is_second = (side in ("right", "bottom")) == (part == 1)
     keep = slice(cut, None) if is_second else slice(None, half.shape[axis] - cut)
     return half[:, keep] if axis else half[keep]
 
 
 def _sample(pixels: np.ndarray) -> np.ndarray:
-    steps = (max(1, size // _CONSTANTS.samples) for size in pixels.shape[:2])
+    steps = (max(1, size // _C.samples) for size in pixels.shape[:2])
     values = as_floats(pixels[tuple(slice(None, None, step) for step in steps)][..., :3])
     return np.clip(np.nan_to_num(values), 0, 1)
 
@@ -188,36 +180,28 @@ def stereo_layout(pixels: np.ndarray) -> str | None:
 
 def _are_eyes(left: Tensor, right: Tensor) -> bool:
     contrast = float(min(left.std(), right.std()))
-    if contrast < _CONSTANTS.least_contrast or float((left - right).abs().mean()) < _CONSTANTS.same_picture:
+    if contrast < _C.least_contrast or float((left - right).abs().mean()) < _C.same_picture:
         return False
     alike = _difference(left, right)
-    if alike > _CONSTANTS.alike * contrast:
+    if alike > _C.alike * contrast:
         return False
     return all(
-        alike <= _CONSTANTS.less * _difference(left, right.roll(rows, 0))
-        for rows in range(_CONSTANTS.height_step, _CONSTANTS.side_px - 1, _CONSTANTS.height_step)
+        alike <= _C.less * _difference(left, right.roll(rows, 0))
+        for rows in range(_C.height_step, _C.side_px - 1, _C.height_step)
     )
 
 
 def _difference(left: Tensor, right: Tensor) -> float:
     """Return the mean difference of two pictures [h, w] where each pixel takes its best parallax."""
-    reach = round(_CONSTANTS.most_parallax * left.shape[1])
-    shifts = [
-        (down, across)
-        for down in range(-_CONSTANTS.rows_off, _CONSTANTS.rows_off + 1)
-        for across in range(-reach, reach + 1)
-    ]
+    reach = round(_C.most_parallax * left.shape[1])
+    shifts = itertools.product(range(-_C.rows_off, _C.rows_off + 1), range(-reach, reach + 1))
     apart = (left - torch.stack([right.roll(shift, (0, 1)) for shift in shifts])).abs()
-    best = avg_pool2d(apart, _CONSTANTS.window_px, 1, _CONSTANTS.window_px // 2).amin(0)
-    return float(best[_CONSTANTS.window_px : -_CONSTANTS.window_px, reach:-reach].mean())
+    best = avg_pool2d(apart, _C.window_px, 1, _C.window_px // 2).amin(0)
+    return float(best[_C.window_px : -_C.window_px, reach:-reach].mean())
 
 
 def _reduce(pixels: np.ndarray) -> Tensor:
     """Return the brightness in 0..1 of a picture reduced to 64 x 64 pixels, float32."""
-    down, across = (
-        max(1, size // (4 * _CONSTANTS.side_px)) for size in pixels.shape[:2]
-    )  # a large one takes no longer
+    down, across = (max(1, size // (4 * _C.side_px)) for size in pixels.shape[:2])  # a large one takes no longer
     values = np.clip(np.nan_to_num(as_floats(pixels[::down, ::across, :3])), 0, 1).mean(2)
-    return interpolate(
-        torch.from_numpy(values)[None, None], size=(_CONSTANTS.side_px, _CONSTANTS.side_px), mode="area"
-    )[0, 0]
+    return interpolate(torch.from_numpy(values)[None, None], size=(_C.side_px, _C.side_px), mode="area")[0, 0]

@@ -1,6 +1,6 @@
 """The sub-pixels of a panel as a torch operator with its backward: torch.ops.lightfield_gs.render_direct.
 
-The stages are project, order, bin and composite (docs/design.md). Each sub-pixel is seen from the camera offset of its
+The stages are project, order, bin and composite (docs/design.md). The camera offset of a sub-pixel is the offset of its
 own view. Results are deterministic: the same bits for any number of threads.
 """
 
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.device import device_guard
+from lightfield_gs.rasterizer.frame_cuda import known_frames
 from lightfield_gs.rasterizer.lenticular_camera import CameraNumbers, LenticularCamera
 from lightfield_gs.rasterizer.operators import differentiable_once, operator_schema
 from lightfield_gs.rasterizer.quality import EXACT, Quality
@@ -63,6 +64,35 @@ class DirectRender:
                 stats.colour_error = work.project_direct(self.native, quality)
             work.order_and_bin()
         return work
+
+    def draw(
+        self,
+        as_bytes: bool = False,
+        quality: Quality = EXACT,
+        stats: Stats | None = None,
+        threads: int | None = None,
+        out: Tensor | None = None,
+    ) -> Tensor:
+        """Draw the image [H, W, 3] without gradients.
+
+        On CUDA the fast kernels of a frame draw it. They err by up to 1/255, except where a sample lies on a threshold,
+        such as the least alpha of a splat.
+
+        Args:
+            as_bytes: whether the image is uint8 = round(255 clamp(c, 0, 1)).
+            quality: how much error is allowed.
+            stats: filled with times and counts.
+            threads: of the CPU; None: torch's.
+            out: an image of that size and type, which the caller has checked.
+        """
+        stats, threads = stats or Stats(), threads or torch.get_num_threads()
+        if self.scene.device.type == "cuda":
+            return known_frames(self, quality).draw(self, as_bytes, stats, out)
+        work = self.workspace(stats, threads, quality)
+        with stats.stage("composite"):
+            out = self.new_image(as_bytes) if out is None else out
+            work.composite_direct(self.native, quality, self.background, out)
+        return out
 
 
 class _SceneArguments(NamedTuple):

@@ -18,7 +18,7 @@ from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
 from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, CudaWorkspace, project_images_backward
 
-# Of the memory beside the images: cameras go in chunks that take about so much, or one at a time if one takes more
+# Memory in addition to the images: a chunk of cameras takes about this much; a larger camera is a chunk by itself
 CHUNK_BYTES = 1 << 29
 # Numbers for a splat in one image: its fields, its colour, its index in the order, and a few intersections
 _SPLAT_NUMBERS = 48
@@ -101,6 +101,7 @@ class ImageInputs:
             raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
         self.lead = lead = (scene.batch, world_to_camera.shape[1])
         self.images, self.width, self.height = lead[0] * lead[1], width, height
+        self.shapes = (*lead, height, width, 3), (*lead, height, width), (*lead, height, width)  # image, alpha, depth
         self._camera_tensors = [
             check_tensor("world_to_camera", world_to_camera, (*lead, 4, 4), scene.dtype, scene.device),
             check_tensor("intrinsics", intrinsics, (*lead, 4), scene.dtype, scene.device),
@@ -108,12 +109,6 @@ class ImageInputs:
         ]
         poses, optics, edges = (t.data_ptr() for t in self._camera_tensors)
         self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
-
-    @property
-    def shapes(self) -> list[tuple[int, ...]]:
-        """Shapes of image, alpha and depth."""
-        size = (*self.lead, self.height, self.width)
-        return [(*size, 3), size, size]
 
     def without_values(self) -> ImageInputs:
         """Return a copy that keeps no tensors alive: see SceneTensors.without_values."""
@@ -151,7 +146,7 @@ class ImageRender:
             background: [B, V, 3].
             stats: filled with times and counts.
             threads: of the CPU; None: torch's.
-            state: what a render of the same inputs left.
+            state: the state of an earlier render of the same inputs.
             capacity: on CUDA, for how many intersections of tiles and splats memory is made. Then nothing waits for
                 the device; if `intersections_on_device` is larger, the images are wrong. None: the host waits for the
                 number.
@@ -257,7 +252,7 @@ def draw_in_chunks(
 ) -> ImageBuffers:
     """Draw one scene before V cameras without gradients, some cameras at a time, to the same bits as in one draw.
 
-    Beside the images it takes memory for as many cameras as fit CHUNK_BYTES. Each takes 192 bytes a Gaussian, and 4 a
+    In addition to the images it takes CHUNK_BYTES for a chunk of cameras. Each takes 192 bytes a Gaussian, and 4 a
     pixel for each of alpha and depth that is not asked for.
 
     Args:
@@ -289,7 +284,9 @@ def draw_in_chunks(
     for first in range(0, count, step):
         chunk = slice(first, first + step)
         chunk_stats = Stats(device=None if stats is None else stats.device)
-        inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
+        inputs = whole
+        if step < count:
+            inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
         render = ImageRender(inputs, background[:, chunk], stats=chunk_stats, threads=threads)
         drawn = render.draw(ImageBuffers(image[:, chunk], *(None if t is None else t[:, chunk] for t in found)))
         if stats is not None:

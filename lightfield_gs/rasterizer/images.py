@@ -84,13 +84,14 @@ def render(
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
-    refuse_tangents(*gaussians.fields().values(), background, cameras.world_to_camera)
+    like, *others = gaussians.fields().values()
+    refuse_tangents(like, *others, background, cameras.world_to_camera)
     if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
         raise InputError(
             "cameras: focal_px and principal_point_px (K) and jacobian_limits have no gradients, and one of them "
             "requires it: detach() it, or use torch.no_grad()"
         )
-    like, batched = gaussians.means, gaussians.is_batched
+    batched = like.dim() == 3
     shared = cameras.world_to_camera.dim() == 3  # by all sets of a batch
     if not shared and not batched:
         raise InputError(
@@ -102,7 +103,7 @@ def render(
     if shared:
         views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    fields = (means, *tuple(gaussians.fields().values())[1:])
+    fields = (means, *others)
     options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)

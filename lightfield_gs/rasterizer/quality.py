@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from lightfield_gs import _core
@@ -25,7 +25,7 @@ class Quality:
         transmittance_stop: 1e-4..0.5. A sample ends before its transmittance would fall below the stop. The last
             Gaussian takes the light that is left: an error of at most the stop. Pays in deep opaque scenes.
         colour_error: 0..1. Polynomials replace spherical harmonics over the rig. Their interpolation may err by this,
-            and the highest powers that are left out by as much again. Near the cameras, where no polynomial is so good,
+            and the omitted highest powers by the same amount again. Near the cameras, where no polynomial is so good,
             colours are exact. 0: all colours are exact.
         lattice_error: 0..1. Where the light field is smooth, it is evaluated on a coarse lattice in (x, y, view) and
             interpolated. As a check the middle of every cell is evaluated too. Nodes are moved by two thirds of the
@@ -65,7 +65,7 @@ class Quality:
             return quality
         if not isinstance(quality, str) or quality not in QUALITIES:
             raise InputError(f"quality must be one of {', '.join(QUALITIES)} or a Quality, got {shown(quality)}")
-        return QUALITIES[quality]
+        return replace(EXACT, **QUALITIES[quality]) if QUALITIES[quality] else EXACT
 
     @property
     def is_exact(self) -> bool:
@@ -91,9 +91,9 @@ EXACT = Quality()
 # On the 8K frames of `bench pareto`, scenes and photos, high reaches a PSNR of at least 50 dB, fast 40 dB, draft 33 dB.
 # The opacity cuts are made for photos, in which many faint Gaussians overlap; scenes that are less deep bear cuts four
 # times as high.
-QUALITIES: dict[str, Quality] = {
-    "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 128, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
-    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.08, evaluation_error=0.02),
-    "draft": Quality(opacity_cut=1 / 20, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.02),
+QUALITIES: dict[str, dict[str, float]] = {  # the knobs of each name that are not those of EXACT
+    "exact": {},
+    "high": {"opacity_cut": 1 / 128, "colour_error": 1e-3, "lattice_error": 0.02, "evaluation_error": 0.02},
+    "fast": {"opacity_cut": 1 / 64, "colour_error": 4e-3, "lattice_error": 0.08, "evaluation_error": 0.02},
+    "draft": {"opacity_cut": 1 / 20, "colour_error": 1e-2, "lattice_error": 0.2, "evaluation_error": 0.02},
 }

@@ -55,7 +55,7 @@ class Stats:
             torch.cuda.synchronize(self.device)
 
     def add_render(self, other: Stats) -> None:
-        """Add one of several renders in a row: their work adds up, their memory is used again."""
+        """Add a render to the sum of a sequence: work adds up, memory is reused."""
         for name, ms in other.stages_ms.items():
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
         self.intersections += other.intersections
@@ -117,7 +117,7 @@ def count_culled(gaussians: Gaussians, world_to_camera: np.ndarray, drawn: int, 
     behind = gaussians.means.double() @ pose[2, :3] + pose[2, 3] < _core.NEAR_DEPTH
     faint = ~behind & (gaussians.opacities.double() * 255 < 1)
     counts = {"behind": int(behind.sum()), "faint": int(faint.sum()), "pruned": pruned}
-    return {**counts, "outside": gaussians.count - drawn - sum(counts.values())}
+    return {**counts, "outside": len(behind) - drawn - sum(counts.values())}
 
 
 def direct_counts(counters: _core.Counters, orders: Tensor, splats: Tensor, most: int) -> dict[str, Any]:

@@ -41,7 +41,7 @@ def float_and_byte_addresses(out: Tensor) -> tuple[int, int]:
 
 
 class SceneTensors:
-    """Checked, contiguous Gaussians [B, N, ...], and the core's view of them."""
+    """Checked, contiguous Gaussians [B, N, ...], and their native view."""
 
     def __init__(self, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor):
         """Check the fields; see ImageArguments. Raises InputError."""
@@ -182,7 +182,7 @@ class Splats:
 
 
 class GradientRequest(NamedTuple):
-    """The requested gradients of ordinary images, beside those of the five fields and of the background.
+    """The gradients of ordinary images on request, in addition to the five fields and the background.
 
     Attributes:
         screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.
@@ -276,13 +276,12 @@ class CpuWorkspace:
             The answer of admit.
         """
         scene, core, native, threads = self.scene, self.scene.core, self.splats.native, self.threads
+        # `order` [I, N] begins with the splats that are drawn, nearest first; there are `drawn` [I] of them
+        order, drawn = scene.new(self.images, scene.count, dtype=torch.int32), scene.new(self.images, dtype=torch.int64)
+        self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
         with self.stats.stage("order"):
-            # `order` [I, N] begins with the splats that are drawn, nearest first; there are `drawn` [I] of them
-            order = scene.new(self.images, scene.count, dtype=torch.int32)
-            drawn = scene.new(self.images, dtype=torch.int64)
             core.order(native, order.data_ptr(), drawn.data_ptr(), threads)
         with self.stats.stage("bin"):
-            self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
             bins = _core.Bins(self.band_offsets.data_ptr(), 0)
             self.intersection_count = core.bin_count(
                 native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads
@@ -292,10 +291,11 @@ class CpuWorkspace:
             self._use_lists(scene.new(8 * self.offsets + 4 * self.intersection_count, dtype=torch.uint8))
             self.lists[: 8 * self.offsets] = self.band_offsets.view(torch.uint8)
             core.bin_fill(native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
+            buffers = [*self.splats.buffers(), order, drawn, self.lists]
         self.intersections_on_device = torch.tensor([self.intersection_count])
         self.stats.images += self.images
         self.stats.gaussians_drawn += int(drawn.sum())
-        self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
+        self.stats.add_buffers(*buffers)
         return True
 
     def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:

@@ -48,8 +48,8 @@ class CudaWorkspace:
     def _use_lists(self, lists: Tensor, unsorted: int | None = None) -> None:
         """Use lists, a tensor of bytes.
 
-        They are kept as addresses: making tensors of the parts takes the host longer, and here the device waits for it.
-        A splat's intersections are numbered by slots, in the order of the splats; gradients are written there.
+        They are kept as addresses: making tensors of the parts takes the host longer, and the device would wait. A
+        splat's intersections are numbered by slots, in the order of the splats; gradients are written there.
 
         Args:
             lists: the range of intersections of each tile, [tiles, 2] int64; the range of slots of each splat, [I, N,
@@ -63,7 +63,7 @@ class CudaWorkspace:
         tiles, sorted_tiles, slots, slot_splats = (
             0 if unsorted is None else unsorted + 4 * self.intersection_count * row for row in range(4)
         )
-        self.pair_lists = _core.cuda.Intersections(
+        self.tile_lists = _core.cuda.Intersections(
             self.intersection_count,
             tiles,
             sorted_tiles,
@@ -141,7 +141,7 @@ class CudaWorkspace:
                 indices,
                 counts,
                 ends,
-                self.pair_lists,
+                self.tile_lists,
                 self.ranges,
                 self.slot_ranges,
                 scratch,
@@ -157,7 +157,7 @@ class CudaWorkspace:
 
     def composite_images(self, cameras: _core.float32.Cameras, background: Tensor, out: _core.float32.Images) -> None:
         _core.cuda.composite_images(
-            self.splats.native, self.image, self.ranges, self.pair_lists, background.data_ptr(), out, self.stream
+            self.splats.native, self.image, self.ranges, self.tile_lists, background.data_ptr(), out, self.stream
         )
 
     def composite_direct(self, camera: NativeCamera, quality: Quality, background: Tensor, out: Tensor) -> None:
@@ -166,7 +166,7 @@ class CudaWorkspace:
             self.splats.native,
             self.image,
             self.ranges,
-            self.pair_lists,
+            self.tile_lists,
             camera.lens,
             background.data_ptr(),
             out.data_ptr(),
@@ -188,7 +188,7 @@ class CudaWorkspace:
             self.splats.native,
             self.image,
             self.ranges,
-            self.pair_lists,
+            self.tile_lists,
             images,
             gradients,
             absolute,
@@ -223,7 +223,7 @@ class CudaWorkspace:
             self.splats.native,
             self.image,
             self.ranges,
-            self.pair_lists,
+            self.tile_lists,
             camera.lens,
             image.data_ptr(),
             g_image.data_ptr(),

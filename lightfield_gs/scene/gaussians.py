@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -260,3 +261,16 @@ def map_fields(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tens
 def from_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
     """Make Gaussians on the CPU that share the memory of arrays [N, ...], named as in Gaussians.fields."""
     return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)
+
+
+def scene_hash(gaussians: Gaussians) -> str:
+    """Return the hexadecimal SHA-256 of the five fields as little-endian float32, one after the other."""
+    digest = hashlib.sha256()
+    for tensor in gaussians.fields().values():
+        digest.update(np.ascontiguousarray(tensor.detach().cpu().numpy(), "<f4").data)
+    return digest.hexdigest()
+
+
+def scene_facts(gaussians: Gaussians) -> dict[str, Any]:
+    """Return the count, the degree and the hash of one set, for the metadata of images."""
+    return {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}

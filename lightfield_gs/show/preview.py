@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -26,21 +26,14 @@ _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of th
 FILES = ("views.png", "look-around.webp", "look-around.html", *_EYES)
 _FRAMES, _LOOP_MS, _WEBP_QUALITY = 24, 60 * 46, 85
 _FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels take no longer
-# From so many Gaussians on, rendering a view takes a CPU longer than all else, and every second view has to do.
+# From this number of Gaussians on, views dominate the time on a CPU, and only every second view is rendered.
 _MANY_GAUSSIANS = 200_000
 _MOST_SPLATS = 1_000_000  # that the views have which are rendered at a time, so that threads wait less for each other
-_SHEET_VIEWS, _SHEET_WIDTH_PX = 12, 1920
+SHEET_VIEWS, SHEET_WIDTH_PX = 12, 1920
 
 
 def write_preview(
-    folder: str | Path,
-    image: np.ndarray,
-    gaussians: Gaussians,
-    panel: Panel,
-    rig: Rig,
-    background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    antialiased: bool = False,
-    view_filter: float = 0.0,
+    folder: str | Path, image: np.ndarray, gaussians: Gaussians, panel: Panel, rig: Rig, *drawn_as: Any
 ) -> list[Path]:
     """Write previews of an encoded light field into `folder`, made if absent, and return their paths.
 
@@ -50,11 +43,12 @@ def write_preview(
     look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, for eyes 63 mm apart at the viewing distance. If
     the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
-    Views are rendered at a reduced size; antialiased, view_filter: see `encode`. Raises InputError.
+    Views are rendered at a reduced size. drawn_as: background, antialiased and view_filter, as in look_around. Raises
+    InputError.
     """
     folder = make_folder(folder)
     paths = [folder / name for name in FILES[:3]]
-    frames = look_around(gaussians, panel, rig, background, antialiased, view_filter)
+    frames = look_around(gaussians, panel, rig, *drawn_as)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
         write_image(paths[0], contact_sheet(frames))
@@ -65,7 +59,7 @@ def write_preview(
 
 
 def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
-    """The pictures of the two eyes; none, and none left over either, where the panel does not say where they are."""
+    """Write the pictures of the two eyes; remove old pictures if the panel does not state the eyes' positions."""
     paths = [folder / name for name in _EYES]
     if missing_geometry(panel):
         for path in paths:
@@ -85,7 +79,7 @@ def look_around(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> list[np.ndarray]:
-    """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
+    """Return views spread over the fan, left-most first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
     small_panel, small_rig = rig.reduced(panel, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
     is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
     positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
@@ -108,20 +102,19 @@ def look_around(
 
 
 def contact_sheet(frames: list[np.ndarray]) -> np.ndarray:
-    """Twelve of the frames, in rows of four, or of six where they are upright: uint8 [H, W, 3]."""
+    """Return twelve of the frames in rows of four, or of six if upright: uint8 [H, W, 3]."""
     from PIL import Image
 
     height, width = frames[0].shape[:2]
     columns = 4 if width >= height else 6
-    scale = min(1.0, _SHEET_WIDTH_PX / columns / width)
+    scale = min(1.0, SHEET_WIDTH_PX / columns / width)
     size = max(1, round(scale * width)), max(1, round(scale * height))
-    chosen = np.linspace(0, len(frames) - 1, _SHEET_VIEWS).round().astype(int)
-    views = [np.asarray(Image.fromarray(frames[i]).resize(size, Image.Resampling.BOX)) for i in chosen]
-    return np.concatenate([np.concatenate(views[i : i + columns], 1) for i in range(0, len(views), columns)])
+    chosen = np.linspace(0, len(frames) - 1, SHEET_VIEWS).round().astype(int)
+    return in_rows([np.asarray(Image.fromarray(frames[i]).resize(size, Image.Resampling.BOX)) for i in chosen], columns)
 
 
 def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
-    """round((2^bits - 1) clamp(c, 0, 1)) of a float image; bits 8 or 16. NaN becomes 0."""
+    """Return round((2^bits - 1) clamp(c, 0, 1)) of a float image; bits is 8 or 16. NaN becomes 0."""
     top = (1 << bits) - 1
     out = np.empty(image.shape, np.uint8 if bits == 8 else np.uint16)
     for first in range(0, len(image), 16):  # in strips that stay in the cache
@@ -135,24 +128,16 @@ def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
 
 
 def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
-    """A loop of the frames, there and back."""
+    """Write a loop of the frames, there and back."""
     from PIL import Image
 
     images = [Image.fromarray(frame) for frame in [*frames, *frames[-2:0:-1]]]
+    loop: dict[str, Any] = dict(save_all=True, append_images=images[1:], duration=round(_LOOP_MS / len(images)), loop=0)
     with atomic_path(path) as temporary:
-        images[0].save(
-            temporary,
-            save_all=True,
-            append_images=images[1:],
-            duration=round(_LOOP_MS / len(images)),
-            loop=0,
-            quality=_WEBP_QUALITY,
-            method=2,
-        )
+        images[0].save(temporary, quality=_WEBP_QUALITY, method=2, **loop)
 
 
 _PAGE = Path(__file__).parent / "page" / "files" / "look_around.html"
-_WEBP_QUALITY = 85
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
@@ -170,11 +155,20 @@ def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: st
 
 
 def _data_url(frame: np.ndarray) -> str:
+    data = image_bytes(frame, "WEBP", quality=_WEBP_QUALITY, method=2)
+    return f"data:image/webp;base64,{base64.b64encode(data).decode()}"
+
+
+def image_bytes(pixels: np.ndarray, kind: str, **options: int) -> bytes:
+    """Return a file of uint8 [H, W, 3] in memory, by Pillow.
+
+    It has no colour profile: browsers show its bytes unchanged.
+    """
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(frame).save(file, "WEBP", quality=_WEBP_QUALITY, method=2)
-    return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
+    Image.fromarray(pixels).save(file, kind, **options)
+    return file.getvalue()
 
 
 def in_rows(pictures: Sequence[np.ndarray], columns: int = 4) -> np.ndarray:

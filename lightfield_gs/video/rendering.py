@@ -9,12 +9,10 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-import numpy as np
 from torch import Tensor
 from tqdm import tqdm
 
 from lightfield_gs.base.arrays import Colour, to_bytes
-from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
@@ -135,26 +133,6 @@ class Sink(AbstractContextManager, Protocol):
 
     def fetch(self, image: Tensor) -> Any: ...
     def put(self, number: int, image: Any) -> None: ...
-
-
-class NullSink:
-    """Discards frames, to measure rendering alone."""
-
-    def __init__(self, count: int):
-        self.missing = list(range(count))
-
-    def __enter__(self) -> NullSink:
-        return self
-
-    def fetch(self, image: Tensor) -> np.ndarray:
-        """Copy the frame to the host."""
-        return to_numpy(image)
-
-    def put(self, number: int, image: np.ndarray) -> None:
-        """Discard it."""
-
-    def __exit__(self, *_: object) -> None:
-        return None
 
 
 @dataclass

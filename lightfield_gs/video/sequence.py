@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.atomic import sha256
+from lightfield_gs.io.atomic import checked_path, sha256
 from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import write_image
@@ -92,7 +91,7 @@ def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) ->
         in_time: see `timeline`.
 
     Raises:
-        InputError: where there are none.
+        InputError: there are no images.
     """
     path = checked_path(path)
     if not path.is_dir():

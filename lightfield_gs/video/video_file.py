@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from torch import Tensor
@@ -27,8 +26,7 @@ _WAITING = 4  # frames between the drawing and the encoder
 _BT709 = 1  # the number of ITU-T H.273 for primaries, transfer and matrix
 
 
-@dataclass(frozen=True)
-class _Codec:
+class _Codec(NamedTuple):
     """A codec.
 
     Attributes:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import checked_path
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import refuse_large_non_image, refuse_video
 from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.io.pillow_images import pillow_errors
@@ -140,12 +140,10 @@ def _exif_layout(path: Path) -> FileLayout | None:
     if not {"LKGColumns", "LKGRows"} <= tags.keys():
         return None
     try:
-        numbers = {
-            key: float(tags[key]) for key in tags if key in ("LKGColumns", "LKGRows", "LKGAspect", "LKGNumViews")
-        }
-        layout = QuiltLayout(
-            int(numbers["LKGColumns"]), int(numbers["LKGRows"]), round(numbers.get("LKGAspect", 1.0), 4)
-        )
+        names = {"LKGColumns", "LKGRows", "LKGAspect", "LKGNumViews"} & tags.keys()
+        numbers = {key: float(tags[key]) for key in names}
+        columns, rows = int(numbers["LKGColumns"]), int(numbers["LKGRows"])
+        layout = QuiltLayout(columns, rows, round(numbers.get("LKGAspect", 1.0), 4))
         count = int(numbers.get("LKGNumViews", layout.views))
     except (InputError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: its Exif cannot be used ({error}); give tiles=COLUMNSxROWS") from None
@@ -184,7 +182,7 @@ class ViewSet:
     Attributes:
         views: the views.
         aspect: width by height of a displayed view; None where nothing tells it.
-        description: of what was found.
+        description: description of the files found.
         colours: the conversion of their colours.
     """
 
@@ -207,15 +205,7 @@ class QuiltMovie:
         InputError: where the range has no frames.
     """
 
-    def __init__(
-        self,
-        movie: Movie,
-        stated: FileLayout,
-        span: FrameRange,
-        colours: ViewColours,
-        top_first: bool,
-        right_to_left: bool,
-    ):
+    def __init__(self, movie: Movie, stated: FileLayout, span: FrameRange, colours: ViewColours, **order: bool):
         self.layout, is_known, self._count = stated
         self.aspect = self.layout.aspect if is_known else None
         self.numbers = span.numbers(movie.count)
@@ -223,29 +213,21 @@ class QuiltMovie:
             raise InputError(f"{movie.path}: span= takes none of its {movie.count} frames")
         self.fps = None if movie.fps is None else movie.fps / span.step
         self.description = f"a movie of {len(self.numbers)} quilts of {self.layout.columns} x {self.layout.rows} views"
-        self.colours, self._movie = colours, movie
-        self._top_first, self._right_to_left = top_first, right_to_left
+        self.colours, self._movie, self._order = colours, movie, order
 
     def frames(self) -> Iterator[QuiltViews]:
         """Yield the views of each frame; note frames that are missing at the end. Raises InputError."""
-        made = 0
+        made, path = 0, self._movie.path
         for _, pixels in self._movie.frames(self.numbers):
-            picture = self.colours.convert(Picture(pixels), self._movie.path)
-            yield QuiltViews(
-                picture,
-                self.layout,
-                str(self._movie.path),
-                count=self._count,
-                top_first=self._top_first,
-                right_to_left=self._right_to_left,
-            )
+            picture = self.colours.convert(Picture(pixels), path)
+            yield QuiltViews(picture, self.layout, str(path), count=self._count, **self._order)
             made += 1
         if not made:
-            raise InputError(f"{self._movie.path}: none of its frames can be read; it is cut")
+            raise InputError(f"{path}: none of its frames can be read; it is cut")
         if made < len(self.numbers):
             assume(
-                f"{self._movie.path} ends before its frame {self.numbers[made]} of {self._movie.count}: it is cut, or "
-                "its header counts what is not shown"
+                f"{path} ends before its frame {self.numbers[made]} of {self._movie.count}: it is cut, or its header "
+                "counts what is not shown"
             )
 
 
@@ -285,7 +267,7 @@ def open_views(
     if row is not None:
         raise InputError(f"{path}: row= is about the cameras of a folder, and this is a file; leave it out")
     if is_movie(path):
-        return _read_movie(path, colours, tiles, span, top_first, right_to_left)
+        return _read_movie(path, colours, tiles, span, top_first=top_first, right_to_left=right_to_left)
     if span is not None:
         refuse_video(path)
         raise InputError(
@@ -324,32 +306,26 @@ def _read_quilt(
     used = "" if views.count == layout.views else f", {views.count} used"
     description = f"a quilt of {layout.columns} x {layout.rows} views{used}"
     if any(left := views.layout.left_over_px()):
-        description += (
-            f", {left[0]} pixels at the right and {left[1]} at the {'bottom' if top_first else 'top'} left over"
-        )
+        side = "bottom" if top_first else "top"
+        description += f", {left[0]} pixels at the right and {left[1]} at the {side} left over"
     return ViewSet(views, layout.aspect if is_known else None, description, colours)
 
 
 def _read_movie(
-    path: Path,
-    colours: ViewColours,
-    tiles: tuple[int, int] | None,
-    span: FrameRange | None,
-    top_first: bool,
-    right_to_left: bool,
+    path: Path, colours: ViewColours, tiles: tuple[int, int] | None, span: FrameRange | None, **order: bool
 ) -> ViewSet | QuiltMovie:
     stated = read_quilt_layout(path, tiles)
     movie = Movie(path, in_time=stated is not None)  # frames that are no quilts are views, and come once each
     if stated is not None:
-        return QuiltMovie(movie, stated, span or FrameRange(), colours, top_first, right_to_left)
+        return QuiltMovie(movie, stated, span or FrameRange(), colours, **order)
     if span is None:
         raise InputError(
             f"{path}: has {movie.count} frames, and nothing says what they are; where each is a view, as the camera "
             f"slides to the right, give span=FIRST:LAST:STEP, such as 0:{movie.count - 1}; where each is a quilt, "
             f"tiles=COLUMNSxROWS, or rename it to {path.stem}_qs<columns>x<rows>a<aspect>{path.suffix}"
         )
-    if top_first:
+    if order["top_first"]:
         raise InputError(f"{path}: top_first= is about quilts, and its frames are views; leave it out")
-    views = FrameViews(movie, span, colours, right_to_left)
+    views = FrameViews(movie, span, colours, order["right_to_left"])
     description = f"{views.count} frames as views, from {views.first_frame} to {views.last_frame}"
     return ViewSet(views, views.width_px / views.height_px, description, colours)

@@ -36,7 +36,7 @@ def test_encode_prints_what_was_skipped(folder, capsys):
     plain = run(capsys, "encode s.ply -o o.png --panel p.yaml")
     shown = run(capsys, "encode s.ply -o o.png --panel p.yaml --stats").splitlines()
     assert plain.splitlines()[2:] == shown[-1:] and shown[-1].startswith("axes: -y is up (assumed: ")
-    assert shown[2].startswith("pairs of tile and Gaussian: ")
+    assert shown[2].startswith("intersections of tile and Gaussian: ")
     assert re.fullmatch(r"of 60 Gaussians not drawn: \d+ behind, \d+ faint, \d+ pruned, \d+ outside", shown[3])
     for start in (
         "colours by polynomial order",

@@ -7,7 +7,7 @@ import pytest
 import torch
 from command_line import complaint
 
-from lightfield_gs import cli
+from lightfield_gs import _core, cli
 from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.scenes import files as scene_file
@@ -168,7 +168,9 @@ def test_an_input_is_never_written_over(folder, capsys, line, name):
     ],
 )
 def test_cuda_is_asked_for_in_vain(folder, capsys, monkeypatch, devices, version, words):
-    monkeypatch.setattr("lightfield_gs.build_info", lambda: {"devices": devices})
+    monkeypatch.setattr(_core, "cuda", None, raising=False)
+    if "cuda" not in devices:
+        monkeypatch.delattr(_core, "cuda")
     monkeypatch.setattr(torch.version, "cuda", version)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert words in complaint(capsys, "encode s.ply -o o.png --panel p.yaml --device cuda")

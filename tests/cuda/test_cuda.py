@@ -21,7 +21,6 @@ from rasterizer_cases import CELLS, MIRRORED
 from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, _core, encode, prune, render
 from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.rasterizer import frame_cuda
-from lightfield_gs.rasterizer.quality import QUALITIES
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -152,7 +151,7 @@ def test_what_is_smooth_is_drawn_from_a_lattice(kernel, quality, views, changes,
     error = (found.cpu().clamp(0, 1) - exact).abs()
     assert stats["kernel"] == kernel and min(stats["skipped"]["tiles"].values()) >= 2
     assert (error**2).mean() < {"high": 1e-5, "fast": 1e-4}[quality]
-    assert error[:, :64].max() <= 2 * QUALITIES[quality].lattice_error  # smooth there
+    assert error[:, :64].max() <= 2 * Quality.of(quality).lattice_error  # smooth there
     again = encode(on_gpu(scene), panel, fan, quality=quality, **options)
     assert torch.equal(found, again)
     bytes_ = encode(on_gpu(scene), panel, fan, quality=quality, **{**options, "output": "uint8"})

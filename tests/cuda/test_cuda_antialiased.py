@@ -74,7 +74,7 @@ def test_an_encoder_a_view_and_pruning_do_the_same():
 
 
 @pytest.mark.parametrize(
-    ("sensor", "softer"), [*(("lens", softer) for softer in SOFTER), ("dense", dict(antialiased=True))]
+    ("sensor", "softer"), [*(("direct", softer) for softer in SOFTER), ("images", dict(antialiased=True))]
 )
 @pytest.mark.parametrize("scene", [lambda: cases.fine(1), cases.beams])
 def test_gradients_are_those_of_float64(sensor, softer, scene):

@@ -11,26 +11,26 @@ from lightfield_gs import reference
 
 pytestmark = EMULATED
 
-DRAWN = ("dense", "rooms", "gradients", "antialiased gradients", "view filter", "fit")
+DRAWN = ("images", "capacities", "gradients", "antialiased gradients", "view filter", "fit")
 
 
 def test_images_and_gradients_are_those_of_float64(drawn):
-    found = drawn("dense")
-    for name, expected in cases.dense_step(torch.float64).items():
+    found = drawn("images")
+    for name, expected in cases.images_step(torch.float64).items():
         error = (found[name].double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
 
 
-def test_splats_that_fill_images_and_room_for_pairs(drawn):
-    """Slots that a block adds up together; and with too little room nothing but the images is wrong, which is said."""
-    found, expected = drawn("rooms"), intersection_cases.images_and_gradients(torch.float64)[0]
+def test_splats_that_fill_images_and_capacities_for_intersections(drawn):
+    """A block adds up the intersections; with too little capacity only the images are wrong, which is reported."""
+    found, expected = drawn("capacities"), intersection_cases.images_and_gradients(torch.float64)[0]
     for name, right in expected.items():
         error = (found["waited"][name].double() - right).norm() / right.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
         assert torch.equal(found["enough"][name], found["waited"][name]), name
-    assert found["pairs"] > intersection_cases.SCENES * intersection_cases.VIEWS * 4 * 256
+    assert found["intersections"] > intersection_cases.SCENES * intersection_cases.VIEWS * 4 * 256
     for short in found["short"]:
-        assert short["pairs"] == found["pairs"] and short["buffers"] > 10 and short["intact"]
+        assert short["intersections"] == found["intersections"] and short["buffers"] > 10 and short["intact"]
 
 
 def test_gradients_of_long_needles_and_short_quaternions_are_those_of_float64(drawn):
@@ -44,7 +44,7 @@ def test_gradients_of_long_needles_and_short_quaternions_are_those_of_float64(dr
 def test_antialiased_images_and_gradients_are_those_of_float64(drawn):
     found = iter(drawn("antialiased gradients"))
     for scene in (cases.fine(1), cases.beams()):
-        for sensor in ("lens", "dense"):
+        for sensor in ("direct", "images"):
             have = next(found)
             for name, expected in cases.gradients(scene, sensor, torch.float64, antialiased=True).items():
                 error = (have[name].double() - expected).norm() / expected.norm()
@@ -60,7 +60,7 @@ def test_filtered_views_and_their_gradients_are_those_of_the_oracle(drawn):
         expected = reference.subpixel_colours(scene, panel, rig, *where, **options)
         assert found["kernel"] == kernel
         assert ((found["image"].numpy().ravel() - expected) ** 2).mean() < 1e-8, name
-    expected = cases.gradients(cases.fine(1), "lens", torch.float64, view_filter=cases.VIEW_FILTER)
+    expected = cases.gradients(cases.fine(1), "direct", torch.float64, view_filter=cases.VIEW_FILTER)
     for name, value in expected.items():
         error = (gradients[name].double() - value).norm() / value.norm()
         assert error < (1e-5 if name == "image" else 5e-3), name

@@ -12,7 +12,6 @@ from cuda_on_cpu.drawings import EMULATED
 
 from lightfield_gs import Quality, encode, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.rasterizer.quality import QUALITIES
 
 pytestmark = EMULATED
 
@@ -46,7 +45,7 @@ def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
         assert frame["tried_tiles"] == frame["lattice_tiles"] + frame["refused_tiles"]  # worth it, and none is empty
         assert (error**2).mean() < {"high": 1e-5, "fast": 1e-4}[quality], (kernel, quality)  # 50 and 40 dB
         # Smooth on the left, where nothing but the lattice and the stop err
-        left, allowed = error[:, :64].max(), QUALITIES[quality].lattice_error
+        left, allowed = error[:, :64].max(), Quality.of(quality).lattice_error
         assert 1e-4 < left <= 2 * allowed, (kernel, quality)
     # Without lists everything is left to the kernel; bytes are the rounded floats, but for how ties are rounded
     assert crowded["lattice_tiles"] == 0 and crowded["refused_tiles"] > 0
@@ -74,7 +73,7 @@ def test_tiles_with_nothing_in_them_are_background(drawn):
         right, background = slice(120, None), torch.tensor(cases.BACKGROUND)
         assert (floats["image"][:, right] - background).abs().max() < 1e-3, kernel
         assert (bytes_["image"][:, right] - 255 * background).abs().max() <= 0.5 + 1e-3 * 255, kernel
-        assert (floats["image"].clamp(0, 1) - expected.clamp(0, 1)).abs().max() < 4 * QUALITIES[quality].lattice_error
+        assert (floats["image"].clamp(0, 1) - expected.clamp(0, 1)).abs().max() < 4 * Quality.of(quality).lattice_error
         drawn_tiles = floats["lattice_tiles"] + floats["refused_tiles"]
         assert 2 <= drawn_tiles <= (-(-120 // 64) * -(-71 // 32) if kernel != "lens-column" else 8)
 
@@ -100,7 +99,8 @@ def test_a_sample_that_ends_leaves_its_rest_to_the_background(drawn):
         where = [axis.ravel() for axis in np.indices((panel.height_px, panel.width_px, 3))]
         expected = reference.subpixel_colours(scene, panel, rig, *where, background=cases.BACKGROUND)
         ended = np.abs(expected - (0.5 + SH_CONSTANT * scene.sh[0, 0, 0].item())) < 3e-4  # nothing else shows of others
-        # What is left is 1e-4 or little more; drawn to the end, these would be off by that times the contrast
+        # The transmittance left is 1e-4 or little more. Drawn to the end, these samples would err by it times the
+        # contrast
         assert ended.mean() > 0.3 and np.abs(frame["image"].numpy().ravel() - expected)[ended].mean() < 1e-5, kernel
 
 
@@ -124,7 +124,7 @@ def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):
     where = [random.integers(0, size, 2000) for size in (panel.height_px, 128, 3)]
     colours = reference.subpixel_colours(scene, panel, rig, *where, background=cases.BACKGROUND)
     error = np.abs(image.numpy()[tuple(where)] - np.clip(colours, 0, 1))
-    assert error.max() <= 2 * QUALITIES[quality].lattice_error
+    assert error.max() <= 2 * Quality.of(quality).lattice_error
 
 
 def test_a_frame_is_pruned_as_on_the_cpu(drawn):

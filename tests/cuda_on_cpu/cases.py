@@ -14,7 +14,6 @@ from torch import Tensor
 from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 from lightfield_gs.panels.panel import DEFAULT_PANEL
-from lightfield_gs.rasterizer.quality import QUALITIES
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {
@@ -47,7 +46,7 @@ COMPACT_FRAMES = [
 ]
 
 
-# Gaussians, SH degree, order of colours and pairs of frames whose memory is counted
+# Gaussians, SH degree, order of colours and intersections of frames whose memory is counted
 _M = 10**6
 WORK_BUFFERS = [(0, 0, 0, 0), (_M, 0, 0, 0), (_M, 0, 0, 26 * _M), (0, 3, 8, 26 * _M), (_M, 3, 8, 26 * _M)]
 
@@ -145,8 +144,10 @@ def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
 
 
 def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
-    """Scenes before whole panels, the default one and one with a cone of 53 degrees; the last of each has thin discs,
-    of which S varies much."""
+    """Scenes before two whole panels: the default panel, and a panel with a cone of 53 degrees.
+
+    The last scene of each has thin discs, whose S varies much.
+    """
     panels = [Panel.load(DEFAULT_PANEL), Panel(7680, 3840, 96, 16.013, math.tan(0.18), cone_deg=53.0)]
     flat = cloud(8192)
     flat.scales[:, 2] = 1e-4
@@ -166,8 +167,7 @@ WIDEST = [
 
 
 def widest(changes: dict[str, Any]) -> tuple[Gaussians, Panel, Rig]:
-    """Gaussians of which S varies by orders of magnitude from one end of a rig to the other, or much from one view to
-    the next."""
+    """Gaussians whose S varies by orders of magnitude along a rig, or much from one view to the next."""
     panel, scene = replace(panel_of("default"), **changes), sheet(12, 11)
     return scene, panel, rig_of(panel)
 
@@ -187,18 +187,18 @@ def short_quaternions() -> Gaussians:
     return replace(scene, quaternions=3.3e-39 * scene.quaternions)
 
 
-HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("lens", "dense")]
+HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("direct", "images")]
 
 
 def gradients(
     scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bool = False, view_filter: float = 0.0
 ) -> dict[str, Tensor]:
-    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense"), and the image."""
+    """Return the gradients of a loss on a light-field image (direct) or on ordinary images, and the image."""
     panel = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0})
     scene, rig = scene.to(dtype=dtype), rig_of(panel)
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
     given = Gaussians(**leaves)
-    if sensor == "lens":
+    if sensor == "direct":
         output = str(dtype).removeprefix("torch.")
         options = dict(antialiased=antialiased, view_filter=view_filter)
         image = encode(given, panel, rig, background=BACKGROUND, output=output, **options)
@@ -297,7 +297,7 @@ def needles() -> tuple[Gaussians, Panel, Rig]:
     return Gaussians(*(torch.cat(part) for part in parts)), panel, rig_of(panel)
 
 
-WIDE_QUALITY = replace(QUALITIES["high"], evaluation_error=0.0)  # a lattice, and nothing in halves
+WIDE_QUALITY = replace(Quality.of("high"), evaluation_error=0.0)  # a lattice, and nothing in halves
 
 
 def wide_rig() -> tuple[Gaussians, Panel, Rig]:
@@ -342,7 +342,7 @@ def half_frame(changes: dict[str, Any], degree: int, brightness: float) -> tuple
     return scene, panel, rig_of(panel)
 
 
-def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
+def images_step(dtype: torch.dtype) -> dict[str, Tensor]:
     """Images of two scenes before three cameras, and the gradients of a loss on them."""
     panel = Panel(**{**LENS, "width_px": 45, "height_px": 21, "views": 3})
     scenes = [with_harmonics(sheet(16, seed), 1) for seed in range(2)]

@@ -1,9 +1,9 @@
 """python draw.py MODULE OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
-Draws each case whose name comes in a line of its input, and answers with the exit code of the process that drew it: one
-of its own for each, since some change what others rely on, which starts where all has been imported. OUT/NAME.pt: by
-torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense, of
-gradients and of norms. OUT/NAME.log: what the process said.
+It reads the names of cases, one a line, and answers each with the exit code of the process that drew it. Every case has
+a process of its own, forked after all imports, because some cases change what others need. OUT/NAME.pt, by torch.save,
+is a list with the image and the counters of every frame of cases.py, or the numbers of images, gradients and norms.
+OUT/NAME.log is the output of the process.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from lightfield_gs.rasterizer.quality import EXACT, Quality
 
 
 def frame(kernel: str, name: str, degree: int, views: str, dtype: torch.dtype = torch.float32) -> dict[str, object]:
-    """Continuous views: with half the places that the pairs need."""
-    panel, share = cases.panel_of(name), 0.5 if views == "continuous" else 1.01
-    return drawn(cases.scene_of(degree), panel, cases.rig_of(panel), views, kernel, EXACT, share, dtype)
+    """Continuous views: with a capacity for half of the intersections."""
+    panel, capacity = cases.panel_of(name), 0.5 if views == "continuous" else 1.01
+    return drawn(cases.scene_of(degree), panel, cases.rig_of(panel), views, kernel, EXACT, capacity, dtype)
 
 
 def lattice_frame(
@@ -48,10 +48,10 @@ def lattice_frame(
     views: str,
     changes: dict,
     degree: int,
-    share: float = 1.0,
+    capacity: float = 1.0,
     dtype: torch.dtype = torch.float32,
 ) -> dict[str, object]:
-    return drawn(*cases.lattice_frame(changes, degree), views, kernel, Quality.of(quality), share, dtype)
+    return drawn(*cases.lattice_frame(changes, degree), views, kernel, Quality.of(quality), capacity, dtype)
 
 
 def drawn(
@@ -61,13 +61,13 @@ def drawn(
     views,
     kernel,
     quality,
-    share,
+    capacity,
     dtype=torch.float32,
     colour_order=8,
     antialiased=False,
     view_filter=0.0,
 ) -> dict[str, object]:
-    """kernel: None, if the frame chooses. share: of the places that the pairs need."""
+    """Draw a frame. kernel: None, if the frame chooses. capacity: for intersections, as a fraction of their number."""
     job = DirectRender(
         scene.fields().values(),
         torch.tensor(cases.BACKGROUND),
@@ -75,14 +75,14 @@ def drawn(
         antialiased,
     )
 
-    def with_places(places: int) -> frame_cuda.DirectFrame:
+    def with_capacity(intersections: int) -> frame_cuda.DirectFrame:
         order = colour_order if job.scene.degree else 0
-        return frame_cuda.DirectFrame(job, quality, order, places, kernel)
+        return frame_cuda.DirectFrame(job, quality, order, intersections, kernel)
 
-    probe = with_places(0)
+    probe = with_capacity(0)
     probe.project(), probe.bin()
     image = torch.full((job.height, job.width, 3), 7, dtype=dtype)
-    frame = with_places(int(share * probe.state()["intersections"]))
+    frame = with_capacity(int(capacity * probe.state()["intersections"]))
     frame.draw(job.background, image)
     return {"image": image, "layout": frame.native.lens_column_layout, **frame.state()}
 
@@ -100,7 +100,7 @@ def harmonic_piece() -> dict[str, object]:
     return drawn(*cases.harmonic_piece(), "integer", "lens-column", EXACT, 1.0, colour_order=8)
 
 
-def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
+def work_bytes(gaussians: int, degree: int, order: int, intersections: int) -> int:
     """What the work buffer of a frame takes, before the default 8K panel."""
     panel = Panel.load(DEFAULT_PANEL)
     job = DirectRender(
@@ -110,7 +110,7 @@ def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
     )
     frame = lightfield_gs._core.cuda.DirectFrame(
         gaussians=gaussians, sh_degree=degree, colour_order=order, rig=job.native.rig, lens=job.native.lens,
-        capacity=pairs, quality=EXACT.native, colour_error=1e-5, left_out=1e-5, shared_memory=0,
+        capacity=intersections, quality=EXACT.native, colour_error=1e-5, left_out=1e-5, shared_memory=0,
     )  # fmt: skip
     return frame.bytes()
 
@@ -139,16 +139,16 @@ def parabolas(kernel: str, cone_deg: float) -> list[dict[str, object]]:
     ]
 
 
-def recoloured(kernel: str, quality: str, views: str, changes: dict, share: float) -> dict[str, object]:
-    """An image with other harmonics than the frame was binned with, and that of a frame that begins with them."""
+def recoloured(kernel: str, quality: str, views: str, changes: dict, capacity: float) -> dict[str, object]:
+    """An image with other harmonics than in binning, and the image of a frame that has them from the start."""
     scene, panel, rig = cases.lattice_frame(changes, 1)
-    expected = drawn(scene, panel, rig, views, kernel, Quality.of(quality), share)
+    expected = drawn(scene, panel, rig, views, kernel, Quality.of(quality), capacity)
     right = scene.sh.clone()
     scene.sh.neg_()
     job = DirectRender(
         scene.fields().values(), torch.tensor(cases.BACKGROUND), lenticular_camera(panel, rig, views == "continuous")
     )
-    frame = frame_cuda.DirectFrame(job, Quality.of(quality), 8, int(share * expected["intersections"]), kernel)
+    frame = frame_cuda.DirectFrame(job, Quality.of(quality), 8, int(capacity * expected["intersections"]), kernel)
     image = torch.full((job.height, job.width, 3), 7.0)
     frame.draw(job.background, image)
     scene.sh.copy_(right)
@@ -158,12 +158,12 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
 
 
 def in_chunks() -> list[dict[str, object]]:
-    """Images by `sorted` without a budget, and with parts of what all views at once take, over memory with junk."""
+    """Images by `sorted` without a budget, and with parts of the memory of all views at once, over memory with junk."""
     empty, images = torch.empty, []
     torch.empty = lambda *shape, **options: empty(*shape, **options).fill_(77)
     whole = None
-    for share in (None, 1, 3, 9):
-        image, memory = cases.sorted_frame(None if share is None else whole // share)
+    for parts in (None, 1, 3, 9):
+        image, memory = cases.sorted_frame(None if parts is None else whole // parts)
         whole = whole or memory["memory_bytes_unchunked"]
         images.append({"image": image, **memory})
     return images
@@ -172,7 +172,7 @@ def in_chunks() -> list[dict[str, object]]:
 def compensated(
     kernel: str | None, name: str, degree: int, views: str, quality: str, **options: object
 ) -> dict[str, object]:
-    """With half the places that the pairs need, if views are continuous."""
+    """With a capacity for half of the intersections, if views are continuous."""
     panel, continuous = cases.panel_of(name), views == "continuous"
     kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as DirectFrames does
     return drawn(
@@ -189,10 +189,10 @@ def main(what: str) -> object:
         ]
     if what == "fit":
         return fit_cases.fitted(torch.float32)
-    if what == "rooms":
+    if what == "capacities":
         return intersection_cases.with_capacities()
-    if what == "dense":
-        return cases.dense_step(torch.float32)
+    if what == "images":
+        return cases.images_step(torch.float32)
     if what == "words":
         return [
             lattice_frame("pixel", "fast", "integer", changes, 0, dtype=dtype)
@@ -205,7 +205,7 @@ def main(what: str) -> object:
         return [
             *found,
             lattice_frame(*first, degree=1),
-            lattice_frame(*first, degree=0, share=0.5),
+            lattice_frame(*first, degree=0, capacity=0.5),
             lattice_frame(*first, degree=0, dtype=torch.uint8),
             *(
                 drawn(*scene, "integer", "pixel", cases.WIDE_QUALITY, 1.0)
@@ -232,24 +232,24 @@ def main(what: str) -> object:
         return [compensated(*case, antialiased=True) for case in cases.ANTIALIASED]
     if what == "view filter":
         found = [compensated(*case, view_filter=cases.VIEW_FILTER) for case in cases.FILTERED]
-        return [*found, cases.gradients(cases.fine(1), "lens", torch.float32, view_filter=cases.VIEW_FILTER)]
+        return [*found, cases.gradients(cases.fine(1), "direct", torch.float32, view_filter=cases.VIEW_FILTER)]
     if what == "antialiased gradients":
         return [
             cases.gradients(scene, sensor, torch.float32, antialiased=True)
             for scene in (cases.fine(1), cases.beams())
-            for sensor in ("lens", "dense")
+            for sensor in ("direct", "images")
         ]
     if what == "chosen":
         return [chosen(*case) for case in cases.wide_frames()]
     if what == "widest":
         return [drawn(*cases.widest(changes), views, kernel, EXACT, 1.0) for kernel, views, changes in cases.WIDEST]
     if what == "crowd":
-        return [drawn(*cases.crowd(), "integer", "pixel-quadratic", EXACT, share) for share in (1.0, 0.5)]
+        return [drawn(*cases.crowd(), "integer", "pixel-quadratic", EXACT, capacity) for capacity in (1.0, 0.5)]
     if what == "pruned":
         panel = cases.panel_of("default")
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
     if what == "recoloured":
-        return [recoloured(*case, share) for case, share in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
+        return [recoloured(*case, capacity) for case, capacity in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
     if what == "sorted":
         return in_chunks()
     if what == "norms":

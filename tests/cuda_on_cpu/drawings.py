@@ -69,8 +69,10 @@ class Drawer:
 
 
 class Drawings:
-    """What is drawn by two at a time: by one all of it from the last on, while tests ask for it from the first on and
-    have the other draw what has not begun."""
+    """The drawings of all cases, by two drawers.
+
+    One draws all cases from the last to the first. Tests ask from the first on, and the other draws what has not begun.
+    """
 
     def __init__(self, module: str, folder: Path, names: Sequence[str]):
         self.asked, self.ahead = (Drawer(module, folder) for _ in range(2))

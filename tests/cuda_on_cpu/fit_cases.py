@@ -1,5 +1,7 @@
-"""What the stages of fitting of a device are compared with those of the CPU on: a GPU, or the CUDA stages compiled for
-the CPU."""
+"""Cases of the stages of fitting, on which a device is compared with the CPU.
+
+The device is a GPU, or the CUDA stages compiled for the CPU.
+"""
 
 from __future__ import annotations
 
@@ -64,8 +66,8 @@ def update_case(harmonics: int, count: int, special: str, dtype: torch.dtype, de
     )
     first, second = fields.zeros_like(), fields.zeros_like()
     scales, opacities = activate(fields)
-    shares = dict(noise_lr=300.0, opacity_reg=0.5, scale_reg=0.5)
-    table = update_table(3, **RATES, **shares, dtype=dtype, device=device)
+    weights = dict(noise_lr=300.0, opacity_reg=0.5, scale_reg=0.5)
+    table = update_table(3, **RATES, **weights, dtype=dtype, device=device)
     step, skipped = (torch.zeros((), dtype=torch.int64, device=device) for _ in range(2))
     seen = (torch.arange(count) % 2).to(device, torch.uint8) if special == "seen" else None
     for _ in range(3):

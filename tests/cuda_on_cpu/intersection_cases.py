@@ -1,5 +1,8 @@
-"""Ordinary images before which some splats stand whose intersections a whole block adds up, with capacity for all of
-them or too little: what the CUDA stages compiled for the CPU are compared with those of the CPU on."""
+"""Ordinary images with splats so large that a whole block adds up their intersections.
+
+On these the CUDA stages compiled for the CPU are compared with the CPU's stages, with enough capacity and with too
+little.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +42,9 @@ def _arguments(dtype: torch.dtype) -> list[Tensor]:
     return [tensor.to(dtype).contiguous() for tensor in (*fields, background, *each)]
 
 
-def images_and_gradients(dtype: torch.dtype, room: int | None = None) -> tuple[dict[str, Tensor], ImageRender]:
-    """The images and gradients of a loss on them, of places with absolute values; room: capacity of ImageRender."""
-    job = ImageRender.from_arguments(ImageArguments(*_arguments(dtype), SIDE_PX, SIDE_PX), capacity=room)
+def images_and_gradients(dtype: torch.dtype, capacity: int | None = None) -> tuple[dict[str, Tensor], ImageRender]:
+    """The images and gradients of a loss on them, of places with absolute values. capacity: of ImageRender."""
+    job = ImageRender.from_arguments(ImageArguments(*_arguments(dtype), SIDE_PX, SIDE_PX), capacity=capacity)
     images, random = job.draw(), torch.Generator().manual_seed(7)
     given = ImageBuffers(*(torch.randn(image.shape, generator=random).to(image) for image in images))
     found = job.backward(images, given, GradientRequest(4))
@@ -52,24 +55,33 @@ def images_and_gradients(dtype: torch.dtype, room: int | None = None) -> tuple[d
 
 
 def with_capacities() -> dict[str, Any]:
-    """By CUDA stages: found when the host waits for the number of pairs, and with just enough room; how many pairs
-    there are, and of rooms that are too small how many they say, and whether nothing was written beside a buffer."""
+    """Return results of the CUDA stages with several capacities for intersections.
+
+    Returns:
+        waited: Images and gradients when the host waits for the number of intersections.
+        enough: The same with just enough capacity.
+        intersections: Their number.
+        short: For each capacity that is too small the number that is reported, and whether all buffers kept their
+            edges.
+    """
     waited, _ = images_and_gradients(torch.float32)
-    pairs = int(images_and_gradients(torch.float32, room=1 << 20)[1].intersections_on_device)
-    enough, _ = images_and_gradients(torch.float32, room=pairs)
+    needed = int(images_and_gradients(torch.float32, capacity=1 << 20)[1].intersections_on_device)
+    enough, _ = images_and_gradients(torch.float32, capacity=needed)
     short = []
-    for room in (pairs - 1, pairs // 2, 1):
+    for capacity in (needed - 1, needed // 2, 1):
         with Guards() as guards:
-            job = images_and_gradients(torch.float32, room)[1]
+            job = images_and_gradients(torch.float32, capacity)[1]
         short.append(
-            {"pairs": int(job.intersections_on_device), "buffers": len(guards.made), "intact": guards.intact()}
+            {"intersections": int(job.intersections_on_device), "buffers": len(guards.made), "intact": guards.intact()}
         )
-    return {"waited": waited, "enough": enough, "pairs": pairs, "short": short}
+    return {"waited": waited, "enough": enough, "intersections": needed, "short": short}
 
 
 class Guards:
-    """While it is entered, tensors that torch.empty, empty_like and zeros make have known bytes before and behind them,
-    and so has every buffer of a workspace."""
+    """Put known bytes before and behind new tensors and the buffers of workspaces, while it is entered.
+
+    It covers the tensors of torch.empty, empty_like and zeros.
+    """
 
     def __enter__(self) -> Guards:
         self.made: list[tuple[Tensor, int]] = []

@@ -50,8 +50,10 @@ def compressed(name: str, device: str = "cpu") -> dict[str, object]:
 
 
 def compare(name: str, found: dict[str, object], folder) -> None:
-    """zlib finds the filtered rows, whose checksum it looks at, and a reader of PNG files the pixels; the stream is as
-    short as runs and the best code make it."""
+    """zlib reads the filtered rows and checks their checksum; a reader of PNG files reads the pixels.
+
+    The stream is as short as runs and the best code make it.
+    """
     image, stream = IMAGES[name], found["stream"].numpy().tobytes()
     rows = image.reshape(len(image), -1)
     filtered = np.diff(rows, axis=0, prepend=rows[:1] * 0)

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.harmonics import rotations
-from lightfield_gs.models.detail import DetailLevel, SheetSurface, _flat, _sheet, upsample_along_surface
-from lightfield_gs.models.initializer import describe_pixels
+from lightfield_gs.models.detail import DetailLevel, SheetSurface, _sheet, upsample_along_surface
+from lightfield_gs.models.initializer import describe_pixels, flat
 from lightfield_gs.models.sheet import lay_texels
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
@@ -39,8 +39,10 @@ CASES = [
 
 
 def inputs(case: Case) -> tuple[SheetSurface, Tensor, Tensor]:
-    """A slanted wavy surface with an edge in the middle; a photo of an object with a soft
-    outline and haze round it; and its camera. float64."""
+    """A slanted wavy surface with an edge in the middle, a photo, and its camera, in float64.
+
+    The photo shows an object with a soft outline and haze round it.
+    """
     random = torch.Generator().manual_seed(case.width)
 
     def draw(*shape: int) -> Tensor:
@@ -79,12 +81,14 @@ def expected(case: Case) -> Gaussians:
     fine = upsample_along_surface(channels, channels[:, :1], (1 / camera[:, 0])[:, None, None, None], case.factor)
     texels = describe_pixels(photo, case.factor * camera)
     *fields, constant = _sheet(fine[:, :1], texels, case.texel_px)
-    return from_tensors([*fields, torch.cat([constant, _flat(fine[:, 1:]).unflatten(2, (-1, 3))], 2)])
+    return from_tensors([*fields, torch.cat([constant, flat(fine[:, 1:]).unflatten(2, (-1, 3))], 2)])
 
 
 def compare(case: Case, found: dict[str, Tensor]) -> None:
-    """Asserts that what a stage wrote is what PyTorch makes, as far as float32 can: slopes are differences of
-    disparities between texels, divided by their footprints."""
+    """Assert that a stage's result is PyTorch's within float32.
+
+    Slopes are differences of disparities between texels, divided by the texels' footprints.
+    """
     right = expected(case)
     assert all(field[:, -OTHERS:].isnan().all() for field in found.values())
     mine = from_tensors(field[:, :-OTHERS].double() for field in found.values())

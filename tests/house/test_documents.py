@@ -1,9 +1,9 @@
-"""README.md and docs/: commands run, what they point at is there.
+"""README.md and docs/: their commands run, and their links lead somewhere.
 
 Commands run in this process, one document after the other, each in a folder of its own with stand-ins for the files
-that it names. What would take minutes is made small: the panel, the scenes and repeats of benchmarks, the steps and
-Gaussians of fits, the steps and networks of training runs. Options that a document gives are kept, but for these, and
-for the names of panels, benchmark scenes and networks.
+that it names. Slow things are made small: panels, the scenes and repeats of benchmarks, the steps and Gaussians of
+fits, the steps and networks of training. The other options of a document stay, except the names of panels,
+benchmark scenes and networks.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""What a frame takes, against stored figures: work counted by the stages, and ratios of times, but never seconds.
+"""The work of a frame against stored figures: counters of the stages, and ratios of times, but never seconds.
 
 The counters do not depend on the machine: one thread, one vector instruction set that every x86-64-v2 processor has.
-They see more pairs, more evaluations, more memory; the ratios see an evaluation that takes longer, or a stage that no
-counter counts. Those are of processor time, which others on the machine do not add to, each the least of several runs
-by turns, and tried again before they fail. A slower `direct` or training step makes its ratio fall.
+They see more intersections, more evaluations, more memory. The ratios see a slower evaluation, or a stage without a
+counter. They are of processor time, to which other programs do not add. Each is the least of several runs by turns, and
+is tried again before it fails. A slower `direct` or training step makes its ratio fall.
 
-After a change that is meant, and on a machine with nothing else to do: python tests/house/test_performance.py --renew
+After an intended change, on an idle machine: python tests/house/test_performance.py --renew
 """
 
 from __future__ import annotations

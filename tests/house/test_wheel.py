@@ -36,8 +36,11 @@ def wheel(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def bare(wheel, tmp_path_factory) -> Path:
-    """The folder of programs of an environment that has the wheel, and of the packages of this one only what is
-    imported by its path: so none of this one's programs, nor the package as it is installed here."""
+    """Return the folder of programs of an environment with the wheel.
+
+    Of this environment it sees only packages that are imported by their path: neither its programs nor its install of
+    the package.
+    """
     folder = tmp_path_factory.mktemp("bare")
     venv.create(folder, with_pip=False)
     (packages,) = folder.glob("lib/python*/site-packages")

@@ -1,6 +1,6 @@
-// Writes what the CPU's stages compute to a file, which tests/native/test_arm.py reads: of every result a line with its
-// name, the bytes of a number and how many there are, then the numbers. The vectors are those that every processor of
-// the kind has; their name is the first line.
+// Write the results of the CPU's stages to a file, which tests/native/test_arm.py reads. Each result is a line with its
+// name, the bytes of a number and the count of the numbers, then the numbers. The program uses the vectors that every
+// processor of the kind has; their name is the first line.
 #include <cstdio>
 #include <fstream>
 

@@ -1,5 +1,7 @@
-"""The stages on 64-bit ARM (NEON) against x86-64, from the files of stages_to_file: `make test-arm` makes them, with
-QEMU in place of a processor, and names them in the environment."""
+"""The stages on 64-bit ARM (NEON) against x86-64, by files of stages_to_file.
+
+`make test-arm` makes the files, with QEMU as the processor, and names them in the environment.
+"""
 
 import os
 from pathlib import Path
@@ -19,11 +21,11 @@ WIDTH, HEIGHT, VIEWS, STEP = 150, 70, 24, int(18446744073709551615.0 / 9.85)
 FIELDS = ("means", "quaternions", "scales", "opacities", "sh")
 SHAPES = {"means": (-1, 3), "quaternions": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh": (-1, 4, 3)}
 INPUTS = (*FIELDS, "gradient")
-# By precision: how far the worst number of a result may be off, in units of its largest, and how far they may be in the
-# mean. In float32 a sample may lie on either side of a threshold, as alpha = 1/255, by the last digit of an exponent.
+# By precision: the largest error of a number of a result, and the largest mean error, in units of its largest number.
+# In float32 a sample may lie on either side of a threshold, as alpha = 1/255, by the last digit of an exponent.
 TOLERANCES = {"float32": (5e-3, 1e-5), "float64": (1e-9, 1e-12)}
-# Lattices are judged by what they get wrong, so that a tile on the brink is drawn by either way: within what
-# stages_to_file allows them, 0.5 at a check, in the worst number
+# Whether a tile has a lattice depends on the lattice's errors, so that a tile at the limit may be drawn either way. The
+# worst number stays within the limit in stages_to_file, 0.5 at a check
 LATTICE = (0.1, 1e-4)
 
 

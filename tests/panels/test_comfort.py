@@ -105,8 +105,10 @@ def test_sharp_is_what_moves_by_a_lens_a_step_at_most():
 
 
 def test_an_eye_before_the_lenses_sees_as_much_blur_as_is_said():
-    """An edge at some depth, drawn by hand and seen through the lenses: by how much wider it is than in the panel's
-    plane (full width at half maximum, of the second moment) in lenses."""
+    """Return how much wider an edge at some depth looks than in the panel's plane, in lenses.
+
+    The edge is drawn by hand and seen through the lenses. Width is full width at half maximum, by the second moment.
+    """
     panel = replace(Panel.load("65in-8k-96v"), width_px=600, height_px=120)
     rig = Rig(np.eye(4), (900.0, 900.0), (300.0, 60.0), zero_depth=2.0)
     views, columns = panel.view_map() + 0.5, np.arange(600)[:, None] + (np.arange(3) + 0.5) / 3

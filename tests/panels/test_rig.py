@@ -187,8 +187,10 @@ def test_framing_is_the_same_without_what_is_never_drawn():
 
 @pytest.mark.parametrize("count, strays", [(20, 0), (20, 2), (3, 0)])
 def test_framing_keeps_small_parts(count, strays):
-    """A thin stalk, a two-hundredth of the scene or less than a thousandth, high on top of a box is shown whole, also
-    below strays that are fewer."""
+    """A thin stalk high on top of a box is shown whole, also below fewer strays.
+
+    The stalk has a two-hundredth of the scene's Gaussians, or less than a thousandth.
+    """
     stalk = RNG.uniform(-1, 1, (count, 3)) * [0.01, 0.05, 0.01] + [3, -2.8, 7]
     rig = Rig.frame(scene(BOX.tolist() + stalk.tolist() + [[3, -40, 7]] * strays), PANEL)
     rows = [project(rig, PANEL, point)[1] for point in stalk]

@@ -79,7 +79,7 @@ def test_zones_repeat():
 @pytest.mark.parametrize("invert", [False, True])
 @pytest.mark.parametrize("z", [1400.0, 3000.0])
 def test_nearer_or_farther_the_view_drifts_as_rays_demand(z, invert):
-    """An eye at (0, 0, z) looks at a lens at X in the direction of an eye at the viewing distance L at X (1 - L/z)."""
+    """An eye at (0, 0, z) sees a lens at X in the direction of an eye at X (1 - L/z) at viewing distance L."""
     panel = Panel(
         **{**BASE, "slant_tan": 0.0, "line_number": 9.85, "width_px": 3000, "height_px": 40, "invert_views": invert}
     )
@@ -119,8 +119,10 @@ MEASURED = ((-4.0, -1.5, 0.0, 0.5, 2.0, 9.0), (0.1, 0.3, 7.0, 6.0, 0.5, 0.0))
 
 @pytest.mark.parametrize("unit", [1.0, 250.0])
 def test_a_measured_spread_of_light_in_closed_form(unit):
-    """Upright lenses of two pixels: each colour has two sub-pixels on every lens, and the eye in the middle sees the
-    one at place D of its lens at the offset D - 3, or farther by whole lenses."""
+    """Upright lenses of two pixels, so that each colour has two sub-pixels on every lens.
+
+    The eye in the middle sees the sub-pixel at place D of its lens at the offset D - 3, or farther by whole lenses.
+    """
     panel = Panel(**{**BASE, "line_number": 6.0, "slant_tan": 0.0, "phase": 0.25})
     image = np.zeros((300, 600, 3), np.float32)
     image[:, ::2] = 1

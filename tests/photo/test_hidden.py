@@ -114,8 +114,10 @@ def test_the_same_photo_gives_the_same_filling():
 
 
 def test_a_large_hole_is_filled_in_few_steps(monkeypatch):
-    """A hole of 300 x 300 pixels in a linear gradient, from a blank first guess: the gradient continues, by
-    a few steps in the full picture, however large the hole is."""
+    """A gradient continues in a hole of 300 x 300 pixels, from a blank first guess.
+
+    It takes a few steps in the full picture, however large the hole is.
+    """
     taken: dict[int, int] = {}
     steps = inpainting._conjugate_gradients
 

@@ -65,7 +65,7 @@ def test_the_hidden_layer_is_what_fills(monkeypatch):
 
     image, depth = photo_and_depth()
     whole = from_depth(image, depth, (FOCAL, FOCAL))
-    monkeypatch.setattr(hidden, "_CONSTANTS", replace(hidden._CONSTANTS, reach=0.0))
+    monkeypatch.setattr(hidden, "_C", replace(hidden._C, reach=0.0))
     torn = from_depth(image, depth, (FOCAL, FOCAL))
     assert WIDTH * HEIGHT <= torn.count < whole.count < 1.3 * WIDTH * HEIGHT
     seen_by = camera(WIDTH, HEIGHT, FOCAL, 0.3)

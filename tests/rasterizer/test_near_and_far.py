@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from lightfield_gs import Cameras, Gaussians, Panel, Rig, encode, render
-from lightfield_gs.rasterizer.quality import QUALITIES, Quality
+from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.cameras import recentre
 
 ZERO_DEPTH = 2.0
@@ -67,7 +67,7 @@ def test_a_scene_near_the_cameras_is_right_to_a_byte(nearest, degree):
     exact = encode(scene, panel, rig_of(panel), output="float32")
     for name in ("high", "fast", "draft"):  # in lattices and in rough tiles
         error = (encode(scene, panel, rig_of(panel), output="float32", quality=name) - exact).abs()
-        quality = QUALITIES[name]
+        quality = Quality.of(name)
         assert error.mean() < quality.lattice_error / 10 + quality.opacity_cut, name
 
 

@@ -92,8 +92,10 @@ def told_apart(scene, fan):
 
 
 def at_a_border(shown):
-    """Sub-pixels so little below the border of two views that the panel's phases, rounded up, are on it: by less than
-    2^-45 lens widths (Panel.phase_steps)."""
+    """Sub-pixels less than 2^-45 lens widths below the border of two views (Panel.phase_steps).
+
+    The panel's phases, rounded up, are on the border.
+    """
     places = all_subpixels(shown)
     x, view = (reference.lens_views(shown, *places, continuous=continuous) for continuous in (True, False))
     return (np.floor(x) + 1 - x <= shown.views * 2.0**-44) | (np.floor(x) != np.floor(view))

@@ -9,7 +9,7 @@ from rasterizer_cases import all_subpixels, reached
 from stress_cases import BACKENDS, BACKGROUND, CASES, EXACT, METHODS, SETTLED, check_gradients, one_thread, use_backend
 
 from lightfield_gs import Gaussians, encode, reference
-from lightfield_gs.rasterizer.quality import QUALITIES
+from lightfield_gs.rasterizer.quality import Quality
 
 
 @pytest.fixture(params=BACKENDS)
@@ -79,7 +79,7 @@ def test_no_quality_gives_up_more_than_it_states(name, quality, device):
     ).cpu()
     assert torch.isfinite(image).all()
     error = np.abs(image.numpy().ravel() - want.clip(0, 1))
-    bound = CASES[name].frame_bound(device) + given_up(name, QUALITIES[quality])
+    bound = CASES[name].frame_bound(device) + given_up(name, Quality.of(quality))
     assert (error <= bound)[margin > SETTLED].all()
 
 

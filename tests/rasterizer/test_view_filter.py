@@ -271,9 +271,11 @@ def test_the_commands_take_the_option(tmp_path, monkeypatch, capsys):
 
 
 def test_what_limits_the_filter_is_that_splats_are_blended_one_by_one():
-    """The share of light that a swept splat takes is right by itself, but blending takes what several of them cover for
-    independent. Those that stand one behind the other cover the same place at the same time: too much is covered, by
-    Jensen's inequality, for 1 - (1 - a)^k is concave in a. Those side by side cover it in turn: too little is."""
+    """A swept splat alone takes the right fraction of light, but blending treats several splats as independent.
+
+    Splats one behind the other cover a sample at the same time. Blending then covers too much, by Jensen's inequality,
+    for 1 - (1 - a)^k is concave in a. Splats side by side cover the sample in turn. Blending then covers too little.
+    """
     shown = panel(views=4, cone_deg=16.0, width_px=120, height_px=60)
     fan = rig(shown)
     one = deep_scene(1, size=0.01)

@@ -83,8 +83,8 @@ def _planner(folder: Path, **augmentation) -> BatchPlanner:
     return BatchPlanner(ResidentViews([cached]), sampler, Augmentation(**augmentation))
 
 
-def _batch(planner: BatchPlanner, *arguments, **share) -> Batch:
-    return make_batch(planner.plan(*arguments, **share), planner.views)
+def _batch(planner: BatchPlanner, *arguments, **options) -> Batch:
+    return make_batch(planner.plan(*arguments, **options), planner.views)
 
 
 @pytest.mark.parametrize("mirror", [0.0, 1.0])
@@ -125,12 +125,12 @@ def test_batch_is_a_function_of_the_step(small_set):
         assert torch.equal(a, b)
 
 
-def test_shares_make_up_the_whole_batch(small_set):
+def test_parts_make_up_the_whole_batch(small_set):
     planner = _planner(small_set)
     whole = _batch(planner, 5, 20, 4, 16)
-    shares = [_batch(planner, 5, 20, 4, 16, share=part) for part in (slice(0, 2), slice(2, 4))]
-    for all_of_it, *parts in zip(*(vars(batch).values() for batch in (whole, *shares))):
-        torch.testing.assert_close(torch.cat(parts), all_of_it, atol=1e-6, rtol=0)
+    parts = [_batch(planner, 5, 20, 4, 16, part=part) for part in (slice(0, 2), slice(2, 4))]
+    for all_of_it, *pieces in zip(*(vars(batch).values() for batch in (whole, *parts))):
+        torch.testing.assert_close(torch.cat(pieces), all_of_it, atol=1e-6, rtol=0)
 
 
 def _frame(folder: Path, planner: BatchPlanner, row: int) -> torch.Tensor:
@@ -144,8 +144,10 @@ def _frame(folder: Path, planner: BatchPlanner, row: int) -> torch.Tensor:
     [(8, 8, (0.6, 1.3)), (32, 32, (0.6, 1.3)), (16, 16, (1.5, 3.0)), (70, 70, (0.3, 0.5)), (32, 12, (0.6, 1.3))],
 )
 def test_crops_are_those_of_photos(small_set, source_px, target_px, zoom):
-    """The batch of a plan against crop_resize on whole frames, one by one, flipped where the plan says so; every view
-    has a camera of its own."""
+    """The batch of a plan equals crop_resize on whole frames, one by one, flipped as planned.
+
+    Every view has a camera of its own.
+    """
     planner = _planner(small_set, colour=0.0, source_jitter=0.2, target_zoom=zoom)
     planner.views.intrinsics += np.arange(12)[:, None] * (1, 2, 0.5, 0.25)
     plan = planner.plan(2, 6, 3, source_px, target_px)

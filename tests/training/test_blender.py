@@ -206,7 +206,10 @@ _BOXES = {(1, 0, 0): (255, 0, 0), (0, 0, 1): (0, 255, 0), (0, -1, 0): (0, 0, 255
 
 
 def _write_boxes(path: Path) -> None:
-    """An OBJ file (y up) of small boxes at (1,0,0), (0,1,0), (0,0,1) and (-1,-1,-1), all in a cube of side 2.5."""
+    """Write an OBJ file (y up) of small boxes within a cube of side 2.5.
+
+    They are at (1,0,0), (0,1,0), (0,0,1) and (-1,-1,-1).
+    """
     corners = 0.25 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     sides = np.array([[1, 2, 4, 3], [5, 7, 8, 6], [1, 5, 6, 2], [3, 4, 8, 7], [1, 3, 7, 5], [2, 6, 8, 4]])
     colours = {(1, 0, 0): "1 0 0", (0, 1, 0): "0 1 0", (0, 0, 1): "0 0 1", (-1, -1, -1): "0.5 0.5 0.5"}

@@ -81,9 +81,9 @@ def test_one_process_resumes_the_checkpoint_of_two(small_set, tmp_path):
 
 
 def test_a_step_is_shared_out_completely():
-    shares = [range(12)[Team(torch.device("cpu"), rank, 4).split(12)] for rank in range(4)]
-    assert [len(share) for share in shares] == [3, 3, 3, 3]
-    assert [example for share in shares for example in share] == list(range(12))
+    parts = [range(12)[Team(torch.device("cpu"), rank, 4).split(12)] for rank in range(4)]
+    assert [len(part) for part in parts] == [3, 3, 3, 3]
+    assert [example for part in parts for example in part] == list(range(12))
 
 
 def test_unequal_shares_are_refused():

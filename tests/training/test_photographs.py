@@ -76,13 +76,13 @@ def _planner(folder, **augmentation) -> BatchPlanner:
 
 
 def test_faults_are_those_of_the_input_pictures_alone(small_set):
-    """The same with any share of a step; everything but the input pictures as without faults."""
+    """The same in any part of a step; everything but the input pictures as without faults."""
     clean, faulty = (_planner(small_set, **faults) for faults in ({}, {"blur_px": 2, "noise": 0.1, "outline_px": 2}))
     expected, found = (make_batch(planner.plan(2, 12, 6, 16), planner.views) for planner in (clean, faulty))
     assert (found.source != expected.source).flatten(1).any(1).sum() >= 3
     for name in ("source_intrinsics", "targets", "intrinsics", "world_to_camera", "backgrounds"):
         assert torch.equal(getattr(found, name), getattr(expected, name))
-    part = make_batch(faulty.plan(2, 12, 6, 16, share=slice(2, 4)), faulty.views)  # examples 2 (stored) and 3 (made)
+    part = make_batch(faulty.plan(2, 12, 6, 16, part=slice(2, 4)), faulty.views)  # examples 2 (stored) and 3 (made)
     torch.testing.assert_close(part.source, found.source[[1, 4]], atol=1e-5, rtol=0)
 
 

@@ -30,7 +30,7 @@ def test_a_skin_shows_the_photograph_where_it_lies_and_mirrored_beyond():
     piece = torch.stack(torch.broadcast_tensors(ramp, ramp[:, None], torch.full_like(ramp, 51)), -1)
     pieces = torch.stack([torch.zeros_like(piece), piece])
     plain = {"piece": [1], "density": [2], "cosine": [0.6], "sine": [0.8], "place": [0.25, 0.5], "tint": [0]}
-    skin = _row(SKIN, **plain, order=[0, 1, 2], gamma=[1], share=[1])
+    skin = _row(SKIN, **plain, order=[0, 1, 2], gamma=[1], weight=[1])
     local = torch.rand(1, 200, 3, generator=torch.Generator().manual_seed(0)) - 0.5
     facing = torch.tensor([0.1, -0.2, -0.9]).expand(1, 200, 3)  # so that x and y run along the surface
     grey = torch.full((1, 200, 3), 0.5)
@@ -41,10 +41,10 @@ def test_a_skin_shows_the_photograph_where_it_lies_and_mirrored_beyond():
         expected = (mirrored * PIECE_PX - 0.5).clip(0, PIECE_PX - 1) / 255
         np.testing.assert_allclose(shown, expected, atol=1e-3)
     np.testing.assert_allclose(found[:, 2], 0.2, atol=1e-6)
-    turned = _row(SKIN, **plain, order=[1, 0, 2], gamma=[2], share=[1])
+    turned = _row(SKIN, **plain, order=[1, 0, 2], gamma=[2], weight=[1])
     changed = worn(turned.expand(1, 200, -1), pieces, local, facing, grey, grey)[0]
     torch.testing.assert_close(changed, found[:, [1, 0, 2]].square(), atol=1e-5, rtol=0)
-    tinted = _row(SKIN, **plain | {"tint": [1]}, order=[0, 1, 2], gamma=[1], share=[1])
+    tinted = _row(SKIN, **plain | {"tint": [1]}, order=[0, 1, 2], gamma=[1], weight=[1])
     colours = worn(tinted.expand(1, 200, -1), pieces, local, facing, grey * torch.tensor([1.0, 0.5, 0]), grey * 0)[0]
     assert not colours[:, 2].any() and (colours[:, 0] >= colours[:, 1]).all()
 

@@ -166,8 +166,8 @@ def test_pictures_are_premultiplied_and_whole():
     for images in (source, targets):
         assert images.min() >= 0 and images.max() <= 1
         assert (images[..., :3, :, :] <= images[..., 3:, :, :] + 1e-5).all()
-        share = images[..., 3, :, :].mean((-1, -2))
-        assert (share > 0.02).all() and (share < 0.95).all()
+        filled = images[..., 3, :, :].mean((-1, -2))
+        assert (filled > 0.02).all() and (filled < 0.95).all()
         assert (images[..., 3, [0, 0, -1, -1], [0, -1, 0, -1]] < 0.02).all()
     assert not source.requires_grad
 
@@ -229,10 +229,10 @@ def test_cameras_stand_in_the_cone_and_look_at_the_object():
     np.testing.assert_allclose(np.arccos(upright[:, 2, 2]), np.abs(azimuth), atol=1e-12)
 
 
-def _planner(folder, share: float, seed: int = 0) -> BatchPlanner:
+def _planner(folder, fraction: float, seed: int = 0) -> BatchPlanner:
     cached = load_set(folder / "set", folder / "cache", workers=1)
     sampler = ViewSampler([views.camera_to_world for views in cached.objects], *CONE_DEG, 2, seed=seed)
-    return BatchPlanner(ResidentViews([cached]), sampler, Augmentation(), procedural=share)
+    return BatchPlanner(ResidentViews([cached]), sampler, Augmentation(), procedural=fraction)
 
 
 def test_batches_depend_on_seed_and_step_alone(small_set):
@@ -245,14 +245,14 @@ def test_batches_depend_on_seed_and_step_alone(small_set):
     assert all(not torch.equal(batches[0].source, make_batch(plan, first.views).source) for plan in others)
 
 
-@pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
-def test_shares_make_up_the_whole_step(small_set, share):
+@pytest.mark.parametrize("fraction", [0.25, 0.5, 1.0])
+def test_parts_make_up_the_whole_step(small_set, fraction):
     """Stored views come first in each batch, procedural objects after them, each in the order of the step."""
-    planner = _planner(small_set, share)
-    made = made_up(4, share)
+    planner = _planner(small_set, fraction)
+    made = made_up(4, fraction)
     whole = make_batch(planner.plan(5, 20, 4, 16), planner.views)
     for part in (slice(0, 2), slice(2, 4)):
-        batch = make_batch(planner.plan(5, 20, 4, 16, share=part), planner.views)
+        batch = make_batch(planner.plan(5, 20, 4, 16, part=part), planner.views)
         order = [*np.flatnonzero(~made), *np.flatnonzero(made)]
         rows = [order.index(i) for chosen in (~made[part], made[part]) for i in np.arange(4)[part][chosen]]
         for found, all_of_it in zip(vars(batch).values(), vars(whole).values()):
@@ -261,17 +261,18 @@ def test_shares_make_up_the_whole_step(small_set, share):
 
 def test_stored_views_stay_the_same_beside_procedural_objects(small_set):
     alone, beside = (
-        make_batch(_planner(small_set, share).plan(3, 12, 4, 16), _planner(small_set, 0).views) for share in (0.0, 0.5)
+        make_batch(_planner(small_set, fraction).plan(3, 12, 4, 16), _planner(small_set, 0).views)
+        for fraction in (0.0, 0.5)
     )
     torch.testing.assert_close(beside.source[:2], alone.source[np.flatnonzero(~made_up(4, 0.5))])
 
 
 def test_procedural_examples_are_evenly_spread():
     assert made_up(8, 0.25).nonzero()[0].tolist() == [3, 7] and made_up(5, 1.0).all() and not made_up(5, 0.0).any()
-    for share in (0.1, 0.3, 0.7):
+    for fraction in (0.1, 0.3, 0.7):
         for size in (1, 2, 4):
-            shares = made_up(80, share).reshape(size, -1).sum(1)
-            assert shares.sum() == round(80 * share) and np.ptp(shares) <= 1
+            counts = made_up(80, fraction).reshape(size, -1).sum(1)
+            assert counts.sum() == round(80 * fraction) and np.ptp(counts) <= 1
 
 
 def test_objects_of_several_steps_are_drawn_at_once(small_set, monkeypatch):

@@ -20,13 +20,13 @@ CHOICES = get_args(Choice)
 _COLOURS = {"white": (255, 255, 255), "black": (0, 0, 0)}
 _CORNER_SHARE = 0.5  # of the corners of all views, more than which must have the colour: objects leave corners last
 _LOSSY_LEVELS = 8  # how far a lossy format moves a plain colour beside an outline
-_SIMILAR_LEVELS, _EXACT_SHARE = 8, 0.5  # further levels from the colour, and of what lies within, the share that has it
+_SIMILAR_LEVELS, _EXACT_FRACTION = 8, 0.5  # levels round the colour; the fraction of the pixels within that have it
 _RING_LEVELS = 6  # how far the ringing of a resized render strays from its background
 _HOLE_SIDE = 0.025  # of the shorter side: patches of the background inside the object that are smaller are highlights
 _HOLE_EDGE_LEVELS = 24  # step of colour round a hole; a highlight that is clipped to the background's colour fades
-_PARTED_LEVELS = 64  # an object's own colour is at least so far from the background's where an outline is parted
-# Of plain backgrounds: as lightfield_gs/photo/plain.py has them, of colours 0..1.
-_PLAIN_SPREAD, _PLAIN_SHARE, _NEAR, _FAR, _SAME = 0.04, 0.9, 0.06, 0.14, 0.02
+_PARTED_LEVELS = 64  # an outline is parted where the object's colour is at least so far from the background's
+# Thresholds for plain backgrounds, the same as in lightfield_gs/photo/plain.py, for colours 0..1.
+_PLAIN_SPREAD, _PLAIN_FRACTION, _NEAR, _FAR, _SAME = 0.04, 0.9, 0.06, 0.14, 0.02
 _DRIFT = 0.2  # of a plain background's colour from view to view, by exposure: a border further off is object
 _PLAIN_VIEWS = 0.75  # of an object's views: fewer are chance, as before the walls of a room
 
@@ -102,7 +102,7 @@ def _one_colour(views: list[Border], lossy: bool) -> Background | None:
     if (np.abs(corners - colour).max(-1) <= levels).mean() <= _CORNER_SHARE:
         return None
     off = np.abs(np.concatenate([view.pixels for view in views]).astype(int) - colour).max(-1)
-    if (off <= levels).sum() < _EXACT_SHARE * (off <= levels + _SIMILAR_LEVELS).sum():
+    if (off <= levels).sum() < _EXACT_FRACTION * (off <= levels + _SIMILAR_LEVELS).sum():
         return None
     return Background(tuple(int(value) for value in colour), not lossy)
 
@@ -119,7 +119,7 @@ def _own_plain_colour(border: np.ndarray) -> np.ndarray | None:
     """The colour 0..1 of a border [N,3] of about one colour."""
     border = border / np.float32(255)
     near = np.linalg.norm(border - np.median(border, 0), axis=1) < _NEAR + _PLAIN_SPREAD
-    plain = near.mean() >= _PLAIN_SHARE and border[near].std(0).max() <= _PLAIN_SPREAD
+    plain = near.mean() >= _PLAIN_FRACTION and border[near].std(0).max() <= _PLAIN_SPREAD
     return border[near].mean(0) if plain else None
 
 
@@ -146,10 +146,10 @@ def _exact_alpha(rgb: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
 
 
 def _part_outline(frame: np.ndarray, background: np.ndarray) -> None:
-    """Makes the outline of premultiplied [H,W,4], opaque or empty so far, as transparent as it has background in it.
+    """Give the outline of premultiplied [H,W,4], opaque or empty so far, the alpha of its mix with the background.
 
-    The object's own colour is taken from inside: of the pixels that are near, the one most like the outline's pixel, so
-    that pale parts beside dark ones stay. Over the background the picture is what it was.
+    The object's own colour is the colour of a pixel inside. Of the near pixels it takes the most similar one, so that
+    pale parts beside dark parts stay. Over the background the picture is as before.
     """
     inside = frame[..., 3] > 0
     core = inside & ~_grown(~inside, 1)

@@ -77,7 +77,7 @@ def _images(plan: BatchPlan, views: ResidentViews, chosen: slice, size: int) -> 
 
 
 def _resizing(plan: BatchPlan, chosen: slice, size: int, axis: int) -> Tensor:
-    """Return weights [B,I,S,P] of a window's P pixels along an axis, x (0) or y (1), in the S pixels of a resized crop.
+    """Return the weights [B,I,S,P] of a window's P pixels in the S pixels of a crop, along x (0) or y (1).
 
     The filter is a triangle, as wide as the pixels of the crop or of the window, whichever are wider. As in
     crop_resize, its weights add up to 1 over all pixels of the crop, also those beyond the window or the frame.

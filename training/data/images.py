@@ -42,9 +42,8 @@ def find_cutout(views: ObjectImages, background: Choice = "auto") -> Cutout:
     Views that cannot be read do not count.
 
     Args:
-        background: of views without masks and alpha: "auto" finds its colour, "white" and "black" name it, and with
-        "none"
-            the whole picture is the subject, as in the rooms of the original renderer.
+        background: of views without masks and alpha: "auto" finds its colour, "white" and "black" name it. With "none"
+            the whole picture is the subject, as in rooms.
 
     Raises:
         InputError: no view has such a background.

@@ -73,15 +73,15 @@ def _write_object(root: Path, name: str, numbers: np.ndarray, angles: dict[str, 
 
 
 def stored_views(frames: torch.Tensor, world_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Convert views of `orbit` to what files hold.
+    """Convert views of `orbit` to the contents of files.
 
     Args:
         frames: [...,4,S,S], premultiplied.
         cameras: [...,4,4].
 
     Returns:
-        Pictures uint8 [...,S,S,4] with straight alpha, and camera-to-world matrices [...,4,4] of a world with the
-        middle of the object at its origin.
+        Pictures uint8 [...,S,S,4] with straight alpha, and camera-to-world matrices [...,4,4]. The origin of the world
+        is the middle of the object.
     """
     frames = frames.movedim(-3, -1)
     straight = torch.cat([frames[..., :3] / frames[..., 3:].clamp_min(1e-6), frames[..., 3:]], -1).clamp(0, 1)

@@ -19,8 +19,8 @@ def find_partners(sets: list[CachedSet], target_sets: list[CachedSet]) -> np.nda
     """Return for each object of `sets` the number of the object with its targets, among sets + target_sets.
 
     Args:
-        target_sets: one for each set, with an object at the same place in its folder for each object of the set; none:
-            every object has its own targets.
+        target_sets: a set for each set, with an object of the same path for each of its objects. Empty: every object
+            has its own targets.
 
     Raises:
         InputError: a set or an object has no partner.

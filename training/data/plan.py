@@ -30,15 +30,15 @@ from training.ranges import check_ranges
 class Augmentation:
     """How examples are varied.
 
-    The last three are faults of the input pictures, as photos and their automatic cut-outs have them; each spares half
-    of the pictures.
+    The last three are faults that photos and automatic cut-outs have. Each leaves half of the input pictures as they
+    are.
 
     Args:
         mirror: probability of a left-right flip, 0..1.
         colour: probability of a change of colours, 0..1.
-        source_jitter: largest change of the source crop's side and centre, as a share of its side, 0..0.5.
-        target_zoom: range of the target crops' sides, in units of the square round the object: below 1 the view is
-            magnified, which shows gaps between Gaussians, above 1 it shows more background.
+        source_jitter: largest change of the source crop's side and centre, as a fraction of its side, 0..0.5.
+        target_zoom: range of the target crops' sides, in units of the square round the object. Below 1 the view is
+            magnified, which shows gaps between Gaussians. Above 1 it shows more background.
         pose_error_deg: largest turn of the target cameras of stored views about each of their axes, degrees.
         blur_px: largest standard deviation of a blur, pixels of the input picture.
         noise: largest standard deviation of noise, of 1.
@@ -125,9 +125,9 @@ def mirrored(world_to_camera: np.ndarray) -> np.ndarray:
     return flip @ world_to_camera @ flip
 
 
-def made_up(count: int, share: float) -> np.ndarray:
-    """Which of a step's examples show procedural objects, bool [count]: `share` of them, evenly spread."""
-    return np.diff(np.floor(np.arange(count + 1) * share + 1e-9)) > 0
+def made_up(count: int, fraction: float) -> np.ndarray:
+    """Which of a step's examples show procedural objects, bool [count]: `fraction` of them, evenly spread."""
+    return np.diff(np.floor(np.arange(count + 1) * fraction + 1e-9)) > 0
 
 
 class BatchPlanner:
@@ -160,7 +160,7 @@ class BatchPlanner:
         self._largest = views.squares[:, 2].max(initial=1)
 
     def plan(
-        self, step: int, start: int, count: int, source_px: int, target_px: int = 0, share: slice = slice(None)
+        self, step: int, start: int, count: int, source_px: int, target_px: int = 0, part: slice = slice(None)
     ) -> BatchPlan:
         """Return the plan of a step.
 
@@ -168,12 +168,12 @@ class BatchPlanner:
             start: Number of examples before the step.
             count: Number of examples in the step.
             source_px, target_px: Side of the input pictures and of the targets (0: the same).
-            share: The wanted examples; whatever it is, example i of the step is the same.
+            part: The examples to plan; example i of the step is the same in every part.
         """
         sizes, made = (source_px, target_px or source_px), made_up(count, self.procedural)
         meshes = made_up(count, self._meshes.options.fraction if self._meshes else 0)
         kinds = (made & ~meshes, meshes, ~made & ~meshes)
-        new, rendered, old = (np.arange(count)[share][chosen[share]] for chosen in kinds)
+        new, rendered, old = (np.arange(count)[part][chosen[part]] for chosen in kinds)
         drawn = self._draw(step, count, old)
         return self._plan_views(
             self.sampler.draw(step, start, count, old),

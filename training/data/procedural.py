@@ -199,7 +199,7 @@ def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor,
         facing = (matrix * surfels["normal"][..., None]).sum(-2)
         pieces = plan.photographs.on(colours.device)
         skinned = worn(skin, pieces, surfels["local"], facing, look["base"], look["second"])
-        colours = torch.lerp(colours, skinned, named(skin, SKIN)["share"][..., None])
+        colours = torch.lerp(colours, skinned, named(skin, SKIN)["weight"][..., None])
     return colours, look["gloss"]
 
 

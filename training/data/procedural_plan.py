@@ -27,7 +27,7 @@ _SURFELS_PER_PX, _MOST_SURFELS = 5, 160_000
 CELLS = {"matrix": 9, "centre": 3, "sense": 1, "start": 1, "columns": 1, "first_row": 1, "first_column": 1}
 # Numbers of a part's look. base, second: the two colours of its pattern. waves, phases: three plane waves in its local
 # axes, 1 / scene units. weights: of plain, gradient, stripes, checks, veins, and of the way that the surface faces.
-# contrast: how abruptly the colours change. gloss: share of the highlight.
+# contrast: how abruptly the colours change. gloss: weight of the highlight.
 LOOK = {"base": 3, "second": 3, "waves": 9, "phases": 3, "weights": 6, "contrast": 1, "gloss": 1}
 NUMBERS = 1024  # uniform numbers that one object takes, at most
 _FURTHER = 400  # the last of them, for relief and skin

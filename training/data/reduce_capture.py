@@ -53,8 +53,8 @@ def _write_photographs(folder: Path, capture: Capture, longest_px: int, quality:
     sizes = {}
     for name, photograph in zip(capture.names, capture.photographs):
         with reading(photograph.path), Image.open(photograph.path) as image:
-            share = min(1.0, longest_px / max(image.size))
-            width, height = (max(1, round(side * share)) for side in image.size)
+            scale = min(1.0, longest_px / max(image.size))
+            width, height = (max(1, round(side * scale)) for side in image.size)
             small = image.convert("RGB").resize((width, height), Image.Resampling.BOX)
         path = folder / _jpeg(name)
         small.save(make_folder(path.parent) / path.name, quality=quality, optimize=True)
@@ -92,9 +92,11 @@ def _camera_line(number: int, camera: ColmapCamera, size: tuple[int, int]) -> st
 
 
 def to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """The unit quaternion [4] of a rotation [3,3], w, x, y, z with w >= 0: the eigenvector of the largest eigenvalue of
-    a symmetric matrix of its entries (Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix",
-    2000)."""
+    """Return the unit quaternion [4] of a rotation [3,3], w, x, y, z with w >= 0.
+
+    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's entries. Source:
+    Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", 2000.
+    """
     (a, b, c), (d, e, f), (g, h, i) = rotation
     matrix = np.array(
         [

@@ -14,8 +14,8 @@ class ResidentViews:
 
     Attributes:
         first_view: [O], number of each object's view 0.
-        widths_px, rectangles, squares, camera_to_world, intrinsics: [M], [M,5], [M,3], [M,4,4] and [M,4], as in
-            CachedObject; rectangles begin with offsets into the pixels of all sets.
+        widths_px, rectangles, squares, camera_to_world, intrinsics: as in CachedObject, with shapes [M], [M,5], [M,3],
+            [M,4,4] and [M,4]. Rectangles begin with offsets into the pixels of all sets.
     """
 
     def __init__(self, sets: list[CachedSet], device: torch.device | str = "cpu") -> None:

@@ -114,8 +114,8 @@ class ViewSampler:
         numbers = np.arange(count) if wanted is None else wanted
         sources, targets = self.rng(step).random(count), self.rng(step, 2).random((count, self.targets))
         return [
-            self._choose(self._object(start + number), source, shares)
-            for number, source, shares in zip(numbers.tolist(), sources[numbers].tolist(), targets[numbers].tolist())
+            self._choose(self._object(start + number), source, picks)
+            for number, source, picks in zip(numbers.tolist(), sources[numbers].tolist(), targets[numbers].tolist())
         ]
 
     def _object(self, position: int) -> int:
@@ -126,14 +126,14 @@ class ViewSampler:
     def _shuffled(self, epoch: int) -> np.ndarray:
         return np.random.default_rng((self.seed, epoch, 1 << 20)).permutation(len(self.candidates))
 
-    def _choose(self, index: int, source_share: float, target_shares: list[float]) -> Choice:
-        """A source view and its targets, from numbers in [0, 1); targets repeat only when the cone holds too few.
+    def _choose(self, index: int, source_pick: float, target_picks: list[float]) -> Choice:
+        """Choose a source view and its targets by numbers in [0, 1); targets repeat only when the cone holds too few.
 
-        Plain lists: for a few numbers numpy would take ten times as long, of a thread that shares its interpreter.
+        It uses plain lists: for a few numbers numpy would hold the interpreter, which threads share, ten times as long.
         """
         near = self.candidates[index]
-        source, pool = near[int(source_share * len(near))]
+        source, pool = near[int(source_pick * len(near))]
         if len(pool) < self.targets:
-            return Choice(index, source, tuple(pool[int(share * len(pool))] for share in target_shares))
+            return Choice(index, source, tuple(pool[int(pick * len(pool))] for pick in target_picks))
         pool = list(pool)
-        return Choice(index, source, tuple(pool.pop(int(share * len(pool))) for share in target_shares))
+        return Choice(index, source, tuple(pool.pop(int(pick * len(pool))) for pick in target_picks))

@@ -15,9 +15,9 @@ from torch import Tensor
 # matrix: local to source axes, orthonormal, it may mirror. centre: scene units. half: half axes x, y, z, scene units.
 # hole: radius of the middle of the profile, 0 (solid) .. 1. profile, section: the exponents p and q. taper, wave,
 # waves: the section grows by 1 + taper z + wave cos(waves z), z in -1..1. bend: how much further along x the ends lie
-# than the middle, scene units. lobe, lobes, turn: the section shrinks by 1 - lobe (1 - cos(lobes angle + turn)) / 2;
-# curve, curves, begin: likewise by 1 - curve (1 - sin(curves z + begin)) / 2, as on a lathe. relief: how far the
-# surface is moved in and out (training/data/relief.py), over the smallest half axis; here it tells what is well inside.
+# than the middle, scene units. lobe, lobes, turn: the section shrinks by 1 - lobe (1 - cos(lobes angle + turn)) / 2.
+# curve, curves, begin: it shrinks by 1 - curve (1 - sin(curves z + begin)) / 2, as on a lathe. relief: how far the
+# surface is moved in and out (training/data/relief.py), over the smallest half axis; here a margin of the inside.
 SHAPE = {
     "matrix": 9,
     "centre": 3,
@@ -113,7 +113,7 @@ def profile_points(part: dict[str, Tensor], s: Tensor) -> Tensor:
 
 
 def section_points(part: dict[str, Tensor], t: Tensor) -> Tensor:
-    """[..., 2]: x and y on the section of radius 1, scene units, at shares t of its border, 0..1."""
+    """[..., 2]: x and y on the section of radius 1, scene units, at fractions t of its border, 0..1."""
     half = part["half"][..., :2]
     across, up = _sides(*half.unbind(-1), part["section"])
     x, y = _superellipse(t * 4 * (across + up), across, up, part["section"])

@@ -20,9 +20,9 @@ from training.data.uniform import Numbers
 
 PIECE_PX = 256
 # Numbers of a part's skin. piece: its number. density: pieces per scene unit. cosine, sine: of its turn. place: of its
-# corner, pieces. tint: share of the part's two colours, mixed by the piece's brightness, in place of its own. order:
-# which channel each channel shows. gamma: of its colours. share: of the skin in the part's colour, 0 for none.
-SKIN = {"piece": 1, "density": 1, "cosine": 1, "sine": 1, "place": 2, "tint": 1, "order": 3, "gamma": 1, "share": 1}
+# corner, pieces. tint: fraction of the part's two colours, mixed by the piece's brightness, in place of its own. order:
+# which channel each channel shows. gamma: of its colours. weight: of the skin in the part's colour, 0 for none.
+SKIN = {"piece": 1, "density": 1, "cosine": 1, "sine": 1, "place": 2, "tint": 1, "order": 3, "gamma": 1, "weight": 1}
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 _SHORTER_PX = 2 * PIECE_PX  # a photograph's shorter side, where it is longer
 _PLAIN, _DARK, _OPAQUE = 5 / 255, 0.1, 0.98  # less deviation or brightness, or fewer opaque pixels, make no skin
@@ -115,7 +115,7 @@ def draw_skin(u: Numbers, group: np.ndarray, groups: int, photographs: Photograp
         "tint": np.where(untinted, 0, u.between(0.3, 1.2, groups).clip(0, 1)),
         "order": np.where(u(groups, 1) < 0.6, np.arange(3), np.argsort(u(groups, 3), -1)),
         "gamma": np.exp(u.between(-0.7, 0.3, groups)),
-        "share": np.where(u(groups) < 0.75, 1, 0),
+        "weight": np.where(u(groups) < 0.75, 1, 0),
     }
     columns = [table[name].reshape(*table["piece"].shape, count) for name, count in SKIN.items()]
     return np.take_along_axis(np.concatenate(columns, -1), group[..., None], 1)

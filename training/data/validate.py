@@ -31,7 +31,7 @@ from training.data.images import Cutout, find_cutout, read_colours, read_view
 from training.data.objects import find_objects, read_object
 from training.data.sheet import Sheet, check_sheet_path
 
-_FADED = 0.02  # share of an object: more is no noise of its outline
+_FADED = 0.02  # fraction of an object; more is no noise of its outline
 
 
 @dataclass
@@ -74,12 +74,12 @@ class Examined:
 
     def doubts(self) -> Iterator[str]:
         """What may not be meant."""
-        whole = sum(share == 1 for share in self.filled)
+        whole = self.filled.count(1)
         if whole:
             yield f"the whole picture is object in {self._count(whole)}: give alpha, masks or --background if it is not"
         if self.cut > whole:
             yield f"the picture's border cuts the object in {self._count(self.cut - whole)}"
-        faded = [share for share in self.faded if share > _FADED]
+        faded = [fraction for fraction in self.faded if fraction > _FADED]
         if faded:
             yield (
                 f"up to {max(faded):.0%} of the object is lost to the background, which is of nearly its colour, in "
@@ -150,7 +150,13 @@ def _name(path: Path, root: Path) -> str:
 
 @dataclass
 class Summary:
-    """What was found of all objects: for each line the names that it is true of; shares filled; how many problems."""
+    """The findings on all objects.
+
+    Attributes:
+        findings, doubts: for each line the names of its objects.
+        filled: Fractions of pictures that objects cover.
+        faults: Number of problems.
+    """
 
     findings: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     doubts: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path, expect, real_number
+from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
 from lightfield_gs.io.scenes import ksplat, ply, sog, splat, spz
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
@@ -164,10 +165,11 @@ def _find_format(path: Path) -> Format:
     Raises:
         InputError: the file is of a known kind that is not read.
     """
-    if sog.is_streamed(path):
-        return _STREAMED
-    if path.name.lower() == sog.META or path.is_dir() and (path / sog.META).is_file():
-        return FORMATS[-1]
+    if path.is_dir() or path.suffix.lower() == ".json":
+        if sog.is_streamed(path):
+            return _STREAMED
+        if path.name.lower() == sog.META or (path / sog.META).is_file():
+            return FORMATS[-1]
     refuse_unsupported(path)
     with open(path, "rb") as file:
         start = file.read(4)

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -35,11 +37,14 @@ _LARGE = 0.1  # of the scene's extent; no typical Gaussian is as large
 _NEAR_ONE = 0.1  # median log scale; with none below 0, half of the Gaussians are between 1 and 1.1 scene units
 _LARGEST_LOGIT = 20  # the sigmoid is 1 in float32 from 17.4 on
 _NO_SIZE = 1e-37  # scene units; smaller Gaussians are points, whose log scale is -inf
+# Properties of motion, also of a kind that is not known here
+_OTHER = re.compile(r"(t|t_scale|scale_t|scaling_t|trbf_\w+|motion_\w+|omega_\w+|rot_r_\d|rotation_r_\d|velocity_\w+)")
+_DEFORMED_BY = ("deformation.pth", "deformation_table.pth", "deform.pth")  # of 4D Gaussians and their descendants
 _STEP = 0.5  # of the typical Gaussian's size; coarser steps of centres tear surfaces
 
 
 def check_unpacked_size(path: Path, promised_bytes: int, stored_bytes: int) -> None:
-    """Raise InputError where so few stored bytes cannot hold so much data, before memory is allocated for it."""
+    """Raise InputError if the stored bytes cannot hold the stated data, before memory is allocated for the data."""
     if promised_bytes > max(MIN_LIMIT_BYTES, MAX_RATIO * stored_bytes):
         raise InputError(
             f"{path}: {promised_bytes} bytes are promised by {stored_bytes} compressed ones, more than "
@@ -176,6 +181,28 @@ def typical_size(scales: np.ndarray) -> float:
 def float32_step(coordinates: np.ndarray) -> float:
     """Return the largest distance from one of these numbers to the next float32."""
     return float(np.spacing(np.abs(coordinates).astype(np.float32)).max())
+
+
+def unknown_motion_notes(path: Path, names: Sequence[str], moves: bool) -> list[str]:
+    """Return a note where properties, or a network beside the file, indicate a motion that is not known here.
+
+    Args:
+        path: the file.
+        names: its properties.
+        moves: whether they are of a known motion, see ply_extensions.py.
+    """
+    beside = [name for name in _DEFORMED_BY if (path.parent / name).is_file()]
+    if path.parent.parent.name == "point_cloud":  # Deformable 3D Gaussians keep it in a separate folder
+        beside += [found.name for found in path.parents[2].glob("deform/iteration_*/deform.pth")]
+    if beside:
+        return [f"{beside[0]} beside it moves its Gaussians: they are drawn as they are stored, without that network"]
+    found = [name for name in names if _OTHER.fullmatch(name)]
+    if not found or moves:
+        return []
+    return [
+        f"the properties {', '.join(found[:4])}{', ...' if len(found) > 4 else ''} speak of motion, and such motion is "
+        "not known here: the Gaussians are drawn as they are stored, of all times at once"
+    ]
 
 
 def value_notes(log_scales: np.ndarray, logits: np.ndarray | None, means: np.ndarray) -> list[str]:

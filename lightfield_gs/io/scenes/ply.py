@@ -30,16 +30,16 @@ from lightfield_gs.io.scenes.plausibility import (
     sample_median,
     step_notes,
     typical_size,
+    unknown_motion_notes,
     value_notes,
 )
 from lightfield_gs.io.scenes.ply_extensions import (
     FILTER,
     FILTER_NOTE,
+    MOTION,
     apply_filter,
     evaluate_motion,
-    has_motion,
     holds_colours,
-    unknown_motion_notes,
 )
 from lightfield_gs.io.scenes.scene_arrays import (
     HIGH_DEGREE_NOTE,
@@ -202,7 +202,8 @@ def _read_fields(
     if has_filter:
         scales, opacities = apply_filter(scales, opacities, _columns(records, (FILTER,))[:, 0])
     means, origin = _centres(records, scales)
-    sh, notes = _harmonics(records)
+    moves = set(MOTION) <= set(names)
+    sh, notes = _harmonics(records, moves)
     fields = {
         "means": means,
         "quaternions": _columns(records, _SHAPE[4:]),
@@ -210,7 +211,7 @@ def _read_fields(
         "opacities": opacities,
         "sh": sh,
     }
-    if has_motion(names):
+    if moves:
         state = evaluate_motion(path, records, time)
         with np.errstate(over="ignore", invalid="ignore"):
             fields["means"] = (means + state.offsets).astype(np.float32)
@@ -220,7 +221,7 @@ def _read_fields(
     elif time is not None:
         raise InputError(f"{path}: no motion of its Gaussians is known (trbf_center, trbf_scale); leave out time=")
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
-    notes = [*decided, *notes, *unknown_motion_notes(path, names), *([FILTER_NOTE] if has_filter else [])]
+    notes = [*decided, *notes, *unknown_motion_notes(path, names, moves), *([FILTER_NOTE] if has_filter else [])]
     notes += [*skipped, *value_notes(log_scales, logits, means), *step_notes(records, scales)]
     for name in ("scales", "opacities"):
         np.maximum(fields[name], TINY, out=fields[name])
@@ -251,8 +252,8 @@ def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, tuple
         return (exact - origin).astype(np.float32), tuple((origin + 0.0).tolist())
 
 
-def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return sh [N, K, 3], and notes on omissions and guesses."""
+def _harmonics(records: np.ndarray, moves: bool) -> tuple[np.ndarray, list[str]]:
+    """Return sh [N, K, 3], and notes on omissions and guesses; moves: f_dc may be colours."""
     names = records.dtype.names or ()
     bands = len(_rest_names(names)) // 3
     drawn = min(bands, MAX_SH_REST)
@@ -260,7 +261,7 @@ def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
     first = _DC if _is_harmonic(names) else _RGB
     sh = _columns(records, (*first, *rest)).reshape(len(records), 1 + drawn, 3)
     notes = [HIGH_DEGREE_NOTE] if drawn < bands else []
-    if first is _DC and has_motion(names):
+    if first is _DC and moves:
         are_colours, words = holds_colours(sh[:, 0])
         notes.append(words)
         if are_colours:

@@ -10,7 +10,6 @@ coefficients; other trainers that store the same columns have coefficients there
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,10 +22,8 @@ FILTER_NOTE = (
     f"the property {FILTER} of Mip-Splatting was applied to scales and opacities; its scenes are trained with "
     "anti-aliasing: antialiased=True draws them as they were"
 )
-_CENTRE, _SCALE = "trbf_center", "trbf_scale"
+_CENTRE, _SCALE = MOTION = ("trbf_center", "trbf_scale")  # Gaussians with both move
 _NETWORK = re.compile(r"f_t_\d+")  # features that a network beside the file turns into colours
-_OTHER = re.compile(r"(t|t_scale|scale_t|scaling_t|trbf_\w+|motion_\w+|omega_\w+|rot_r_\d|rotation_r_\d|velocity_\w+)")
-_DEFORMED_BY = ("deformation.pth", "deformation_table.pth", "deform.pth")  # of 4D Gaussians and their descendants
 _COLOURS = (-0.1, 1.1)  # colours are fitted without bounds; few are outside this range
 _FAINTEST = 1 / 255  # fainter Gaussians are not drawn
 _MOST_BEYOND = 0.2  # of colours outside _COLOURS; a third or more of coefficients are below 0
@@ -47,27 +44,6 @@ class MotionState:
     quaternion_offsets: np.ndarray
     opacity_factors: np.ndarray
     notes: list[str]
-
-
-def has_motion(names: Sequence[str]) -> bool:
-    """Tell whether vertices with these properties are Gaussians of a known motion."""
-    return _CENTRE in names and _SCALE in names
-
-
-def unknown_motion_notes(path: Path, names: Sequence[str]) -> list[str]:
-    """Return a note where properties, or a network beside the file, indicate a motion that is not known here."""
-    beside = [name for name in _DEFORMED_BY if (path.parent / name).is_file()]
-    if path.parent.parent.name == "point_cloud":  # Deformable 3D Gaussians keep it in a folder of its own
-        beside += [found.name for found in path.parents[2].glob("deform/iteration_*/deform.pth")]
-    if beside:
-        return [f"{beside[0]} beside it moves its Gaussians: they are drawn as they are stored, without that network"]
-    found = [name for name in names if _OTHER.fullmatch(name)]
-    if not found or has_motion(names):
-        return []
-    return [
-        f"the properties {', '.join(found[:4])}{', ...' if len(found) > 4 else ''} speak of motion, and such motion is "
-        "not known here: the Gaussians are drawn as they are stored, of all times at once"
-    ]
 
 
 def evaluate_motion(path: Path, records: np.ndarray, time: float | None) -> MotionState:
@@ -125,7 +101,7 @@ def holds_colours(values: np.ndarray) -> tuple[bool, str]:
 
 
 def apply_filter(scales: np.ndarray, opacities: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Apply Mip-Splatting's 3D filter: Gaussians become larger, and fainter by as much.
+    """Apply Mip-Splatting's 3D filter: Gaussians become larger and correspondingly fainter.
 
     Args:
         scales: [N, 3].

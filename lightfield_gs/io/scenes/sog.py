@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import checked_path, is_row, shown, whole_number
+from lightfield_gs.base.checks import is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.npy import stored_arrays
 from lightfield_gs.io.scenes.comments import ANTIALIASED, is_antialiased
 from lightfield_gs.io.scenes.scene_arrays import (
@@ -117,7 +118,7 @@ def _numbers(part: _Meta, name: str, count: int) -> np.ndarray:
 
 
 def _decode(part: _Meta, stored: np.ndarray, channels: int = 3) -> np.ndarray:
-    """Decode bytes [N, 3] by a codebook, or between extremes of so many channels."""
+    """Decode bytes [N, 3] by a codebook, or between the extremes of the channels."""
     if "codebook" in part:
         return _numbers(part, "codebook", 256)[stored]
     low, high = (_numbers(part, end, channels)[:3] for end in ("mins", "maxs"))

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from PIL import Image, features
 
-from lightfield_gs.base.checks import checked_path, shown
+from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
 from lightfield_gs.io.scenes.plausibility import check_unpacked_size
 from lightfield_gs.io.text_files import parse_json

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import secrets
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +25,8 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
 from lightfield_gs.panels.simulate import missing_geometry
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, Superseded, as_json, page_file, text
-from lightfield_gs.show.page.stage import Controls, Picture, Stage, defaults, number
+from lightfield_gs.show.page.stage import Controls, Picture, Stage, number
+from lightfield_gs.show.preview import image_bytes
 
 _JPEG_QUALITY = 85
 _WAIT_S = 10.0  # for another picture of the panel, before the page asks again
@@ -142,16 +143,16 @@ class _Packed:
         self._version, self._answer = -1, text("")
 
     def answer(self, version: int) -> Answer:
-        """The picture of this version, or of a later one."""
+        """Return the picture of this version, or of a later one."""
         with self._turn:
             if self._version != version:
                 self._version, pixels = self._native()
-                self._answer = Answer(png(pixels, 0), "image/png")
+                self._answer = Answer(image_bytes(pixels, "PNG", compress_level=0), "image/png")
             return self._answer
 
 
 def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
-    """The addresses of `lightfield-gs show`: the panel's page for one picture, uint8 [H, W, 3]."""
+    """Return the routes of `lightfield-gs show`: the panel's page for one picture, uint8 [H, W, 3]."""
     never = threading.Event()
 
     def version(after: int) -> int:
@@ -165,26 +166,13 @@ def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
 
 def encoded(picture: Picture, lossless: bool) -> Answer:
     """Return a PNG or JPEG, with its kind and its times in the headers."""
-    from PIL import Image
-
     headers = {
         "X-Picture": picture.description,
         "Server-Timing": ", ".join(f"{name};dur={value:.2f}" for name, value in picture.stages_ms.items()),
     }
     if lossless:
-        return Answer(png(picture.pixels, 1), "image/png", headers=headers)
-    file = io.BytesIO()
-    Image.fromarray(picture.pixels).save(file, "JPEG", quality=_JPEG_QUALITY)
-    return Answer(file.getvalue(), "image/jpeg", headers=headers)
-
-
-def png(pixels: np.ndarray, level: int) -> bytes:
-    """A PNG of uint8 [H, W, 3] that says nothing of its colours, so that browsers show the bytes as they are."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "PNG", compress_level=level)
-    return file.getvalue()
+        return Answer(image_bytes(picture.pixels, "PNG", compress_level=1), "image/png", headers=headers)
+    return Answer(image_bytes(picture.pixels, "JPEG", quality=_JPEG_QUALITY), "image/jpeg", headers=headers)
 
 
 def _picture(stage: Stage, query: Query, controls: Controls, still: bool) -> Picture:
@@ -211,7 +199,7 @@ def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
         "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
         "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
         "rig": {"zero_depth": stage.base.zero_depth, "cone_deg": stage.base.cone_deg or panel.cone_deg},
-        "defaults": defaults(),
+        "defaults": asdict(Controls()),
         "qualities": QUALITY_NAMES,
         "exports": exports,
     }
@@ -230,7 +218,7 @@ class _Lines:
         self._newest = 0
 
     def draw(self, still: bool, work: Callable[[], T]) -> T:
-        """Runs work in its turn. Raises Superseded where another picture at rest was asked for before its turn came."""
+        """Run work in its turn. Raises Superseded if another picture at rest is requested before."""
         if not still:
             return self._moving.submit(work).result()
         ticket = self._newest = next(self._tickets)
@@ -243,54 +231,37 @@ class _Lines:
         return self._still.submit(in_turn).result()
 
     def last(self, work: Callable[[], T]) -> T:
-        """Runs work after the pictures at rest that were asked for before."""
+        """Run work after the pictures at rest that were requested before."""
         return self._still.submit(work).result()
 
 
 def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
-    """By the name of the file, what writes it to a path."""
+    """Return functions that write a file to a path, by the file's name."""
     layout = panel_quilt(stage.panel)
     return {
         "native.png": partial(_native, stage),
         f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
-        "rig.yaml": partial(_rig, stage),
+        "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(path),  # in the axes of the scene's file
     }
 
 
 def _native(stage: Stage, controls: Controls, path: Path) -> None:
-    """The native picture, with the panel and the rig in it, as `encode` writes them: `simulate` and `show` read it."""
+    """Write the native picture with the panel and the rig, as `encode` does: `simulate` and `show` read it."""
     image, _ = stage.native(controls)
-    encoding = {
-        "method": "direct",
-        "views": "integer",
-        "background": list(stage.background),
-        "quality": controls.quality,
-        **({"antialiased": True} if stage.antialiased else {}),
-        **({"view_filter": stage.view_filter} if stage.view_filter else {}),
-    }
+    drawn = stage.drawn_as
+    encoding = {"method": "direct", "views": "integer", "background": list(drawn["background"])}
+    encoding |= {"quality": controls.quality, **({"antialiased": True} if drawn["antialiased"] else {})}
+    encoding |= {"view_filter": drawn["view_filter"]} if drawn["view_filter"] else {}
     made_by = {"panel": stage.panel.to_dict(), "rig": stage.rig_of_file(controls).to_dict(), "encoding": encoding}
     write_image(path, image, {**_origin(stage), **{name: json.dumps(value) for name, value in made_by.items()}})
 
 
 def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:
-    """All views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
+    """Write all views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
     panel, rig = layout.fitted(stage.panel, controls.rig(stage.base, stage.panel))
-    image = quilt(
-        stage.gaussians,
-        layout,
-        rig,
-        panel,
-        background=stage.background,
-        antialiased=stage.antialiased,
-        view_filter=stage.view_filter,
-    )
+    image = quilt(stage.gaussians, layout, rig, panel, **stage.drawn_as)
     write_image(path, image.cpu().numpy(), _origin(stage))
 
 
 def _origin(stage: Stage) -> dict[str, str]:
     return {"software": f"lightfield-gs {version('lightfield-gs')}", "input": stage.name}
-
-
-def _rig(stage: Stage, controls: Controls, path: Path) -> None:
-    """The cameras, for `--rig`, in the axes of the scene's file."""
-    stage.rig_of_file(controls).to_yaml(path)

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -27,7 +27,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.preview import contact_sheet, to_integers
+from lightfield_gs.show.preview import SHEET_VIEWS, SHEET_WIDTH_PX, contact_sheet, to_integers
 
 # Each number that the page may set, with its range
 _RANGES = {
@@ -79,7 +79,7 @@ class Controls:
         return Controls(**values)
 
     def picture(self) -> Controls:
-        """What decides the native picture: all but the place of the eye."""
+        """Return the controls of the native picture: all but the position of the eye."""
         return replace(self, eye=0.0)
 
     def look(self) -> Look:
@@ -91,13 +91,8 @@ class Controls:
         return self.look().applied(orbited(base, self.yaw_deg, self.pitch_deg), panel)
 
 
-def defaults() -> dict[str, Any]:
-    """The fields of Controls and their defaults."""
-    return {field.name: field.default for field in fields(Controls)}
-
-
 def number(query: Mapping[str, str], name: str, low: float, high: float) -> float:
-    """A number of the query in low..high. Raises InputError."""
+    """Return a number of the query in low..high. Raises InputError."""
     try:
         value = float(query[name])
     except KeyError:
@@ -126,8 +121,6 @@ def orbited(rig: Rig, yaw_deg: float, pitch_deg: float) -> Rig:
     return replace(rig, world_to_camera=turn @ rig.world_to_camera)
 
 
-_SHEET_VIEWS = 12
-_SHEET_WIDTH_PX = 1920  # of the sheet at rest
 _STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed
 
 
@@ -169,7 +162,7 @@ class Stage:
         view_filter: float = 0.0,
     ):
         self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
-        self.background, self.antialiased, self.view_filter = background, antialiased, view_filter
+        self.drawn_as: dict[str, Any] = dict(background=background, antialiased=antialiased, view_filter=view_filter)
         self.is_live = gaussians.device.type == "cuda"
         self.version = 0  # counts the resting states of the page
         self._settled, self._changed = Controls(), threading.Condition()
@@ -198,14 +191,14 @@ class Stage:
         return Picture(view, f"one view, {view.shape[1]} x {view.shape[0]}", stages)
 
     def sheet(self, controls: Controls, still: bool) -> Picture:
-        """Twelve views side by side, the left-most camera's first; smaller ones where not still."""
+        """Return twelve views side by side, the left-most camera's first, at a smaller size unless still."""
         upright = self.panel.height_px > self.panel.width_px
-        width_px = _SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
+        width_px = SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
         stages: dict[str, float] = {}
         with _timed(stages, "views"):
             inner = 0.5 - 0.5 / self.panel.views  # the outermost integer views
-            views = self._views(controls, np.linspace(-inner, inner, _SHEET_VIEWS).tolist(), width_px)
-        return Picture(contact_sheet(views), f"{_SHEET_VIEWS} views from left to right", stages)
+            views = self._views(controls, np.linspace(-inner, inner, SHEET_VIEWS).tolist(), width_px)
+        return Picture(contact_sheet(views), f"{SHEET_VIEWS} views from left to right", stages)
 
     def crop(self, controls: Controls, centre: tuple[float, float], size_px: tuple[int, int], still: bool) -> Picture:
         """Draw native pixels one to one, around a point of the panel.
@@ -246,7 +239,7 @@ class Stage:
                 self._changed.notify_all()
 
     def settled(self) -> tuple[int, np.ndarray]:
-        """The version of where the page has come to rest, and its native picture."""
+        """Return the version of the page's resting state, and its native picture."""
         with self._changed:
             version, controls = self.version, self._settled
         return version, self.native(controls)[0]
@@ -267,19 +260,19 @@ class Stage:
         return look.applied(turned, self.panel, self.gaussians).zero_depth
 
     def depth(self, controls: Controls) -> tuple[list[str], list[str]]:
-        """How deep the scene is on the panel: lines on that, and warnings (lightfield_gs.panels.comfort)."""
+        """Return lines on the depth of the scene on the panel, and warnings (lightfield_gs.panels.comfort)."""
         report = depth_report(self.gaussians, self.panel, self._rig(controls))
         return report.lines(), report.warnings()
 
     def eye_mm(self, controls: Controls) -> tuple[float, float, float]:
-        """The place of the eye before the panel, mm. Raises InputError where the panel does not say."""
+        """Return the position of the eye before the panel, mm. Raises InputError if the panel lacks measures."""
         if missing := missing_geometry(self.panel):
             raise InputError(f"panel {self.panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
         distance = cast(float, self.panel.viewing_distance_mm)
         return controls.eye * 2 * distance * math.tan(math.radians(self.panel.cone_deg) / 2), 0.0, distance
 
     def rig_of_file(self, controls: Controls) -> Rig:
-        """The rig in the coordinates of the scene's file."""
+        """Return the rig in the coordinates of the scene's file."""
         return self._rig(controls).relative_to([-part for part in self.gaussians.origin])
 
     # How it is drawn
@@ -289,34 +282,15 @@ class Stage:
 
     def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
         with torch.no_grad():
-            image = encode(
-                self.gaussians,
-                panel,
-                rig,
-                background=self.background,
-                quality=controls.quality,
-                antialiased=self.antialiased,
-                view_filter=self.view_filter,
-                stats=stats,
-            )
+            image = encode(self.gaussians, panel, rig, quality=controls.quality, stats=stats, **self.drawn_as)
         return image.cpu().numpy()
 
     def _native_live(self, controls: Controls) -> dict[str, float]:
-        """Draws the native picture on the GPU, where it stays; returns the time that it took."""
+        """Draw the native picture on the GPU, where it stays; return the time."""
         rig, stages = self._rig(controls), dict[str, float]()
         if self._moving is None or self._moving[0] != controls.quality:
-            self._moving = (
-                controls.quality,
-                Encoder(
-                    self.panel,
-                    rig,
-                    background=self.background,
-                    quality=controls.quality,
-                    versioned=True,
-                    antialiased=self.antialiased,
-                    view_filter=self.view_filter,
-                ),
-            )
+            encoder = Encoder(self.panel, rig, quality=controls.quality, versioned=True, **self.drawn_as)
+            self._moving = controls.quality, encoder
         encoder = self._moving[1]
         encoder.rig = rig
         with _timed(stages, "native"):
@@ -325,22 +299,17 @@ class Stage:
         return stages
 
     def _views(self, controls: Controls, eyes: list[float], width_px: int) -> list[np.ndarray]:
-        """What perfect lenses show to eyes at these places across the viewing zone, each uint8 [h, w, 3]."""
+        """Return the pictures [h, w, 3], uint8, of eyes at these positions across the viewing zone.
+
+        The lenses are perfect.
+        """
         panel, rig = self._rig(controls).reduced(self.panel, width_px)
         side = -1 if panel.invert_views else 1
-        views = render_views(
-            self.gaussians,
-            panel,
-            rig,
-            [panel.views * (0.5 - side * eye) for eye in eyes],
-            background=self.background,
-            antialiased=self.antialiased,
-            view_filter=self.view_filter,
-        )
-        return list(to_bytes(views).cpu().numpy())
+        positions = [panel.views * (0.5 - side * eye) for eye in eyes]
+        return list(to_bytes(render_views(self.gaussians, panel, rig, positions, **self.drawn_as)).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""
+        """Return left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""
         width, height = min(size_px[0], self.panel.width_px), min(size_px[1], self.panel.height_px)
         height -= (height - self.panel.height_px) % PERIOD
         left = round(centre[0] * self.panel.width_px - width / 2)

@@ -123,9 +123,9 @@ inline dim3 thread_index() {
 }
 inline int lane() { return block->current % 32; }
 
-// Goes on with what runs on another stack: keeps the registers that a call preserves (System V, x86-64) on this one,
-// and takes them from the other. swapcontext does the same, and asks the system for the signal mask each time, which
-// took most of the time of the kernels with tensor cores.
+// Continue on another stack: push the registers that a call preserves (System V, x86-64) on this one, and pop them from
+// the other. swapcontext does the same, but asks the system for the signal mask each time. That took most of the time
+// of the kernels with tensor cores.
 __attribute__((naked, noinline)) inline void switch_stack(void** from, void* to) {
   asm("push %rbp\n push %rbx\n push %r12\n push %r13\n push %r14\n push %r15\n"
       "mov %rsp, (%rdi)\n mov %rsi, %rsp\n"
