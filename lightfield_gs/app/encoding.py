@@ -49,7 +49,7 @@ class Encoding:
 
     Attributes:
         options: what is asked for.
-        messages: lines on what was decided.
+        messages: lines on decisions.
         stats: the statistics of `lightfield_gs.encode`.
         scene: the scene, once it is drawn.
     """
@@ -71,7 +71,7 @@ class Encoding:
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
         self.scene: LoadedScene
-        self.stored: np.ndarray | CompressedImage  # the image as it is written
+        self.stored: np.ndarray | CompressedImage  # the image for the file
         self.image: np.ndarray  # its pixels, where the host has them
         self._camera = read_camera(options.camera, self.panel)
         self._sorted_views = _read_views(options, self.panel)
@@ -209,13 +209,12 @@ class Encoding:
             self._note_if_empty()
 
     def _note_if_empty(self) -> None:
-        count = self.scene.gaussians.count
         if not self._counts:
             if not _is_plain(self.stored):
                 return
             self.scene.gaussians = self.scene.gaussians.to(self.device)
             self._encode(self.stats)
-        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
+        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == (count := self.scene.gaussians.count):
             note(
                 f"{self.options.output} is all background: none of {count} Gaussians is within what the cameras see, "
                 "or opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
@@ -328,7 +327,7 @@ def _to_bits(image: np.ndarray, bits: int) -> np.ndarray:
 
 
 def use_threads(threads: int) -> None:
-    """Have torch and OpenImageIO use so many threads."""
+    """Set the number of threads of torch and OpenImageIO."""
     import OpenImageIO as oiio
     import torch
 

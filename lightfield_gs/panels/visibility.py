@@ -28,7 +28,7 @@ _FRACTION_SIZE_PX = 128  # width of the pictures that measure a visible fraction
 
 @dataclass(frozen=True)
 class VisibilityConstants:
-    """Thresholds of what a camera sees.
+    """Thresholds of the surfaces that a camera sees.
 
     All are chosen by hand and not tuned on a data set; tests/panels has the scenes that they must tell apart.
     """
