@@ -47,7 +47,7 @@ _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-de
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code, or 2 after a line on invalid input."""
     signal.signal(signal.SIGTERM, _terminate)
-    # As a program, what was imported before this line (torch, a second) is part of the wait.
+    # As a program, the imports before this line (torch, a second) are part of the wait.
     if argv is not None:
         return _run(list(argv), time.perf_counter())
     began = time.perf_counter() - time.process_time()

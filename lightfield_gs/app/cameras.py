@@ -35,7 +35,7 @@ class CameraChoice:
         rig: of --rig.
         pose: world to camera of --camera, [4, 4]; focal_px and principal_point_px: at the panel's resolution.
         up: the axis of --up, for automatic framing.
-        messages: lines on what was decided.
+        messages: lines on decisions.
     """
 
     rig: Rig | None = None
@@ -157,12 +157,12 @@ def _look_from(
 
 
 def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-
     axis = scene_up(up, file)
+    words = f"axes: {axis.describe()}"
     notes: list[str] = []
     rig = Rig.frame(gaussians, panel, up=axis.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
-    return rig, [f"axes: {axis.describe()}", *(f"framing: {words}; {others}" for words in notes)]
+    return rig, [words, *(f"framing: {line}; {others}" for line in notes)]
 
 
 def scene_up(up: str | None, file: SceneFile) -> Up:
@@ -173,7 +173,7 @@ def scene_up(up: str | None, file: SceneFile) -> Up:
 
 
 def fit_and_cameras(file: SceneFile) -> list[tuple[str, str]]:
-    """Return what a scene's file says of its fit and of cameras, for `info`."""
+    """Return a scene file's notes on its fit and its cameras, for `info`."""
     try:
         fitted = find_fit_record(file.comments)
         fit = [] if fitted is None else [("fitted", fitted.describe())]

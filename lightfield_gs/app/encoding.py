@@ -49,7 +49,7 @@ class Encoding:
 
     Attributes:
         options: what is asked for.
-        messages: lines on what was decided.
+        messages: lines on decisions.
         stats: the statistics of `lightfield_gs.encode`.
         scene: the scene, once it is drawn.
     """
@@ -71,7 +71,7 @@ class Encoding:
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
         self.scene: LoadedScene
-        self.stored: np.ndarray | CompressedImage  # the image as it is written
+        self.stored: np.ndarray | CompressedImage  # the image for the file
         self.image: np.ndarray  # its pixels, where the host has them
         self._camera = read_camera(options.camera, self.panel)
         self._sorted_views = _read_views(options, self.panel)
@@ -209,13 +209,12 @@ class Encoding:
             self._note_if_empty()
 
     def _note_if_empty(self) -> None:
-        count = self.scene.gaussians.count
         if not self._counts:
             if not _is_plain(self.stored):
                 return
             self.scene.gaussians = self.scene.gaussians.to(self.device)
             self._encode(self.stats)
-        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
+        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == (count := self.scene.gaussians.count):
             note(
                 f"{self.options.output} is all background: none of {count} Gaussians is within what the cameras see, "
                 "or opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
@@ -301,9 +300,10 @@ def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel
     from lightfield_gs.panels.panel import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
-    lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0
-    if options.method == "direct" and (why := slow_reason(panel, lattices and device == "cuda")):
-        note(why)
+    if options.method == "direct" and panel.subpixel_cells:
+        lattices = Quality.of(options.quality).lattice_error > 0
+        if (why := slow_reason(panel, lattices and device == "cuda")) is not None:
+            note(why)
     if (render.antialiased or render.view_filter) and options.quality != "exact" and device == "cuda":
         note(
             f"{'anti-aliased scenes' if render.antialiased else 'filtered views'} are drawn neither from lattices nor "
@@ -327,7 +327,7 @@ def _to_bits(image: np.ndarray, bits: int) -> np.ndarray:
 
 
 def use_threads(threads: int) -> None:
-    """Have torch and OpenImageIO use so many threads."""
+    """Set the number of threads of torch and OpenImageIO."""
     import OpenImageIO as oiio
     import torch
 

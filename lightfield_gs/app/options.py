@@ -205,7 +205,7 @@ class EncodeOptions:
     stats: bool = False
 
     def outputs(self) -> list[Path | None]:
-        """All files that are written; None for those not asked for."""
+        """Return all files to write; None for files not asked for."""
         outputs = [self.output, self.save_rig, self.save_gaussians]
         if self.preview is None:
             return outputs
@@ -214,14 +214,14 @@ class EncodeOptions:
         return [*outputs, *(self.preview / name for name in FILES)]
 
     def inputs(self) -> tuple[Path | str | None, ...]:
-        """All files that are read, the scene first; None for those not given."""
+        """Return all files to read, the scene first; None for missing files."""
         return files_read(self.scene, self.camera, self.panel, self.cameras, self.view_map)
 
 
 def files_read(
     scene: SceneOptions, camera: CameraOptions, panel: PanelOptions, *more: Path | None
 ) -> tuple[Path | str | None, ...]:
-    """Return the files that the options name to be read, the scene first; None for those not given."""
+    """Return the input files of the options, the scene first; None for missing files."""
     photo = scene.photo
     files = (scene.input, camera.rig, panel.panel, photo.mask, photo.depth, photo.checkpoint, *more)
     return (*files, camera.camera and camera.camera[0])

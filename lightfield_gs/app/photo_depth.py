@@ -73,7 +73,7 @@ def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str)
 
     numbers = read_depth_half(path, picture.pixels, side)
     limits = _limits_or(options, _BESIDE_LIMITS)
-    # A range that is given the other way round says by itself that bright is near
+    # A reversed range means that bright is near
     is_plain = limits is not None and limits[0] <= limits[1]
     kind = options.depth_kind or (_BESIDE_KIND if is_plain else None)
     depth = _map_numbers(path, options, numbers, kind, limits, numbers.values.shape[:2])

@@ -66,7 +66,7 @@ class LoadedScene:
 
 @dataclass
 class FramedScene:
-    """A scene on the device, and the rig that looks at it, in its coordinates; messages: lines on what was decided."""
+    """A scene on the device, and a rig in its coordinates; messages: lines on decisions."""
 
     scene: LoadedScene
     rig: Rig
@@ -92,15 +92,16 @@ def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
 
 
 def _check_photo_options(photo: PhotoOptions) -> None:
+    is_estimated, has_map = photo.is_estimated, photo.depth_file is not None
     if photo.depth is not None:
         _refuse(photo, ("rgbd",), "takes the place of --depth")
-    if photo.is_estimated:
+    if is_estimated:
         if photo.depth_kind == "ray":
             raise InputError("--depth-kind: ray is for a depth map in a file; --depth auto estimates none of that kind")
         _refuse(photo, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
     else:
         _refuse(photo, ("depth_model",), "is for --depth auto")
-    if photo.mask is None and photo.depth_file is None:
+    if photo.mask is None and not has_map:
         _refuse(photo, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if photo.intrinsics is not None and min(photo.intrinsics[:2]) <= 0:
         raise InputError(
@@ -129,7 +130,7 @@ def check_scene_path(path: Path) -> None:
 
 
 def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
-    """Read a file of Gaussians, and note what looks wrong in it and what was left out. Raises InputError."""
+    """Read a file of Gaussians, and note suspicious contents and losses. Raises InputError."""
     from lightfield_gs.io.scenes.files import read_scene
 
     scene = read_scene(path, skip_invalid=skip_invalid, time=time)
@@ -201,7 +202,7 @@ def load_scene(
 
 
 def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) -> tuple[RenderSettings, list[str]]:
-    """Return how a scene is drawn, by the options or else its file, and lines on what was taken from the file.
+    """Return the options of drawing a scene, or else its file's, and lines on the file's part.
 
     Args:
         options: those given.

@@ -65,7 +65,7 @@ class Shots:
             frame is drawn.
         render: how frames are drawn.
         job: further values, for JSON, that the frames depend on beside the options of drawing.
-        messages: lines on what was decided.
+        messages: lines on decisions.
     """
 
     count: int
@@ -220,7 +220,7 @@ def _pictures(
     """Yield the number and the options of each picture, as if it were alone.
 
     Args:
-        scene: what all have in common.
+        scene: the scene of all shots.
         parts: the pictures ("input"), and their depth maps and masks, if any.
         numbers: of the pictures.
         folder: for the frames of videos.
@@ -233,7 +233,7 @@ def _pictures(
 
 
 class _Renaming:
-    """A stream in place of sys.stdout or sys.stderr that passes text on with other names in it."""
+    """A stream in place of sys.stdout or sys.stderr that replaces names in the text."""
 
     def __init__(self, usual: Any, renamed: Callable[[str], str]):
         self._usual, self._renamed = usual, renamed

@@ -86,7 +86,7 @@ class VideoOptions:
     threads: int | None = None
 
     def inputs(self) -> tuple[Path | str | None, ...]:
-        """All files that are read, the scene first; None for those not given."""
+        """Return all files to read, the scene first; None for missing files."""
         return files_read(self.scene, self.camera, self.panel, self.motion.path)
 
 

@@ -15,18 +15,18 @@ _KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
 
 
 def shown(value: object) -> str:
-    """A value of any kind as a message shows it: on one line, 80 characters at most."""
+    """Return a value of any kind as text for a message: one line, 80 characters at most."""
     return "none" if value is None else " ".join(repr(value).split())[:80]
 
 
 def counted(count: int, what: str = "item", of: int | None = None, does: str = "") -> str:
-    """How many, in words: "1 item", "2 items", "1 of 7 frames has no pose and is left out".
+    """Return a count in words: "1 item", "2 items", "1 of 7 frames has no pose and is left out".
 
     Args:
         count: how many.
-        what: one of them.
+        what: the noun, singular.
         of: of how many in all.
-        does: what they do, as it is said of several; are, have, were and their are put as one's where it is one.
+        does: the predicate, plural; for a count of one, are, have, were and their become singular.
     """
     share = f"{count}" if of is None else f"{count} of {of}"
     words = [_OF_ONE.get(word, word) if count == 1 else word for word in does.split()]
@@ -34,7 +34,7 @@ def counted(count: int, what: str = "item", of: int | None = None, does: str = "
 
 
 def expect(what: str, value: object, *kinds: type) -> None:
-    """Raises InputError unless the value is of one of these types; True and False are no numbers."""
+    """Raise InputError unless the value is of one of these types; True and False are no numbers."""
     if not isinstance(value, kinds) or isinstance(value, bool) and bool not in kinds:
         raise wrong_type(what, value, *kinds)
 
@@ -51,7 +51,7 @@ def _is_number(value: object) -> bool:
 
 
 def whole_number(what: str, value: Any, low: int, high: int) -> int:
-    """`value` as an int in low..high; raises InputError."""
+    """Return `value` as an int in low..high. Raises InputError."""
     if not _is_number(value) or value != value // 1:
         raise InputError(f"{what} must be a whole number, got {shown(value)}")
     if not low <= value <= high:
@@ -60,7 +60,7 @@ def whole_number(what: str, value: Any, low: int, high: int) -> int:
 
 
 def real_number(what: str, value: Any, low: float, high: float) -> float:
-    """`value` as a float in low..high; raises InputError."""
+    """Return `value` as a float in low..high. Raises InputError."""
     if not _is_number(value):
         raise InputError(f"{what} must be a number, got {shown(value)}")
     if not low <= value <= high:  # false for NaN
@@ -69,7 +69,7 @@ def real_number(what: str, value: Any, low: float, high: float) -> float:
 
 
 def is_row(values: Any, count: int | None = None) -> bool:
-    """Whether `values` is a sequence or array of `count` elements (None: any number), whatever they are."""
+    """Return whether `values` is a sequence or array of `count` elements of any kind (None: any number)."""
     if isinstance(values, np.ndarray):
         good = values.ndim == 1
     else:

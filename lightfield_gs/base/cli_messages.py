@@ -129,7 +129,7 @@ class Stopwatch:
         self.stages: list[tuple[str, float]] = []
 
     def lap(self, name: str, parts_ms: dict[str, float] | None = None) -> None:
-        """Ends a stage. With `parts_ms` the parts are listed by their own names, and the remaining time as `name`."""
+        """End a stage. With `parts_ms` the parts are listed by their own names, and the remaining time as `name`."""
         now = time.perf_counter()
         seconds = now - self._last
         for part, milliseconds in (parts_ms or {}).items():
@@ -140,7 +140,7 @@ class Stopwatch:
         self._last = now
 
     def line(self) -> str:
-        """For example "load 0.12 s, composite 0.80 s, write 0.21 s, total 1.13 s"."""
+        """Return a line such as "load 0.12 s, composite 0.80 s, write 0.21 s, total 1.13 s"."""
         total = ("total", self._last - self._start)
         return ", ".join(f"{name} {seconds:.2f} s" for name, seconds in [*self.stages, total])
 

@@ -50,7 +50,7 @@ def cores() -> list[int]:
 
 
 def device_guard(device: torch.device) -> AbstractContextManager:
-    """Make `device` the current one inside the block, so that work goes to its stream; a CPU changes nothing."""
+    """Make `device` the current device inside the block, so that work goes to its stream; a CPU changes nothing."""
     if device.type != "cuda" or device.index == torch.cuda.current_device():
         return nullcontext()
     return torch.cuda.device(device)
@@ -74,7 +74,7 @@ def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[to
     Returns:
         The graph, and the result of the call, which each replay overwrites.
     """
-    stream = torch.cuda.Stream()  # of its own: torch's belongs to the device that captured first
+    stream = torch.cuda.Stream()  # an own pool: torch's pool belongs to the device that captured first
     if warm_up:
         stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(stream):

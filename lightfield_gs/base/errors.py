@@ -9,14 +9,14 @@ from contextlib import contextmanager
 class InputError(ValueError):
     """A file, value, shape, dtype or device that cannot be used.
 
-    The message is one line: what was expected, what came, what to do. The command line prints it to stderr and exits
-    with status 2.
+    The message is one line: the expected value, the given value, the remedy. The command line prints it to stderr and
+    exits with status 2.
     """
 
 
 @contextmanager
 def named(where: object) -> Iterator[None]:
-    """Puts what something was read from, a file or an option, before the message of an InputError."""
+    """Put the source of a value, a file or an option, before the message of an InputError."""
     try:
         yield
     except InputError as error:
@@ -25,7 +25,7 @@ def named(where: object) -> Iterator[None]:
 
 @contextmanager
 def reading(path: object) -> Iterator[None]:
-    """Turns the error of a file that the system does not let be read into an InputError that says why."""
+    """Turn the system's error for an unreadable file into an InputError with the reason."""
     try:
         yield
     except OSError as error:

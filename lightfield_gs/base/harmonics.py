@@ -17,7 +17,7 @@ SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0, 1 / (2 sqrt(pi)):
 
 
 def harmonics(directions: Tensor, count: int) -> Tensor:
-    """The first `count` = K (1, 4, 9 or 16) real spherical harmonics, [P,K], in unit directions [P,3]."""
+    """Return the first `count` = K (1, 4, 9 or 16) real spherical harmonics [P,K] of unit directions [P,3]."""
     x, y, z = directions.unbind(-1)
     k0, k1, k20, k21, k22, k30, k31, k32, k33 = (
         float(np.sqrt(value / np.pi)) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2)
@@ -42,7 +42,7 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
 
 
 def rotations(quaternions: Tensor) -> Tensor:
-    """Rotation matrices [N,3,3] of quaternions [N,4] (wxyz, any length but zero)."""
+    """Return rotation matrices [N,3,3] of quaternions [N,4] (wxyz, any length but zero)."""
     w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = (
         1 - 2 * (y * y + z * z),
@@ -60,7 +60,7 @@ def rotations(quaternions: Tensor) -> Tensor:
 
 @functools.cache
 def spiral(count: int) -> np.ndarray:
-    """Unit vectors [count, 3] spread evenly: a spiral of equal steps in height and of the golden angle."""
+    """Return unit vectors [count, 3] spread evenly: a spiral with equal steps in height and the golden angle."""
     steps = np.arange(count)
     heights = 1 - (2 * steps + 1) / count
     angles = steps * math.pi * (3 - math.sqrt(5))

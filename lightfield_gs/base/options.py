@@ -46,6 +46,6 @@ ONLY_FOR: dict[str, Method] = {
 }
 
 # The network that estimates depth (Yang et al., "Depth Anything V2", 2024), by its name on huggingface.co. The larger
-# ones of its family may not be used commercially.
+# networks of its family may not be used commercially.
 DEPTH_MODEL = "depth-anything/Depth-Anything-V2-Small-hf"
 DEFAULT_CONE_DEG = 40.0  # cone of a panel that states none

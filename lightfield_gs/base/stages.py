@@ -16,7 +16,7 @@ def select_stages(what: str, tensor: Tensor) -> ModuleType:
     """Return the native stages for a tensor's precision.
 
     Raises:
-        InputError: there are none for its dtype and device. CUDA has stages for float32 only.
+        InputError: there are no stages for its dtype and device. CUDA has stages for float32 only.
     """
     device, dtype = tensor.device, tensor.dtype
     if device.type not in ("cpu", "cuda") or tensor.is_cuda and not hasattr(_core, "cuda"):

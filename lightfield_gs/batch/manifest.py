@@ -67,8 +67,8 @@ class Manifest:
     `append` writes to the shard's manifest, `last` reads all manifests.
 
     A line with "item" says how an item ended; the last line of an item counts. Other lines tell the options of a run,
-    or its end. One system call appends a line, so a killed process leaves whole lines; `last` skips what a power
-    failure leaves of a line. A lock keeps two runs of the same items from working at the same time.
+    or its end. One system call appends a line, so a killed process leaves whole lines; `last` skips a line that a power
+    failure cut. A lock keeps two runs of the same items from working at the same time.
 
     Attributes:
         path: the manifest of the shard: batch.jsonl, or batch-I-of-N.jsonl.
@@ -216,7 +216,7 @@ def make_plan(
         items: all items.
         manifest: of their folder.
         options: JSON values of options: by "all" for all items, by a command's name for the items of this command.
-        overwrite: whether to do all items again, but for those done at the time `since` or later.
+        overwrite: whether to repeat all items that ended before the time `since`.
         check: whether to read all files of items that are done; otherwise sizes and times of change decide.
         since: the beginning of this batch, a time as the manifest writes it; by default in the far future.
     """

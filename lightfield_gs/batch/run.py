@@ -104,7 +104,7 @@ class Run:
         """Do the items and return the reasons of failures.
 
         Args:
-            start: loads what all items need, and returns the function that makes the task of an item.
+            start: loads the resources of all items, and returns the function that makes the task of an item.
         """
         self._manifest.append({"run": self._id, **self._heading, "places": [self._worker.name]})
         began, switch = time.perf_counter(), sys.getswitchinterval()

@@ -131,7 +131,7 @@ def run_shards(call: Callable[[Any, Shard, Worker], int], options: Any, workers:
 
 
 def _run_shard(call: Callable[[Any, Shard, Worker], int], options: Any, shard: Shard, worker: Worker) -> None:
-    """Run a shard as the process for it, which ends with its parent."""
+    """Run a shard in this process, which ends with its parent."""
     if worker.visible is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = worker.visible  # in time: nothing has asked for a GPU in this process
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process

@@ -1,4 +1,4 @@
-"""What an ordinary image costs: forward and backward of one camera, ours and gsplat's by turns.
+"""Measure the time of an ordinary image: forward and backward of one camera, ours and gsplat's by turns.
 
 The scene is synthetic, so that other programs can draw the same one: see `frustum`.
 """
@@ -10,6 +10,7 @@ import gc
 import math
 import statistics
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -31,7 +32,7 @@ COUNTS = {"cpu": (10_000,), "cuda": (100_000, 500_000, 1_000_000, 3_000_000)}
 SIZES_PX = {"cpu": (400, 266), "cuda": (1600, 1066)}
 SH_DEGREE = 3
 RUNS_IN_A_ROW = {"cpu": 3, "cuda": 30}
-_STD_PX, _STD_COUNT, _STD_PIXELS = 1.2, 1_000_000, 1600 * 1066  # a median of 1.2 px for a million before so many pixels
+_STD_PX, _STD_COUNT, _STD_PIXELS = 1.2, 1_000_000, 1600 * 1066  # median: 1.2 px for a million at this size
 _FOCAL_WIDTHS = 0.75  # the focal length in widths of the image
 _HARMONIC_DEVIATIONS = (0.5, 0.1)  # of the coefficients of degree 0, and of the others
 
@@ -46,27 +47,27 @@ class Step:
         self._outputs: Any = None
 
     def forward(self) -> None:
-        """draw(gaussians)."""
+        """Run draw(gaussians)."""
         for field in self.gaussians.fields().values():
             field.grad = None
         self._outputs = self._draw(self.gaussians)
 
     def backward(self) -> None:
-        """Through loss(outputs) to the fields of the Gaussians."""
+        """Run the backward pass from loss(outputs) to the fields of the Gaussians."""
         self._loss(self._outputs).backward()
 
     def both(self) -> None:
-        """Forward and backward."""
+        """Run forward and backward pass."""
         self.forward()
         self.backward()
 
     def image_and_gradients(self) -> dict[str, Tensor]:
-        """The image of the last step, and the gradient of every field."""
+        """Return the image of the last step, and the gradient of every field."""
         gradients = {name: cast(Tensor, field.grad) for name, field in self.gaussians.fields().items()}
         return {"image": self._outputs.detach(), **gradients}
 
     def release(self) -> None:
-        """Lets go of what was drawn; the gradients stay."""
+        """Release the drawn images; the gradients stay."""
         self._outputs = None
 
 
@@ -96,7 +97,7 @@ def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussia
 
 
 def camera(width_px: int, height_px: int, device: str) -> Cameras:
-    """The camera before which `frustum` puts its Gaussians."""
+    """Return the camera in front of the Gaussians of `frustum`."""
     focal, centre = (
         torch.tensor([pair], device=device) for pair in ([_FOCAL_WIDTHS * width_px] * 2, [width_px / 2, height_px / 2])
     )
@@ -104,7 +105,7 @@ def camera(width_px: int, height_px: int, device: str) -> Cameras:
 
 
 def rows(counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: int | None) -> list[dict[str, Any]]:
-    """A row for each number of Gaussians and program.
+    """Return a row for each number of Gaussians and program.
 
     There are rows of gsplat on CUDA if it is installed; else a line on stderr says why not.
     """
@@ -143,7 +144,7 @@ def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
 def _scene_rows(
     gaussians: Gaussians, cameras: Cameras, programs: dict[str, Program], repeats: int | None
 ) -> list[dict[str, Any]]:
-    """The rows of one scene. Every program has Gaussians of its own, whose gradients are held."""
+    """Return the rows of one scene. Every program has its own Gaussians, which keep their gradients."""
     device, cuda = cameras.world_to_camera.device, cameras.world_to_camera.is_cuda
     width, height = cast(int, cameras.width_px), cast(int, cameras.height_px)
     gradient = np.random.default_rng(1).normal(size=(1, height, width, 3)).astype(np.float32)
@@ -170,13 +171,13 @@ def _scene_rows(
 
 
 def _medians(times: list[tuple[float, ...]]) -> dict[str, float]:
-    """Of the runs of a program: of forward, backward and both."""
+    """Return the medians of a program's runs: forward, backward and both."""
     forward, backward, both = map(statistics.median, (*zip(*times), map(sum, times)))
     return {"ms_forward": forward, "ms_backward": backward, "ms_total": both, "runs": len(times)}
 
 
 def _peak_bytes(step: Step, cuda: bool) -> int | None:
-    """The most that a step holds on the device beyond the Gaussians and their gradients; it is left with both."""
+    """Return the peak bytes of a step on the device, beyond the Gaussians and their gradients."""
     step.both()
     if not cuda:
         return None
@@ -201,7 +202,7 @@ def _differences(ours: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each, and how ours compares with the other program's."""
+    """Return the rows as text, one a line, and a comparison of ours with the other program."""
     head = (
         "Gaussians",
         "program",
@@ -246,6 +247,19 @@ def _comparisons(found: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.BenchmarkOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        gaussians: numbers of Gaussians. None: those of COUNTS.
+        size: width and height of the image, px. None: that of SIZES_PX.
+    """
+
+    gaussians: tuple[int, ...] | None = None
+    size: tuple[int, int] | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument(
@@ -266,11 +280,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Rows of every number of Gaussians, gsplat's too where it can be had on CUDA, and their text."""
-    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
-    counts, size = args.gaussians or COUNTS[args.device], args.size or SIZES_PX[args.device]
-    found = rows(counts, size, args.device, args.repeats)
+def run(given: Options) -> tuple[dict[str, Any], str]:
+    """Return the rows of every number of Gaussians, also of gsplat if it is installed, on CUDA; and their text."""
+    torch.set_num_threads(given.thread_count or torch.get_num_threads())
+    counts, size = given.gaussians or COUNTS[given.device], given.size or SIZES_PX[given.device]
+    found = rows(counts, size, given.device, given.repeats)
     return {"rows": found}, table(found)
 
 

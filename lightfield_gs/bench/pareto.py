@@ -111,7 +111,7 @@ def _value(value: float) -> str:
 def subjects(
     scenes: Sequence[str], photos: Sequence[str], panel: Panel, cones: Sequence[Any], device: str
 ) -> list[Callable[[], Subject]]:
-    """Calls that make the subjects: every scene (as load_scene names them) and every photo, in every cone."""
+    """Return functions that make the subjects: every scene of load_scene and every photo, in every cone."""
     return [
         *(partial(_of_scene, scene, panel, cone, device) for scene in scenes for cone in cones),
         *(partial(_of_photo, path, panel, cone, device) for path in photos for cone in cones),
@@ -150,7 +150,7 @@ def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
 def rows(
     subject: Subject, chosen: dict[str, Setting], repeats: int | None, threads: int | None
 ) -> list[dict[str, Any]]:
-    """A row for each setting, the exact one first. Raises InputError."""
+    """Return a row for each setting, the exact setting first. Raises InputError."""
     oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
     what = {
         "scene": subject.name,
@@ -190,7 +190,7 @@ def rows(
 def drawing(
     subject: Subject, quality: Quality = EXACT, threads: int | None = None, out: Tensor | None = None
 ) -> Callable[[], Tensor]:
-    """A call that draws a subject; on CUDA an Encoder's replayed frame, on the CPU over `out`."""
+    """Return a function that draws a subject: on CUDA an Encoder's replayed frame, on the CPU over `out`."""
     if subject.gaussians.means.is_cuda:
         return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
     return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads, out=out)
@@ -228,7 +228,7 @@ COLUMNS = 4
 
 
 def plot(found: list[dict[str, Any]], path: Path) -> None:
-    """Writes the picture. Raises InputError."""
+    """Write the plot. Raises InputError."""
     cases: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
     for row in found:
         cases.setdefault((row["scene"], row["cone_deg"], row["device"]), []).append(row)
@@ -248,7 +248,7 @@ def plot(found: list[dict[str, Any]], path: Path) -> None:
 
 
 def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
-    """The settings as dots, the named ones by name, and the front as a line."""
+    """Draw the settings as dots, with their names, and the front as a line."""
     front = sorted((row for row in rows if row["front"]), key=lambda row: row["ms"])
     axis.step(
         [row["ms"] for row in front],
@@ -271,6 +271,19 @@ def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
     axis.tick_params(labelsize=8)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.SceneOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        photo: files with commas. None: the example of the package, unless there are scenes.
+        plot: file for the picture of the rows.
+    """
+
+    photo: str | None = None
+    plot: Path | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_scene(parser, SCENES)
@@ -282,21 +295,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
-    if args.plot is not None:
-        check_plot(args.plot)
-    photos = [] if args.scene and not args.photo else (args.photo or str(EXAMPLE)).split(",")
+def run(given: Options) -> tuple[dict[str, Any], str]:
+    """Return the rows of every scene, photo, cone and setting, and their text; draw the plot."""
+    if given.plot is not None:
+        check_plot(given.plot)
+    photos = [] if given.scene and not given.photo else (given.photo or str(EXAMPLE)).split(",")
     options.check_photos(photos)
-    scenes = SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
+    scenes = SCENES if not given.scene and not given.photo else given.scene.split(",") if given.scene else ()
     options.check_scenes(scenes)
     found: list[dict[str, Any]] = []
-    count = options.one_thread_count(args.threads)
-    cones = CONES if args.cone is None else options.cones(args.cone)
-    for subject in subjects(scenes, photos, options.load_panel(args), cones, args.device):
+    count = given.thread_count
+    cones = CONES if given.cone is None else options.cones(given.cone)
+    for subject in subjects(scenes, photos, given.load_panel(), cones, given.device):
         made = subject()
         options.progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
-        found += rows(made, settings(), args.repeats, count)
-    if args.plot is not None:
-        plot(found, args.plot)
+        found += rows(made, settings(), given.repeats, count)
+    if given.plot is not None:
+        plot(found, given.plot)
     return {"rows": found}, table(found)

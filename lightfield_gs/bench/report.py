@@ -12,38 +12,38 @@ PLOT_SUFFIXES = (".png", ".svg", ".pdf", ".webp")
 
 
 def aligned(lines: list[tuple[str, ...]]) -> list[str]:
-    """Lines of cells as text, the columns flush right."""
+    """Return lines of cells as text, the columns flush right."""
     widths = [max(map(len, column)) for column in zip(*lines)]
     return ["  ".join(cell.rjust(width) for cell, width in zip(line, widths)) for line in lines]
 
 
 def in_ms(value: float) -> str:
-    """A time in ms, three digits or more."""
+    """Format a time in ms, with three digits or more."""
     return f"{value:.0f}" if value >= 100 else f"{value:.2f}" if value >= 10 else f"{value:.3f}"
 
 
 def or_dash(value: float | None, form: str) -> str:
-    """A number in a format, or a dash where there is none."""
+    """Format a number, or return a dash for None."""
     return "-" if value is None else format(value, form)
 
 
 def megabytes(value: int | None) -> str:
-    """Bytes in MB, or a dash where they are not known."""
+    """Format bytes in MB, or return a dash if they are not known."""
     return or_dash(None if value is None else value / 1e6, ".1f")
 
 
 def check_plot(path: Path) -> None:
-    """Raises InputError where no plot can be drawn to this path."""
+    """Raise InputError if no plot can be written to this path."""
     check_output_path(path)
     if path.suffix.lower() not in PLOT_SUFFIXES:
-        raise InputError(f"--plot: expected {', '.join(PLOT_SUFFIXES)}, got {path.name}")
+        raise InputError(f"plot=: expected {', '.join(PLOT_SUFFIXES)}, got {path.name}")
     new_figure()
 
 
 def new_figure(**options: Any) -> Any:
-    """matplotlib's Figure with these options. Raises InputError where there is no matplotlib."""
+    """Return a Figure of matplotlib with these options. Raises InputError without matplotlib."""
     try:
         from matplotlib.figure import Figure  # not pyplot, which looks for a display
     except ImportError:
-        raise InputError("--plot needs matplotlib: pip install 'lightfield-gs[plot]', or leave --plot out") from None
+        raise InputError("plot= needs matplotlib: pip install 'lightfield-gs[plot]', or leave plot= out") from None
     return Figure(**options)

@@ -1,6 +1,6 @@
 """Synthetic scenes and cones for benchmarks: the same Gaussians, bit for bit, wherever they are made.
 
-`sheet:S` is what a single-image network draws: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
+`sheet:S` is like a single-image network's result: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
 `cloud:N` is the opposite: N Gaussians of random rotation and log-normal size on three nested shells, with much overlap.
 The centre camera stands at the origin and looks along +z. The zero plane is at depth 2; the focal length is the panel's
 width in pixels.
@@ -33,7 +33,7 @@ _HARMONIC_SEED = 99
 
 
 def sheet(side: int, seed: int = 0) -> Gaussians:
-    """side*side Gaussians, row by row over an image twice as wide as high, SH degree 0."""
+    """Return side*side Gaussians, row by row over an image twice as wide as high, SH degree 0."""
     random = np.random.default_rng(seed)
     count = side * side
     index = np.arange(count)
@@ -57,7 +57,7 @@ def sheet(side: int, seed: int = 0) -> Gaussians:
 
 
 def cloud(count: int, seed: int = 0) -> Gaussians:
-    """`count` Gaussians on shells of radius 0.15, 0.3 and 0.45 round (0, 0, 2), coloured by direction, SH degree 0."""
+    """Return `count` Gaussians on three shells round (0, 0, 2), coloured by direction, SH degree 0."""
     random = np.random.default_rng(seed)
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -89,7 +89,7 @@ def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
 
 
 def check_scene(name: str, sh_degree: int | None = None) -> None:
-    """Raises InputError where `load_scene` has no such scene, but for what only reading a file shows."""
+    """Raise InputError if `load_scene` has no such scene, without reading files."""
     kind, _, size = name.partition(":")
     if kind in _MAKERS and size:
         if not size.isascii() or not size.isdigit() or not 1 <= int(size) <= 1 << 24:
@@ -98,7 +98,7 @@ def check_scene(name: str, sh_degree: int | None = None) -> None:
     if Path(name).suffix.lower() != ".ply":
         raise InputError(f"scene {name!r}: expected sheet:S, cloud:N or the path of a .ply file")
     if sh_degree is not None:
-        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out --sh-degree")
+        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out sh_degree=")
     if not checked_path(name).is_file():
         raise InputError(f"scene {name!r}: found no such file")
 
@@ -145,7 +145,7 @@ def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | fl
 def _gaussians(
     means: np.ndarray, quaternions: np.ndarray, scales: np.ndarray, opacities: np.ndarray, colours: np.ndarray
 ) -> Gaussians:
-    """Rounded to float32; colours [N,3] in 0..1 become the harmonics of degree 0 that give them back."""
+    """Return Gaussians rounded to float32, with colours [N,3] in 0..1 as harmonics of degree 0."""
     unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     stored = colours.astype(np.float32)
     harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / SH_CONSTANT
@@ -168,7 +168,10 @@ class OracleSamples:
     values: np.ndarray
 
     def errors(self, image: torch.Tensor) -> dict[str, float]:
-        """psnr_db, max_error_255 (in 1/255) and share_over_1 (share off by more than 1/255) of an 8-bit image."""
+        """Return the errors of an 8-bit image: psnr_db, max_error_255 and share_over_1.
+
+        max_error_255 is in 1/255; share_over_1 is the fraction that is off by more than 1/255.
+        """
         shown = image[self.rows, self.columns, self.channels].cpu().numpy()
         error = np.abs(shown.astype(np.int64) - self.values)
         mean_square = np.mean((error / 255) ** 2)
@@ -177,7 +180,7 @@ class OracleSamples:
 
 
 def oracle_samples(gaussians: Gaussians, panel: Panel, rig: Rig, count: int = ORACLE_SAMPLES) -> OracleSamples:
-    """Random sub-pixels of a panel, before a white background, by lightfield_gs.reference."""
+    """Return random sub-pixels of a panel, before a white background, by lightfield_gs.reference."""
     random = np.random.default_rng(ORACLE_SEED)
     rows = random.integers(0, panel.height_px, count)
     columns = random.integers(0, panel.width_px, count)

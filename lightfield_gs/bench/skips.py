@@ -51,7 +51,7 @@ class Skip:
 
 @torch.no_grad()
 def rows(subject: Subject, repeats: int | None, threads: int | None) -> list[dict[str, Any]]:
-    """A row for each skip: ms_with and ms_without, the shortest of the runs, or None. Raises InputError."""
+    """Return a row for each skip: ms_with and ms_without, the shortest of the runs, or None. Raises InputError."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads or before)  # an Encoder takes torch's
     try:
@@ -89,7 +89,7 @@ def _rows(subject: Subject, repeats: int | None) -> list[dict[str, Any]]:
 
 
 def skips(subject: Subject) -> Iterator[Skip]:
-    """Every skip, for a scene."""
+    """Return every skip for a scene."""
     exact, counted = drawing(subject), _counted(subject)
     yield _culling(subject, counted["skipped"])
     yield Skip(
@@ -123,7 +123,7 @@ def skips(subject: Subject) -> Iterator[Skip]:
 
 
 def _what_it_skips(name: str, exact: dict[str, Any], stats: dict[str, Any]) -> str:
-    """From what `encode` counted of an exact image and of one with the skip."""
+    """Describe the skipped work, by the statistics of an exact image and of an image with the skip."""
     skipped = stats["skipped"]
     if name == "opacity cut":
         return f"{exact['pairs'] - stats['pairs']} intersections of tile and Gaussian"
@@ -136,7 +136,7 @@ def _what_it_skips(name: str, exact: dict[str, Any], stats: dict[str, Any]) -> s
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each, and how they were taken below."""
+    """Return the rows as text, one a line, with a note on the method below."""
     head = ("scene", "cone", "skip", "skipped", "ms with", "ms without", "saved")
     lines = []
     for row in found:
@@ -153,7 +153,7 @@ def _counted(subject: Subject, quality: Quality = EXACT) -> dict[str, Any]:
 
 
 def _culling(subject: Subject, skipped: dict[str, Any]) -> Skip:
-    """The scene with as many Gaussians again behind the cameras, and by itself."""
+    """Compare the scene plus as many Gaussians behind the cameras with the scene alone."""
     scene = subject.gaussians
     *axis, shift = (float(value) for value in subject.rig.world_to_camera[2])
     forward = scene.means.new_tensor(axis)
@@ -171,7 +171,7 @@ def _culling(subject: Subject, skipped: dict[str, Any]) -> Skip:
 
 
 def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
-    """A Gaussian as faint as can be, behind all others and over the whole panel, makes every tile one to draw."""
+    """Make every tile one to draw, by a very faint Gaussian behind all others and over the whole panel."""
     scene, rig = subject.gaussians, subject.rig
     rotation, shift = (
         torch.as_tensor(part, dtype=scene.dtype, device=scene.device)
@@ -198,7 +198,7 @@ def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
 
 
 def _colour_orders(subject: Subject) -> Skip:
-    """Polynomials of the order that each Gaussian needs, and exact colours for all."""
+    """Compare polynomials of each Gaussian's own order with exact colours for all."""
     scene, note = subject.gaussians, "without: the colours of all Gaussians are exact"
     if scene.sh_degree == 0:
         scene = with_harmonics(scene.to("cpu"), _HARMONICS).to(scene.device)
@@ -228,7 +228,7 @@ def _colours(subject: Subject, quality: Quality) -> Draw:
 
 @dataclass
 class _Film:
-    """A scene of its own, in which something changes before every frame."""
+    """Return a separate scene, in which something changes before every frame."""
 
     scene: Gaussians
     rig: Rig
@@ -249,7 +249,7 @@ class _Film:
 
 
 def _reuse(subject: Subject) -> Iterator[Skip]:
-    """What an Encoder spares from frame to frame."""
+    """Compare an Encoder's frames with separate images."""
     note = "by an Encoder; without: `encode`"
     for change in ("nothing new", "other colours", "zero plane moved", "all new"):
         encoder = Encoder(subject.panel, subject.rig, versioned=True)
@@ -273,6 +273,9 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
         yield Skip(f"reuse, {change}", ", ".join(spared) or "no stage", film, anew, note)
 
 
+Options = options.SceneOptions
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_scene(parser, SCENES)
@@ -283,13 +286,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Rows of every skip, for every scene and cone, and their text."""
-    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.load_panel(args)
-    cones, count = options.cones(args.cone), options.one_thread_count(args.threads)
-    degrees, found = options.sh_degrees(args.sh_degree), []
+def run(given: Options) -> tuple[dict[str, Any], str]:
+    """Return the rows of every skip, for every scene and cone, and their text."""
+    scenes, panel = SCENES if given.scene is None else given.scene.split(","), given.load_panel()
+    cones, count = options.cones(given.cone), given.thread_count
+    degrees, found = options.sh_degrees(given.sh_degree), []
     options.check_scenes(scenes, degrees)
-    for subject in scene_subjects(scenes, degrees, panel, cones, args.device):
+    for subject in scene_subjects(scenes, degrees, panel, cones, given.device):
         options.progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: with and without every skip by turns")
-        found += rows(subject, args.repeats, count)
+        found += rows(subject, given.repeats, count)
     return {"rows": found}, table(found)

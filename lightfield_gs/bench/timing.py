@@ -25,7 +25,7 @@ AHEAD_CYCLES = 2_000_000  # a millisecond, in which the host gets ahead of the d
 def timed(
     call: Callable[[], Any], cuda: bool, repeats: int | None = None, ahead: bool = True
 ) -> tuple[Any, list[float]]:
-    """The last result of a call, and the times of the runs in ms, in their order; runs as in timed_in_turn."""
+    """Return the last result of a call, and the times of the runs in ms, in their order; runs as in timed_in_turn."""
     result, times = timed_in_turn([call], cuda, repeats, ahead)
     return result, [ms for (ms,) in times]
 
@@ -56,7 +56,7 @@ def timed_in_turn(
 def timed_by_turns(
     programs: Sequence[Sequence[Callable[[], Any]]], cuda: bool, repeats: int | None = None
 ) -> list[list[tuple[float, ...]]]:
-    """Runs of several programs by turns, each of several calls: for each program the runs as of timed_in_turn.
+    """Time several programs by turns, each of several calls; return for each program the runs as in timed_in_turn.
 
     So other load on the machine affects all alike. Every program has as many runs as the program that needs the most.
     """
@@ -81,7 +81,7 @@ def ms_in_a_row(call: Callable[[], Any], cuda: bool, count: int) -> float:
 
 
 def _warmed_up(clock: Callable[..., Any], calls: Sequence[Callable[[], Any]], cuda: bool, repeats: int | None) -> int:
-    """How many runs there are to be, after those on CUDA that do not count."""
+    """Warm up, and return the number of runs to time."""
     warm: list[float] = []
     spent = 0.0
     while cuda and (len(warm) < WARM_UP or spent < WARM_UP_MS):
@@ -138,6 +138,6 @@ def _processor() -> str:
 
 
 def machine_line(found: dict[str, Any]) -> str:
-    """Where the times were taken."""
+    """Return a line on the machine of the times."""
     gpu = f"{found['gpu']}, CUDA {found['cuda']}, " if "gpu" in found else ""
     return f"{gpu}{found['processor']}, {found['cores']} cores, torch {found['torch']}"

@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the items of args.input that are not done; return 1 if some of them failed. Raises InputError."""
+    """Run the unfinished items of args.input; return 1 if an item failed. Raises InputError."""
     options = read_batch_options(args)
     job = _job_options(options)
     check_folder(options.output)
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_shard(options: BatchOptions, shard: Shard, worker: Worker) -> int:
-    """Do every N-th item in this process; return 1 if some of them failed. Raises InputError."""
+    """Run every N-th item in this process; return 1 if an item failed. Raises InputError."""
     job = _job_options(options)
     items = _read_items(options)[shard[0] - 1 :: shard[1]]
     with Manifest(options.output, shard) as manifest:

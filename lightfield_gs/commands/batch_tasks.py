@@ -78,7 +78,7 @@ def read_batch_options(args: argparse.Namespace) -> BatchOptions:
 
 
 def load(options: BatchOptions, worker: Worker) -> Callable[[tuple[Item, Known | None]], Task]:
-    """Load what all items need, and return the function that makes the task of an item."""
+    """Load the resources of all items, and return the function that makes the task of an item."""
     use_threads(worker.threads)
     if worker.device == "cuda":
         torch.zeros(1, device="cuda")  # loads what takes seconds
@@ -93,7 +93,7 @@ class EncodeTask:
 
     Attributes:
         item: the photo or scene.
-        known: what the manifest knows of it.
+        known: the manifest's knowledge of the item.
         batch: the options of all items.
         worker: where the process works.
         copies: as Encoding takes them.
@@ -182,7 +182,7 @@ class EncodeTask:
     def _is_kept(self) -> bool:
         """Note the hashes of the inputs; return whether the outputs were made of the same."""
         files = [path for path in self.files() if path not in (None, AUTO)]
-        source = files[0]  # the input; of the others their readers say better what is wrong with them
+        source = files[0]  # the input alone; the readers of the other files describe their faults better
         self.inputs = {str(path): facts(str(path)) for path in files if path == source or Path(str(path)).exists()}
         if self.known is None or not self.known.outputs:
             return False

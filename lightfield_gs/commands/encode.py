@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _say(encoding: Encoding) -> None:
-    """Print the size of the image, the times, and what was decided or looks wrong."""
+    """Print the size of the image, the times, and notes on decisions and suspicious contents."""
     options, panel, count = encoding.options, encoding.panel, encoding.scene.gaussians.count
     if options.preview is not None and (why := why_no_eye(panel)):
         note(f"{options.preview} has no left-eye.png and right-eye.png: {why}")

@@ -1,4 +1,4 @@
-"""`lightfield-gs info`: what a file holds."""
+"""`lightfield-gs info`: the contents of a file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def describe(
         time: of a scene, see `read_scene`.
 
     Raises:
-        InputError: the file cannot be read, or an option is not for it.
+        InputError: the file cannot be read, or does not take an option.
     """
     suffix = path.suffix.lower()
     if serial is not None and suffix != ".json":

@@ -1,4 +1,4 @@
-"""`lightfield-gs simulate`: what an eye sees of an encoded image."""
+"""`lightfield-gs simulate`: the picture that an eye sees of an encoded image."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # sub-pixe
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """What an eye sees of an encoded image.
+    """Options of the picture that an eye sees of an encoded image.
 
     Attributes:
         image: the encoded image.
@@ -33,7 +33,7 @@ class SimulateOptions:
         panel: options of the panel; None in them: the panel that the image names.
         eye: position x, y, z in mm.
         eyes: positions from, to in mm, and their count.
-        spread: width of what a lens lights, sub-pixels.
+        spread: width that a lens lights, sub-pixels.
         psf: file of a measured spread.
     """
 

@@ -212,7 +212,7 @@ class _Capture:
 
     def __init__(self, given: _Input, job: DirectRender, image: Tensor, quality: Quality):
         self.given, self.job, self.image = given, job, image
-        self.drawn: _Input | None = None  # what was drawn last, whose lists the frame still has
+        self.drawn: _Input | None = None  # the last drawing, whose lists the frame still has
         self.frames: DirectFrames = known_frames(job, quality)
         self.frame: DirectFrame = self.frames.frame(job)
         self.graph = self._graph(False)

@@ -1,8 +1,8 @@
 """Interlacing views of any size and number: of a quilt, of a folder or of a light field, to the image of a panel.
 
 View q of M, counted from the left-most camera, stands at the place (q + 1/2) / M of the fan. A sub-pixel that shows
-the panel's x of N views stands at 1 - x / N (with invert_views x / N). So integer views of a panel fall exactly on the
-views of a set of as many.
+the panel's x of N views stands at 1 - x / N (with invert_views x / N). So a panel's integer views fall exactly on the
+views of a set of the same size.
 """
 
 from __future__ import annotations

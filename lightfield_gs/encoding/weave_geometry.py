@@ -49,7 +49,7 @@ class Fan:
         if self.table is not None:
             return np.arange(self.count - 1, -1, -1.0)
         n = np.arange(self.panel.views, dtype=np.float64)
-        # By whole numbers first, so that views of as many fall exactly on one
+        # By whole numbers first, so that equally many views fall exactly on one view
         return self._among((n if self.panel.invert_views else self.panel.views - 1 - n) + 0.5)
 
     def rows(self) -> Iterator[tuple[slice, np.ndarray]]:
@@ -137,7 +137,7 @@ def find_window(
         raise InputError(f"crop must be fractions of left, top, right and bottom, got {shown(crop)}")
     left, top, right, bottom = (real_number("crop", part, 0, 1) for part in crop)
     width, height = 1 - left - right, 1 - top - bottom
-    if fit == "cover":  # what a shift uncovers beside the outermost views is cut off
+    if fit == "cover":  # the area that a shift uncovers beside the outermost views is cut off
         width -= abs(shift)
     if width < 0.01 or height < 0.01:
         raise InputError("crop and shift leave nothing of the views; give smaller ones")

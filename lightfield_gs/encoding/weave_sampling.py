@@ -136,7 +136,7 @@ class Held(NamedTuple):
     """Views in memory: pictures [G, h, w, 3] from number `first` on.
 
     Attributes:
-        own: This pass draws the sub-pixels whose first view is one of the first `own` of the pictures.
+        own: This pass draws the sub-pixels whose first view is among the first `own` pictures.
     """
 
     pictures: Tensor

@@ -38,7 +38,7 @@ class Group:
         return self.rank == 0
 
     def split(self, order: Tensor) -> Tensor:
-        """Return this process's columns of order [steps,V]; raise InputError unless all get as many."""
+        """Return this process's columns of order [steps,V]; raise InputError if the processes' numbers differ."""
         batch_size = order.shape[1]
         if batch_size % self.size:
             raise InputError(
@@ -50,8 +50,8 @@ class Group:
     def sum_(self, tensors: Sequence[Tensor]) -> None:
         """Replace tensors of one dtype, with the same shapes in all processes, by their sums over the processes.
 
-        Each process sums a part in the order of ranks, and sends it to the others. The usual reductions send as many
-        bytes, in an order that is not fixed.
+        Each process sums a part in the order of ranks, and sends it to the others. The usual reductions send the same
+        number of bytes, but their order is not fixed.
         """
         if self.size == 1:
             return

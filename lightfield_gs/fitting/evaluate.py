@@ -76,7 +76,7 @@ class Scores:
         return {"psnr_db": round(self.mean_psnr_db, 4), "ssim": round(self.mean_ssim, 5), "views": rows}
 
     def table(self) -> str:
-        """Return a text with a row for each photograph and one of the means."""
+        """Return a text with a row for each photograph and a row of the means."""
         rows = [*zip(self.names, self.psnr_db, self.ssim), ("mean", self.mean_psnr_db, self.mean_ssim)]
         width = max(len("photograph"), *(len(name) for name, *_ in rows))
         lines = [f"{'photograph':{width}}  PSNR dB   SSIM"]
@@ -253,13 +253,9 @@ def scores_by_angle(
     for low, high in zip(EDGES_DEG, EDGES_DEG[1:]):
         last = high == EDGES_DEG[-1]
         parts.append((f"{low}-{high} degrees", (angles >= low) & ((angles < high) | last)))
-    return [
-        {
-            "views": name,
-            "photographs": int(chosen.sum()),
-            "psnr_db": float(psnr[chosen].mean()),
-            "ssim": float(similar[chosen].mean()),
-        }
-        for name, chosen in parts
-        if chosen.any()
-    ]
+    rows: list[dict[str, float | str]] = []
+    for name, chosen in parts:
+        if chosen.any():
+            means = {"psnr_db": float(psnr[chosen].mean()), "ssim": float(similar[chosen].mean())}
+            rows.append({"views": name, "photographs": int(chosen.sum()), **means})
+    return rows

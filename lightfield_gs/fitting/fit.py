@@ -268,7 +268,7 @@ def _drop_masked_out(
 
 
 def _describe_dropout(settings: FitSettings, photographs: int) -> list[str]:
-    """Return a line about dropout for a fit to so many photographs, if there is something to say."""
+    """Return a line of advice on dropout for this number of photographs; None without advice."""
     if settings.dropout > 0:
         return [f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"]
     words = (

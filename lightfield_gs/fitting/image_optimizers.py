@@ -1,4 +1,4 @@
-"""Parameters that each photograph has of its own, its camera's pose and its exposure, and their Adam.
+"""Parameters of each photograph, its camera's pose and its exposure, and their Adam.
 
 A pose P = world_to_camera moves by six numbers in the axes of its own camera, a translation v and a rotation w.
 x_camera becomes exp(w) R x_world + exp(w) t + v, so that a camera turns about its own centre. To first order at
@@ -146,7 +146,7 @@ class PoseOptimizer:
             world_to_camera: [C,4,4].
             steps: of the fit.
             rate: the learning rate at the start, extents and radians; it falls to a hundredth.
-            keeps_mean: remove the mean motion; False where each camera is by itself, before a fixed scene.
+            keeps_mean: remove the mean motion; False if each camera moves alone before a fixed scene.
         """
         self.world_to_camera = world_to_camera.clone()
         self._exact = world_to_camera.to(torch.float64, copy=True)

@@ -1,4 +1,4 @@
-"""The Gaussians that a fit begins with: one at each point of structure from motion, or random ones."""
+"""The initial Gaussians of a fit: one at each point of structure from motion, or random Gaussians."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class GaussianState:
         return SH_COEFFICIENTS.index(self.values.sh.shape[1])
 
     def gaussians(self) -> Gaussians:
-        """Return the scene as it is drawn; it shares the memory of the state."""
+        """Return the scene for drawing; it shares the memory of the state."""
         return Gaussians(self.values.means, self.values.quaternions, self.scales, self.opacities, self.values.sh)
 
     def tensors(self) -> dict[str, Tensor]:
@@ -222,8 +222,8 @@ def update(
         table: [steps, 11], see update_table, with the same betas.
         step: one int64, the row to use. It stays on the device, so that a CUDA graph can repeat the call for all steps;
             the caller counts it up.
-        skipped: one int64, to which the number of Gaussians is added that keep their values, since their gradient is
-            beyond 1e18 or not a number.
+        skipped: one int64, a sum of numbers of Gaussians that keep their values, because their gradient exceeds 1e18 or
+            is NaN.
         seed: 0..2^64-1, of the noise.
         seen: [N] uint8, zero for Gaussians without regularisers; None: all have them.
         betas: of Adam.

@@ -99,7 +99,7 @@ class Run:
         self._saved_at, self._saving_s = time.monotonic(), 0.0
 
     def go(self) -> None:
-        """Do all steps that are left, or as many as the options allow."""
+        """Run all remaining steps, or as many as the options allow."""
         self._resume()
         trainer, steps, chunk = self.trainer, self.trainer.settings.steps, 1
         self._progress.begin(trainer.done, steps, trainer.settings.batch_size)

@@ -99,7 +99,7 @@ class FitSettings:
     batch_size: int = _whole(1, 1, 1024)  # photographs in each step
     seed: int = _whole(0, 0, 2**63 - 1)
     antialiased: bool = _flag(False)
-    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)  # None: a random one in each step
+    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)  # None: a random colour in each step
     masks: Masks = _choice("ignore", MASKS)  # pixels outside a mask are ignored, or are to be transparent
     exposure: bool = _flag(False)  # fit an affine change of colours for each photograph
     poses: bool = _flag(False)  # refine the cameras' poses
@@ -141,7 +141,7 @@ class FitSettings:
     grow_scale3d: float = _real(0.01)  # in extents; smaller Gaussians are cloned, larger ones are split
     prune_scale3d: float = _real(0.1)  # in extents
     reset_every: int = _whole(3000)
-    # Gaussians are sorted along a Morton curve every so many steps while the density changes
+    # steps between sorts of the Gaussians along a Morton curve, while the density changes
     morton_every: int = _whole(5000)
 
     def __post_init__(self) -> None:
@@ -172,7 +172,7 @@ class FitSettings:
 
     @property
     def refine_end(self) -> int:
-        """The step from which on the density stays as it is."""
+        """The step after which the density does not change."""
         return self.scaled(self.refine_stop_iter or (25_000 if self.density == "mcmc" else 15_000))
 
     def rounds_from(self, step: int) -> int:

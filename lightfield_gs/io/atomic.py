@@ -57,7 +57,7 @@ def _target(path: Path) -> Path:
 
 
 def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
-    """Raise InputError where a command would overwrite its input, or one of its outputs by another.
+    """Raise InputError if a command would overwrite its input, or one output by another.
 
     None stands for a file that was not given.
     """

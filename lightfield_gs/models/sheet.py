@@ -32,7 +32,7 @@ def lay_sheet(
 
     But texels beside the object, of opacity 0, are not turned along the surface.
 
-    Everything is float32 on one device, for which is_native must hold; nothing waits for it.
+    All tensors are float32 on one device, for which is_native must hold; nothing waits for the device.
 
     Args:
         cloud, pixels, layers: see with_detail.

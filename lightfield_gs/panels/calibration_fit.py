@@ -39,7 +39,7 @@ class CalibrationFitConstants:
     least_coherence: float = 0.7
     most_disagreement: float = 0.05  # lens widths between a viewpoint and the plane of all, at most
     rounds: int = 12  # Gauss-Newton steps
-    much_worse: float = 1.5  # ratio of misfits from which on turned or mirrored photographs are what was taken
+    much_worse: float = 1.5  # ratio of misfits from which on the photographs count as turned or mirrored
     surely_worse: float = 10.0  # the same ratio where turned photographs do not fit well either
     least_misfit: float = 1e-5  # misfit below which no difference counts
     # ratio of width by height, against the expected one, from which on the panel may be turned

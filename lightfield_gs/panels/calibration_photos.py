@@ -83,7 +83,7 @@ class Viewpoint:
                 raise InputError(f"{self.name}: expected photographs of one size [H, W, 3], got {list(photo.shape)}")
 
     def light(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the light of the three shifts, float32 [H, W, 3], and where none is clipped, bool [H, W]."""
+        """Return the light of the three shifts, float32 [H, W, 3], and a mask of unclipped pixels, bool [H, W]."""
         codes = [as_floats(photo[..., :3]) for photo in self.photos]
         free = np.all([code.max(2) < CONSTANTS.clipped for code in codes], 0)
         light = [decode_srgb(code) for code in codes]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
 
 LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
-PERIOD = 4  # every known pattern repeats after so many columns and rows
+PERIOD = 4  # every known pattern repeats after this number of columns and rows
 _MOST_CELLS = PERIOD * PERIOD
 _FARTHEST_PX = 8.0
 Cell = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # (x, y) of red, green, blue

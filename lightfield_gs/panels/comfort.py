@@ -135,7 +135,7 @@ class DepthReport:
 def depth_report(gaussians: Gaussians, panel: Panel, rig: Rig) -> DepthReport:
     """Measure how deep a scene is on a panel.
 
-    Three small pictures are rendered for it.
+    The function renders three small pictures.
 
     Args:
         gaussians: One set, in the rig's coordinates.

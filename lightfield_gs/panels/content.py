@@ -128,8 +128,8 @@ def subsample(gaussians: Gaussians) -> Gaussians:
 def photo_extent(gaussians: Gaussians) -> Tensor:
     """Return the content_extent of a photo's Gaussians, in the photo's axes; of a million an eighth is enough.
 
-    Of more than 2^17 one of each few neighbours in storage is measured. A hash chooses it, so that columns and rows of
-    a grid are met alike. Their number alone decides which ones; nothing waits for a device.
+    Of more than 2^17 Gaussians only every n-th in storage is measured. A hash chooses it, so that columns and rows of a
+    grid are met alike. Their number alone decides which ones; nothing waits for a device.
     """
     few = -(-gaussians.count // _MANY)
     if few == 1:
@@ -251,7 +251,7 @@ def _within(means: Tensor, place: Tensor, radius: float) -> Tensor:
 
 
 def _spread(values: Tensor, most: int) -> Tensor:
-    """Return at most so many of the values [N, ...], evenly among them."""
+    """Return at most this number of the values [N, ...], evenly spaced."""
     count = min(most, len(values))
     return values[torch.arange(count, device=values.device) * len(values) // count]
 
@@ -292,7 +292,7 @@ def _cut(offsets: Tensor, distances: Tensor, weights: Tensor, least: float) -> f
 
 
 def _direction_fraction(offsets: Tensor) -> float:
-    """Return the fraction 0..1 of all directions with one of the offsets [M, 3] in them."""
+    """Return the fraction 0..1 of all directions that contain an offset of [M, 3]."""
     if len(offsets) == 0:
         return 0.0
     bins = _directions(_SUBJECT.direction_bins).to(offsets)

@@ -170,7 +170,7 @@ def _in_form(old: Any, new: float | None) -> Any:
 
 
 def _distinct(found: Iterator[_Calibration]) -> list[_Calibration]:
-    """Return one of each set of equal calibrations, with all names of its display."""
+    """Return the distinct calibrations, each with all names of its display."""
     out: dict[str, _Calibration] = {}
     for one in found:
         first = out.setdefault(repr(one.data), one)
@@ -246,7 +246,7 @@ def _usual_name(key: Any) -> Any:
 
 
 def _parsed_cell(cell: Any, where: str) -> Any:
-    """Return a cell with its numbers; anything else as it is."""
+    """Return a cell with its strings as numbers; return anything else unchanged."""
     return (
         {key: _parsed_number(_unwrap(value), key, where) for key, value in cell.items()}
         if isinstance(cell, dict)
@@ -255,7 +255,7 @@ def _parsed_cell(cell: Any, where: str) -> Any:
 
 
 def _parsed_number(value: Any, key: str, where: str) -> Any:
-    """Return the number in a string; anything else as it is."""
+    """Return the number in a string; return anything else unchanged."""
     if not isinstance(value, str):
         return value
     text = value.strip()

@@ -170,7 +170,7 @@ class Panel:
 
     @staticmethod
     def from_yaml(source: str | Path) -> Panel:
-        """Return a panel from a YAML file with the fields of this class, or by the name of one in configs/panels.
+        """Return a panel from a YAML file with the fields of this class, or by a name in configs/panels.
 
         Raises:
             InputError: The file cannot be read, has an unknown key, or lacks a key.

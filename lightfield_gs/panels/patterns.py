@@ -43,7 +43,7 @@ HEIGHT_DOTS = 7  # of a line of text, with a dot of margin on either side
 
 
 def width_dots(characters: int) -> int:
-    """Return the width of so many characters, with a dot between them and a margin of one dot on either side."""
+    """Return the width of a number of characters, with a dot between them and a margin of one dot on either side."""
     return 4 * characters + 1
 
 

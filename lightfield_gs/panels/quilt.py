@@ -170,14 +170,14 @@ def panel_quilt(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayo
 
 
 def _squarest_layout(panel: Panel, views: int) -> QuiltLayout:
-    """Return the most square layout of so many views."""
+    """Return the most square layout of a number of views."""
     width, height = panel.width_px, panel.height_px
     ways = [(count, views // count) for count in range(1, views + 1) if views % count == 0]
     return _layout(panel, *min(ways, key=lambda way: abs(math.log(way[0] * width / (way[1] * height)))))
 
 
 def _layout(panel: Panel, columns: int, rows: int) -> QuiltLayout:
-    """Return a layout of so many tiles, as large as fit."""
+    """Return a layout of a number of tiles, as large as fit."""
     scale = _scale(panel, columns, rows)
     size = [
         count * max(1, math.floor(scale * side)) for count, side in ((columns, panel.width_px), (rows, panel.height_px))

@@ -143,7 +143,7 @@ def simulate(
     if z + gap <= 0 or distance + gap <= 0:
         raise InputError(f"eye: z must be larger than the lens gap of {abs(gap):.4g} mm, got {z}")
     lens_mm = lens * sub_mm * distance / (distance + gap)
-    # a is linear in D, with xi = (D - D_mid) p_sub; D_mid is what D would be of a sub-pixel centred on the panel.
+    # a is linear in D, with xi = (D - D_mid) p_sub; D_mid is D of a sub-pixel centred on the panel.
     pixel = 0 if panel.subpixel_cells else 1  # D of a pixel's centre, from its reference
     middle = 1.5 * (panel.width_px - 1) + pixel + 1.5 * (panel.height_px - 1) * panel.slant_tan + panel.phase
     slope = sub_mm * z / ((z + gap) * lens_mm)

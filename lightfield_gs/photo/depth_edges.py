@@ -30,7 +30,7 @@ class DepthEdgeConstants:
     rim_px: int = 3  # pixels on either side of an edge whose colours may be mixed
     window_px: int = 6  # pixels to each side from which the colours of both surfaces are taken
     window_std: float = 3.0  # standard deviation of the weights in this window, pixels
-    step_ratio: float = 1.03  # ratio of disparities from which on two pixels stand one before the other
+    step_ratio: float = 1.03  # ratio of disparities from which on two pixels belong to different surfaces
     noise: float = 2e-4  # variance of a colour, 0..1, that is no difference
     trace: float = 0.04  # coverage that is not visible
 

@@ -50,7 +50,7 @@ def detail_level(
 
 
 def count(config: ModelConfig, factor: int) -> int:
-    """Return the number of Gaussians of a photo at this factor, invisible ones included."""
+    """Return the number of Gaussians of a photo at this factor, including invisible Gaussians."""
     return config.image_size_px**2 * (factor**2 + config.layers)
 
 

@@ -79,7 +79,7 @@ class PhotoEncoder:
             # torch takes memory_format of a module too, which its stub does not know
             self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.look, self.detail, self.budget = look, detail, budget
-        self._level(1)  # raises what any photo would
+        self._level(1)  # raises the errors that any photo would raise
         self.gaussians: Gaussians | None = None
         self.rig: Rig | None = None
         self._captured: _Capture | None = None
@@ -89,8 +89,8 @@ class PhotoEncoder:
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
         """Return the image [H, W, 3] of a photo, on the network's device.
 
-        Afterwards `gaussians` and `rig` belong to the image. On CUDA the next call overwrites the Gaussians, and those
-        too faint to be visible are among them.
+        Afterwards `gaussians` and `rig` belong to the image. On CUDA the next call overwrites the Gaussians, and they
+        include invisible Gaussians.
 
         Args:
             rgba: A photo as SplatterNet.predict takes it.

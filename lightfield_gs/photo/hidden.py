@@ -171,7 +171,7 @@ def _continue_disparity(
 
 
 def _clean_border(depth: Tensor, rows: Tensor, source: Tensor, sign: int) -> tuple[Tensor, Tensor]:
-    """Return the last clean pixel of a surface in each of these rows [M], beyond mixed ones of the same surface.
+    """Return the last clean pixel of a surface in each of these rows [M], beyond its mixed pixels.
 
     Args:
         depth: [H, W].

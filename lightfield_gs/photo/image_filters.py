@@ -51,6 +51,6 @@ def halve(values: Tensor) -> Tensor:
 
 
 def row_strips(height: int, width: int, pixels: int) -> Iterator[tuple[int, int]]:
-    """Yield ranges of rows (top, bottom), bottom exclusive, of about so many pixels each."""
+    """Yield ranges of rows (top, bottom), bottom exclusive, each of about this many pixels."""
     rows = max(1, pixels // width)
     return ((top, min(height, top + rows)) for top in range(0, height, rows))

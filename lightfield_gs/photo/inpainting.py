@@ -28,8 +28,7 @@ class InpaintingConstants:
     All are chosen by hand and not tuned on a data set, unless a comment says otherwise.
     """
 
-    # The membrane
-    # steps where a coarser level has been solved, so that the rest is local; twice as many at each coarser level
+    # steps of the membrane after a coarser level, when the rest is local; doubled at each coarser level
     iterations: int = 8
     # steps at most: the first guess is close, and the inside of a hole is hardly ever visible
     most_iterations: int = 60

@@ -35,7 +35,7 @@ class CutOutConstants:
 
     # Fractions of the area that an object encloses
     most_faded: float = 0.12  # of a pale body: beyond it the object itself is likely to be lost, and is refused
-    most_holes: float = 0.6  # of holes: beyond it the object is refused likewise
+    most_holes: float = 0.6  # of holes: beyond it the object is also refused
     many_holes: float = 0.3  # of holes: beyond it a note says so
     few_levels: int = 16  # level, of 255, of the brightest pixel below which a mask numbers things
 

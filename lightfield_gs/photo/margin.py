@@ -162,7 +162,7 @@ def _mirror(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
 
 
 def _blur(values: Tensor, size: int) -> Tensor:
-    """Return a map [H, W], smooth over so many pixels."""
+    """Return a map [H, W], smoothed over this number of pixels."""
     small = functional.avg_pool2d(values[None, None], size, ceil_mode=True, count_include_pad=False)
     large = functional.interpolate(small, scale_factor=size, mode="bilinear", align_corners=False)
     return large[0, 0, : values.shape[0], : values.shape[1]]

@@ -37,7 +37,7 @@ class PlainPhotoConstants:
     near: float = 0.06  # colour distance up to which alpha is 0
     far: float = 0.14  # colour distance from which on alpha is 1
     same: float = 0.02  # colour distance up to which an enclosed patch may be the background, seen through a hole
-    hole_side: float = 0.025  # side by the image's shorter one of a square that fits in a hole; less is a highlight
+    hole_side: float = 0.025  # side of a square in a hole, by the image's shorter side; less: a highlight
 
     # Noise
     windows_px: tuple[int, ...] = (1, 3, 5, 7, 9)  # sides of the squares of means, the first that calms the noise
@@ -104,8 +104,8 @@ class Components:
 def object_components(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, int]:
     """Part an object from the specks beside it.
 
-    A component of 3 % of the largest mass or more belongs to the object. One of 0.1 % does if it is near another for
-    its size, as beads are and dust is not. A smaller one does within the box of all these, down to 0.01 %.
+    A component of 3 % of the largest mass or more belongs to the object. A component of 0.1 % counts if it is near
+    another one for its size: beads are, dust is not. A smaller one does within the box of all these, down to 0.01 %.
 
     Args:
         alpha: float32 [H, W], 0..1.
@@ -129,7 +129,7 @@ def object_components(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int
 
 
 def _near(candidates: np.ndarray, boxes: np.ndarray, others: np.ndarray, reaches: np.ndarray) -> np.ndarray:
-    """Return the candidates whose box is within their reach of one of the others, or of a candidate found before."""
+    """Return the candidates whose box is within reach of another component, or of a candidate found before."""
     found = []
     while len(others) and len(candidates):
         one, other = boxes[candidates][:, None], boxes[others][None]

@@ -46,7 +46,7 @@ class SideBySideConstants:
     window_px: int = 5  # side of the windows whose differences are averaged
     least_contrast: float = 0.03  # standard deviation of a half, values in 0..1, at least
     alike: float = 0.2  # difference of the halves after parallax, by the contrast, at most
-    less: float = 0.3  # the same by their difference when moved in height: a pattern is as much like itself there
+    less: float = 0.3  # by their difference when moved in height, which a repeated pattern keeps small, at most
     height_step: int = 5  # steps of these moves, pixels as compared
     same_picture: float = 0.003  # mean difference up to which the halves are one picture twice, without parallax
 
@@ -84,7 +84,7 @@ def split_halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.nd
 
 
 def depth_side(pixels: np.ndarray, is_named: bool = False) -> str | None:
-    """Return the side of pixels [H, W, C] that is grey, with some relief, beside one in colour; None without one.
+    """Return the grey side of pixels [H, W, C] with some relief, beside a side in colour; None without one.
 
     Args:
         pixels: [H, W, C].

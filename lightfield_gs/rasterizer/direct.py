@@ -1,6 +1,6 @@
 """The sub-pixels of a panel as a torch operator with its backward: torch.ops.lightfield_gs.render_direct.
 
-The stages are project, order, bin and composite (docs/design.md). Each sub-pixel is seen from the camera offset of its
+The stages are project, order, bin and composite (docs/design.md). The camera offset of a sub-pixel is the offset of its
 own view. Results are deterministic: the same bits for any number of threads.
 """
 

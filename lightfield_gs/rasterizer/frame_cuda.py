@@ -38,16 +38,17 @@ _MOST_KNOWN = 64  # kinds of frames that are remembered
 # An environment variable for tests and measurements: the kernels of frames draw as on a device of less shared memory
 SHARED_MEMORY_LIMIT = "LFGS_SHARED_MEMORY_LIMIT"
 # Errors of the polynomials of colours in exact frames, whose other errors are larger than on the CPU. The first bounds
-# what the frame's order cannot express, the second what each splat's polynomial leaves out to be shorter. The second
-# adds up over all splats of a sample. At the highest order a colour whose bound exceeds the third is exact; the bound
-# is some ten times the real error of few splats.
+# the error of the frame's order, the second the error of each splat's shortened polynomial. The second adds up over all
+# splats of a sample. At the highest order a colour whose bound exceeds the third is exact; the bound is some ten times
+# the real error of few splats.
 _COLOUR_TOLERANCE, _COLOUR_LEFT_OUT, _COLOUR_MOST = 2e-5, 5e-6, 1e-4
 
 
 def _colour_tolerances(quality: Quality) -> tuple[float, float, float]:
     """Return the tolerances of colours: of the frame's order, of each splat's powers left out, of the highest order.
 
-    Kernels that draw colours as lines or parabolas leave out as much again, so the second is half of the tolerance.
+    Kernels that draw colours as lines or parabolas err by the same amount again, so the second is half of the
+    tolerance.
     """
     exact = quality.colour_error == EXACT.colour_error
     if exact:
@@ -161,9 +162,9 @@ class DirectFrames:
     """Draw frames of scenes of one kind and quality by any rigs, and remember the capacity and colour order they need.
 
     Polynomials of colours have the highest order that a frame so far needed. Where rigs change, colours may therefore
-    differ from those of `known_frames` by the errors of both. Each is at most twice the tolerance: once for the order,
-    once for the powers left out. A frame that needs a higher order than those before is drawn with theirs, and the next
-    with its own. The next tells if the error was more than 1/255. Where frames are counted, the frame is drawn again.
+    differ from `known_frames` by the errors of both. Each is at most twice the tolerance: once for the order, once for
+    the powers left out. A frame that needs a higher order is still drawn with the earlier order; the next frame has the
+    new order. The next tells if the error was more than 1/255. Where frames are counted, the frame is drawn again.
     """
 
     def __init__(self, job: DirectRender, quality: Quality, slack: float = _MOVING_SLACK):
@@ -258,7 +259,7 @@ class DirectFrames:
                 return
 
     def _needs(self, state: dict[str, Any]) -> bool:
-        """Raise capacity and order of colours to what a frame of this state lacked; return whether either changed."""
+        """Raise capacity and order of colours to the needs of a frame of this state; return whether either changed."""
         before = self.capacity, self.colour_order
         if self.capacity is None or state["intersections"] > self.capacity:
             affordable = free_memory(self.device) // (2 * _INTERSECTION_BYTES)
@@ -281,7 +282,7 @@ class DirectFrames:
 
 
 _known: OrderedDict[tuple, DirectFrames] = OrderedDict()
-# For tests and measurements: one of _core.cuda.FRAME_KERNELS that all frames are drawn by; None: chosen by cost
+# For tests and measurements: the kernel of _core.cuda.FRAME_KERNELS for all frames; None: chosen by cost
 forced_kernel: str | None = None
 
 

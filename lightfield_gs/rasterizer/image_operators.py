@@ -254,7 +254,7 @@ class _Project(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, *inputs):
-        """made: a list to which the render is added, ready for the composite."""
+        """Run the first node of a render; `made` is a list that receives the render, ready for the composite."""
         *tensors, background, options, screen, made = inputs
         ctx.batched = tensors[0].dim() == 3
         render = ImageRender(_inputs(tensors, options), background)

@@ -18,7 +18,7 @@ from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
 from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, CudaWorkspace, project_images_backward
 
-# Of the memory beside the images: cameras go in chunks that take about so much, or one at a time if one takes more
+# Memory in addition to the images: a chunk of cameras takes about this much; a larger camera is a chunk by itself
 CHUNK_BYTES = 1 << 29
 # Numbers for a splat in one image: its fields, its colour, its index in the order, and a few intersections
 _SPLAT_NUMBERS = 48
@@ -146,7 +146,7 @@ class ImageRender:
             background: [B, V, 3].
             stats: filled with times and counts.
             threads: of the CPU; None: torch's.
-            state: what a render of the same inputs left.
+            state: the state of an earlier render of the same inputs.
             capacity: on CUDA, for how many intersections of tiles and splats memory is made. Then nothing waits for
                 the device; if `intersections_on_device` is larger, the images are wrong. None: the host waits for the
                 number.
@@ -252,7 +252,7 @@ def draw_in_chunks(
 ) -> ImageBuffers:
     """Draw one scene before V cameras without gradients, some cameras at a time, to the same bits as in one draw.
 
-    Beside the images it takes memory for as many cameras as fit CHUNK_BYTES. Each takes 192 bytes a Gaussian, and 4 a
+    In addition to the images it takes CHUNK_BYTES for a chunk of cameras. Each takes 192 bytes a Gaussian, and 4 a
     pixel for each of alpha and depth that is not asked for.
 
     Args:

@@ -44,7 +44,7 @@ def operator_schema(*arguments: type, outputs: int, defaults: bool = True, omit:
 
 
 def is_eager(arguments: tuple) -> bool:
-    """Whether all tensors are plain and nothing is being compiled.
+    """Return whether all tensors are plain and nothing is being compiled.
 
     Then an operator's function may be called without the operator. Recording the operator for a trace or a compiler
     takes the host 0.1 ms each time, while the device waits.

@@ -25,7 +25,7 @@ class Quality:
         transmittance_stop: 1e-4..0.5. A sample ends before its transmittance would fall below the stop. The last
             Gaussian takes the light that is left: an error of at most the stop. Pays in deep opaque scenes.
         colour_error: 0..1. Polynomials replace spherical harmonics over the rig. Their interpolation may err by this,
-            and the highest powers that are left out by as much again. Near the cameras, where no polynomial is so good,
+            and the omitted highest powers by the same amount again. Near the cameras, where no polynomial is so good,
             colours are exact. 0: all colours are exact.
         lattice_error: 0..1. Where the light field is smooth, it is evaluated on a coarse lattice in (x, y, view) and
             interpolated. As a check the middle of every cell is evaluated too. Nodes are moved by two thirds of the

@@ -55,7 +55,7 @@ class Stats:
             torch.cuda.synchronize(self.device)
 
     def add_render(self, other: Stats) -> None:
-        """Add one of several renders in a row: their work adds up, their memory is used again."""
+        """Add a render to the sum of a sequence: work adds up, memory is reused."""
         for name, ms in other.stages_ms.items():
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
         self.intersections += other.intersections

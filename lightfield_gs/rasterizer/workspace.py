@@ -41,7 +41,7 @@ def float_and_byte_addresses(out: Tensor) -> tuple[int, int]:
 
 
 class SceneTensors:
-    """Checked, contiguous Gaussians [B, N, ...], and the core's view of them."""
+    """Checked, contiguous Gaussians [B, N, ...], and their native view."""
 
     def __init__(self, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor):
         """Check the fields; see ImageArguments. Raises InputError."""
@@ -182,7 +182,7 @@ class Splats:
 
 
 class GradientRequest(NamedTuple):
-    """The requested gradients of ordinary images, beside those of the five fields and of the background.
+    """The gradients of ordinary images on request, in addition to the five fields and the background.
 
     Attributes:
         screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.

@@ -48,8 +48,8 @@ class CudaWorkspace:
     def _use_lists(self, lists: Tensor, unsorted: int | None = None) -> None:
         """Use lists, a tensor of bytes.
 
-        They are kept as addresses: making tensors of the parts takes the host longer, and here the device waits for it.
-        A splat's intersections are numbered by slots, in the order of the splats; gradients are written there.
+        They are kept as addresses: making tensors of the parts takes the host longer, and the device would wait. A
+        splat's intersections are numbered by slots, in the order of the splats; gradients are written there.
 
         Args:
             lists: the range of intersections of each tile, [tiles, 2] int64; the range of slots of each splat, [I, N,

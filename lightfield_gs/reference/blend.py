@@ -121,7 +121,7 @@ class Projection:
     """One scene before one eye: view-space means and spreads of the visible Gaussians, near ones first.
 
     With antialiased, the compensation lowers an opacity by as much as the low pass spreads the Gaussian, so that it
-    keeps its light. An aperture of the eye spreads it out too, and it keeps its light likewise.
+    keeps its light. An aperture of the eye also spreads a Gaussian, which keeps its light.
     """
 
     def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
@@ -144,8 +144,8 @@ class Projection:
     def footprint(self, gaussian: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
         """Return the projected mean u, v (px) of Gaussians seen from an offset, and the rows [3, ...] of their spread.
 
-        The products of these two vectors, in px, are the covariance (EWA) before the low pass. The arguments have
-        equally many dimensions and are broadcast against each other, or there is one offset for all.
+        The products of these two vectors, in px, are the covariance (EWA) before the low pass. The arguments have the
+        same number of dimensions and are broadcast, or there is one offset for all.
         """
         fx, fy, cx, cy = self.eye.intrinsics.unbind()
         low_x, high_x, low_y, high_y = self.eye.limits.unbind()

@@ -1,1 +1,1 @@
-"""Pictures of what an eye sees of a panel."""
+"""Pictures that an eye sees of a panel."""

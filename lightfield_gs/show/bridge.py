@@ -72,7 +72,7 @@ def _entry(path: Path, columns: int, rows: int, aspect: float) -> dict[str, Any]
 
 
 def check_bridge(url: str = BRIDGE_URL, timeout_s: float = _TIMEOUT_S) -> None:
-    """Raises InputError where no Bridge answers, before any long work is done for nothing."""
+    """Raise InputError if no Bridge answers, before any long work."""
     _Bridge(url, timeout_s).ask("bridge_version", {})
 
 
@@ -86,14 +86,14 @@ class _Bridge:
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
     def enter(self) -> str:
-        """The token of a session, which all other requests carry."""
+        """Return the token of a session, which all other requests carry."""
         token = self.ask("enter_orchestration", {"name": "default"}).get("payload", {}).get("value")
         if not isinstance(token, str) or not token:
             raise InputError(f"Looking Glass Bridge at {self._url} gave no session; update Bridge to 2.2 or newer")
         return token
 
     def ask(self, what: str, body: dict[str, Any], must_succeed: bool = True) -> dict[str, Any]:
-        """The answer to a request. Raises InputError."""
+        """Return the answer to a request. Raises InputError."""
         answer = self._answer(what, body)
         status = answer.get("status")
         outcome = status.get("value") if isinstance(status, dict) else None
@@ -134,7 +134,7 @@ class _Bridge:
 
 
 def _message(answer: dict[str, Any]) -> str:
-    """What Bridge says of a failure, where it says anything."""
+    """Return Bridge's message on a failure, if any."""
     part: Any = answer
     for key in ("payload", "value", "message", "value"):
         part = part.get(key) if isinstance(part, dict) else None

@@ -26,7 +26,7 @@ _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of th
 FILES = ("views.png", "look-around.webp", "look-around.html", *_EYES)
 _FRAMES, _LOOP_MS, _WEBP_QUALITY = 24, 60 * 46, 85
 _FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels take no longer
-# From so many Gaussians on, rendering a view takes a CPU longer than all else, and every second view has to do.
+# From this number of Gaussians on, views dominate the time on a CPU, and only every second view is rendered.
 _MANY_GAUSSIANS = 200_000
 _MOST_SPLATS = 1_000_000  # that the views have which are rendered at a time, so that threads wait less for each other
 SHEET_VIEWS, SHEET_WIDTH_PX = 12, 1920
@@ -59,7 +59,7 @@ def write_preview(
 
 
 def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
-    """The pictures of the two eyes; none, and none left over either, where the panel does not say where they are."""
+    """Write the pictures of the two eyes; remove old pictures if the panel does not state the eyes' positions."""
     paths = [folder / name for name in _EYES]
     if missing_geometry(panel):
         for path in paths:
@@ -79,7 +79,7 @@ def look_around(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> list[np.ndarray]:
-    """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
+    """Return views spread over the fan, left-most first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
     small_panel, small_rig = rig.reduced(panel, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
     is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
     positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
@@ -102,7 +102,7 @@ def look_around(
 
 
 def contact_sheet(frames: list[np.ndarray]) -> np.ndarray:
-    """Twelve of the frames, in rows of four, or of six where they are upright: uint8 [H, W, 3]."""
+    """Return twelve of the frames in rows of four, or of six if upright: uint8 [H, W, 3]."""
     from PIL import Image
 
     height, width = frames[0].shape[:2]
@@ -114,7 +114,7 @@ def contact_sheet(frames: list[np.ndarray]) -> np.ndarray:
 
 
 def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
-    """round((2^bits - 1) clamp(c, 0, 1)) of a float image; bits 8 or 16. NaN becomes 0."""
+    """Return round((2^bits - 1) clamp(c, 0, 1)) of a float image; bits is 8 or 16. NaN becomes 0."""
     top = (1 << bits) - 1
     out = np.empty(image.shape, np.uint8 if bits == 8 else np.uint16)
     for first in range(0, len(image), 16):  # in strips that stay in the cache
@@ -128,7 +128,7 @@ def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
 
 
 def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
-    """A loop of the frames, there and back."""
+    """Write a loop of the frames, there and back."""
     from PIL import Image
 
     images = [Image.fromarray(frame) for frame in [*frames, *frames[-2:0:-1]]]
@@ -160,8 +160,10 @@ def _data_url(frame: np.ndarray) -> str:
 
 
 def image_bytes(pixels: np.ndarray, kind: str, **options: int) -> bytes:
-    """A file of uint8 [H, W, 3] in memory, by Pillow. It says nothing of its colours: browsers show the bytes as they
-    are."""
+    """Return a file of uint8 [H, W, 3] in memory, by Pillow.
+
+    It has no colour profile: browsers show its bytes unchanged.
+    """
     from PIL import Image
 
     file = io.BytesIO()

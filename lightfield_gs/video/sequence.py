@@ -91,7 +91,7 @@ def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) ->
         in_time: see `timeline`.
 
     Raises:
-        InputError: where there are none.
+        InputError: there are no images.
     """
     path = checked_path(path)
     if not path.is_dir():

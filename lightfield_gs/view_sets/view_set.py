@@ -182,7 +182,7 @@ class ViewSet:
     Attributes:
         views: the views.
         aspect: width by height of a displayed view; None where nothing tells it.
-        description: of what was found.
+        description: description of the files found.
         colours: the conversion of their colours.
     """
 

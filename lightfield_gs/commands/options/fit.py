@@ -344,7 +344,7 @@ def add_cone(parser: argparse.ArgumentParser) -> None:
 
 
 def read_names(path: Path) -> list[str]:
-    """Read names of photographs from a text file, one a line, but for empty lines and comments. Raises InputError."""
+    """Read names of photographs from a text file, one a line; skip empty lines and comments. Raises InputError."""
     from lightfield_gs.io.text_files import read_text
 
     lines = [line.strip() for line in read_text(path, 1 << 24, "a list of photographs").splitlines()]

@@ -19,7 +19,7 @@ _MOST_SECONDS = 1e5
 
 
 def add_motion(add: Callable[..., argparse.Action]) -> None:
-    """Add the options of how the cameras move, and of the number of frames."""
+    """Add the options of the cameras' motion and of the number of frames."""
     add(
         "--turntable",
         type=within(1e-3, _MOST_SECONDS, "seconds"),
@@ -56,7 +56,7 @@ def add_motion(add: Callable[..., argparse.Action]) -> None:
 
 
 def add_result(add: Callable[..., argparse.Action]) -> None:
-    """Add the options of what a frame shows, and of how it is stored."""
+    """Add the options of the contents and the storage of a frame."""
     add(
         "--kind",
         choices=KINDS,

@@ -94,7 +94,7 @@ class Capture:
         return scene_extent(self.centres, self.points)
 
     def split(self, test_every: TestEvery = "own", names: list[str] | None = None) -> tuple[list[int], list[int]]:
-        """Split the photographs into those to fit to and those held out for tests.
+        """Split the photographs into photographs to fit to and held-out photographs.
 
         Args:
             test_every: k holds out index % k == k // 2, the middle of every k, so that the ends of an arc are never
@@ -165,7 +165,7 @@ def read_capture(
         folder: the capture, or a transforms.json itself; transforms_train.json brings its tests along.
         images: the folder of the photographs, absolute or below `folder`; None: the layout's own. The size of the
             files counts: each axis of the intrinsics is scaled by the ratio to the model's cameras.
-        masks: the folder of masks; None: one of the usual names, where there is one.
+        masks: the folder of masks; None: a folder with a usual name, if any.
         scale: reduces the photographs by an area filter, 0.001..1.
         longest_px: reduces photographs whose longer side is longer.
 
@@ -233,7 +233,7 @@ def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Posed
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
         "sparse or the folder itself, or a transforms.json (one of another name is given itself); photographs alone "
-        "need --sfm first, which poses them"
+        "need sfm=True first, which poses them"
     )
 
 

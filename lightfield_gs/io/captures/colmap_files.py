@@ -158,7 +158,7 @@ class _ByteReader:
         return values
 
     def count(self, least_bytes: int) -> int:
-        """Read a count of records that have at least so many bytes each."""
+        """Read a count of records; each record has at least this many bytes."""
         (count,) = self.take(struct.Struct("<Q"))
         self.need(count * least_bytes)
         return count

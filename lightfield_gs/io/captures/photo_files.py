@@ -321,7 +321,7 @@ def find_image(field: str, folder: Path, name: Any) -> Path:
 def _find_file(field: str, folder: Path, name: str) -> Path:
     """Find the image of find_image; raises also OSError and UnicodeEncodeError for a name that no file can have."""
     base = (folder / name).resolve()
-    if not base.is_file():  # a backslash separates folders, unless the file has one in its name
+    if not base.is_file():  # a backslash separates folders, unless it is part of the file's name
         base = (folder / name.replace("\\", "/")).resolve()
     if not base.is_relative_to(folder.resolve()):
         raise InputError(f"{field}: {shown(name)} leads out of {folder}; put the images into that folder")

@@ -6,9 +6,9 @@ transforms_train.json, transforms_val.json and transforms_test.json.
 
 The fields are as in objects.py, with these differences:
     camera_model: any of COLMAP's, with its coefficients by name; is_fisheye means OPENCV_FISHEYE. Cameras may differ.
-    file_path: seen from the images folder or from one of its reduced copies.
-    ply_file_path: points in the world of the poses. Without it, points are looked for beside the file.
-    applied_transform: from COLMAP's world to the world of the poses; it changes neither poses nor points.
+    file_path: relative to the images folder or to one of its reduced copies. ply_file_path: points in the world of the
+    poses. Without it, points are looked for beside the file. applied_transform: from COLMAP's world to the world of the
+    poses; it changes neither poses nor points.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _WHOLE, _TRAIN = "transforms.json", "transforms_train.json"
 _TESTS = ("transforms_test.json", "transforms_val.json")  # the first that there is holds out
 _TRAIN_KEY, _TEST_KEYS = "train_filenames", ("val_filenames", "test_filenames")
 _ANGLES_DIFFER = 0.02  # relative tolerance of an angle of view; distortion and rounding make less
-_FURTHER = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")  # of lenses that are none of PINHOLE_MODELS
+_FURTHER = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")  # fields of lenses outside PINHOLE_MODELS
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class TransformsFrame:
     Attributes:
         where: file and index, for messages.
         name: of its photograph, with / between folders.
-        fields: its own, and those at the top of its file.
+        fields: the frame's own fields, and the fields at the top of its file.
         is_held_out: whether it is held out for tests.
     """
 
@@ -113,7 +113,7 @@ def read_frames(path: Path, given: bool) -> TransformsFrames:
     """Read the frames of a capture, with a note on frames that are left out.
 
     Args:
-        path: a transforms.json, or one of another name.
+        path: a transforms.json, under any name.
         given: whether the file itself was given. The transforms_train.json of a folder brings its tests along.
 
     Raises:
@@ -172,7 +172,7 @@ def _unique_frames(path: Path, frames: list[TransformsFrame]) -> list[Transforms
 
 
 def _fields_key(frame: TransformsFrame) -> str:
-    """Return the fields of a frame but for its name, in a form in which NaN equals NaN."""
+    """Return the fields of a frame except its name, in a form in which NaN equals NaN."""
     return repr({key: value for key, value in frame.fields.items() if key != "file_path"})
 
 

@@ -44,7 +44,7 @@ _STEP = 0.5  # of the typical Gaussian's size; coarser steps of centres tear sur
 
 
 def check_unpacked_size(path: Path, promised_bytes: int, stored_bytes: int) -> None:
-    """Raise InputError where so few stored bytes cannot hold so much data, before memory is allocated for it."""
+    """Raise InputError if the stored bytes cannot hold the stated data, before memory is allocated for the data."""
     if promised_bytes > max(MIN_LIMIT_BYTES, MAX_RATIO * stored_bytes):
         raise InputError(
             f"{path}: {promised_bytes} bytes are promised by {stored_bytes} compressed ones, more than "
@@ -192,7 +192,7 @@ def unknown_motion_notes(path: Path, names: Sequence[str], moves: bool) -> list[
         moves: whether they are of a known motion, see ply_extensions.py.
     """
     beside = [name for name in _DEFORMED_BY if (path.parent / name).is_file()]
-    if path.parent.parent.name == "point_cloud":  # Deformable 3D Gaussians keep it in a folder of its own
+    if path.parent.parent.name == "point_cloud":  # Deformable 3D Gaussians keep it in a separate folder
         beside += [found.name for found in path.parents[2].glob("deform/iteration_*/deform.pth")]
     if beside:
         return [f"{beside[0]} beside it moves its Gaussians: they are drawn as they are stored, without that network"]

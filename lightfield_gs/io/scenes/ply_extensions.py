@@ -101,7 +101,7 @@ def holds_colours(values: np.ndarray) -> tuple[bool, str]:
 
 
 def apply_filter(scales: np.ndarray, opacities: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Apply Mip-Splatting's 3D filter: Gaussians become larger, and fainter by as much.
+    """Apply Mip-Splatting's 3D filter: Gaussians become larger and correspondingly fainter.
 
     Args:
         scales: [N, 3].

@@ -118,7 +118,7 @@ def _numbers(part: _Meta, name: str, count: int) -> np.ndarray:
 
 
 def _decode(part: _Meta, stored: np.ndarray, channels: int = 3) -> np.ndarray:
-    """Decode bytes [N, 3] by a codebook, or between extremes of so many channels."""
+    """Decode bytes [N, 3] by a codebook, or between the extremes of the channels."""
     if "codebook" in part:
         return _numbers(part, "codebook", 256)[stored]
     low, high = (_numbers(part, end, channels)[:3] for end in ("mins", "maxs"))

@@ -80,7 +80,7 @@ class _Streams:
 
 
 def _read_streams(path: Path) -> _Streams:
-    """Read the container; raise InputError for other files, cut ones, and ones that hold less than they promise."""
+    """Read the container; raise InputError for other files, cut files, and files with less data than they state."""
     with open(path, "rb") as file:
         packed = file.read(_START_BYTES)
     if packed[:4] == MAGIC:
@@ -152,7 +152,7 @@ def _read_zstd_streams(path: Path, data: mmap.mmap) -> _Streams:
 
 
 def _max_packed_bytes(size_bytes: int) -> int:
-    """Return the largest compressed size of so many bytes, with a header and small extensions."""
+    """Return the largest compressed size of this number of bytes, with a header and small extensions."""
     return size_bytes + size_bytes // 64 + _MORE_BYTES
 
 

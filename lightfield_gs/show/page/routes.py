@@ -143,7 +143,7 @@ class _Packed:
         self._version, self._answer = -1, text("")
 
     def answer(self, version: int) -> Answer:
-        """The picture of this version, or of a later one."""
+        """Return the picture of this version, or of a later one."""
         with self._turn:
             if self._version != version:
                 self._version, pixels = self._native()
@@ -152,7 +152,7 @@ class _Packed:
 
 
 def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
-    """The addresses of `lightfield-gs show`: the panel's page for one picture, uint8 [H, W, 3]."""
+    """Return the routes of `lightfield-gs show`: the panel's page for one picture, uint8 [H, W, 3]."""
     never = threading.Event()
 
     def version(after: int) -> int:
@@ -218,7 +218,7 @@ class _Lines:
         self._newest = 0
 
     def draw(self, still: bool, work: Callable[[], T]) -> T:
-        """Runs work in its turn. Raises Superseded where another picture at rest was asked for before its turn came."""
+        """Run work in its turn. Raises Superseded if another picture at rest is requested before."""
         if not still:
             return self._moving.submit(work).result()
         ticket = self._newest = next(self._tickets)
@@ -231,12 +231,12 @@ class _Lines:
         return self._still.submit(in_turn).result()
 
     def last(self, work: Callable[[], T]) -> T:
-        """Runs work after the pictures at rest that were asked for before."""
+        """Run work after the pictures at rest that were requested before."""
         return self._still.submit(work).result()
 
 
 def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
-    """By the name of the file, what writes it to a path."""
+    """Return functions that write a file to a path, by the file's name."""
     layout = panel_quilt(stage.panel)
     return {
         "native.png": partial(_native, stage),
@@ -246,7 +246,7 @@ def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
 
 
 def _native(stage: Stage, controls: Controls, path: Path) -> None:
-    """The native picture, with the panel and the rig in it, as `encode` writes them: `simulate` and `show` read it."""
+    """Write the native picture with the panel and the rig, as `encode` does: `simulate` and `show` read it."""
     image, _ = stage.native(controls)
     drawn = stage.drawn_as
     encoding = {"method": "direct", "views": "integer", "background": list(drawn["background"])}
@@ -257,7 +257,7 @@ def _native(stage: Stage, controls: Controls, path: Path) -> None:
 
 
 def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:
-    """All views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
+    """Write all views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
     panel, rig = layout.fitted(stage.panel, controls.rig(stage.base, stage.panel))
     image = quilt(stage.gaussians, layout, rig, panel, **stage.drawn_as)
     write_image(path, image.cpu().numpy(), _origin(stage))

@@ -19,7 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
-from lightfield_gs.base.cli_messages import is_out_of_memory
+from lightfield_gs.base.cli_messages import as_options, is_out_of_memory
 from lightfield_gs.base.errors import InputError
 
 DEFAULT_HOST = "127.0.0.1"
@@ -50,7 +50,7 @@ _HEADERS = {
 
 @dataclass
 class Answer:
-    """What a request gets: bytes of a type, with more headers."""
+    """The answer to a request: bytes of a type, with more headers."""
 
     body: bytes
     type: str
@@ -106,7 +106,7 @@ class PendingAnswers:
 
     @contextmanager
     def taken(self, key: Hashable) -> Iterator[None]:
-        """Waits for a place. Raises Busy where none is free in time."""
+        """Wait for a place. Raises Busy if none is free in time."""
         with self._changed:
             if not self._changed.wait_for(lambda: key in self._readers or len(self._readers) < self._most, _WAIT_S):
                 raise Busy
@@ -134,7 +134,7 @@ def as_json(values: object) -> Answer:
 
 
 def page_file(name: str) -> Route:
-    """The route of a file of the page, by its name in the folder `files`."""
+    """Return the route of a file of the page, by its name in the folder `files`."""
     path = _FILES / name
     answer = Answer(path.read_bytes(), f"{_TYPES[path.suffix]}; charset=utf-8")
     return Route(lambda query: answer)
@@ -212,7 +212,7 @@ class Server(ThreadingHTTPServer):
         return f"http://{f'[{address}]' if ':' in address else address}:{self.server_address[1]}"
 
     def is_named(self, name: str | None) -> bool:
-        """Whether a request names this server: a page from elsewhere, whose name was made to lead here, does not.
+        """Return whether a request names this server: a foreign page whose name was made to lead here does not.
 
         Its names are the host given, this machine's, and addresses: a browser gives these only where they were asked
         for. A server on one address has only this address, and the local ones.
@@ -227,7 +227,7 @@ class Server(ThreadingHTTPServer):
         return address.is_loopback or address == self._bound or self.is_everywhere
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A connection that broke off is no fault of the program."""
+        """Ignore a broken connection: it is no fault of the program."""
         error = sys.exc_info()[1]
         if not isinstance(error, (ConnectionError, TimeoutError)):
             traceback.print_exc()
@@ -249,21 +249,21 @@ class Server(ThreadingHTTPServer):
 
 
 def _resolved(host: str, port: int) -> tuple[socket.AddressFamily, tuple[str, int]]:
-    """The family and the address of a host; of IPv4 where it has both. Raises OSError or UnicodeError."""
+    """Return the family and the address of a host, IPv4 if it has both. Raises OSError or UnicodeError."""
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     family, *_, address = min(found, key=lambda each: each[0] != socket.AF_INET)
     return family, (str(address[0]), port)
 
 
 def _machine_names() -> set[str]:
-    """The names by which others in the network may call this machine, in lower case."""
+    """Return the names of this machine in the network, in lower case."""
     name = socket.gethostname().lower()
     short = name.split(".")[0]
     return {name, short, f"{short}.local"}
 
 
 def _addresses(families: Sequence[socket.AddressFamily]) -> list[str]:
-    """Addresses of this machine that others in its networks reach, of these families."""
+    """Return the addresses of this machine that others in its networks reach, of these families."""
     found: dict[str, None] = {}  # each once, in order
     for family, target in _ELSEWHERE:
         if family in families:
@@ -278,7 +278,7 @@ def _addresses(families: Sequence[socket.AddressFamily]) -> list[str]:
 
 
 def _is_of_no_use(address: str) -> bool:
-    """Whether others cannot open an address, or a browser cannot (of one link)."""
+    """Return whether others cannot open an address, or a browser cannot (a link-local one)."""
     parsed = ipaddress.ip_address(address)
     return parsed.is_loopback or parsed.is_unspecified or parsed.is_link_local
 
@@ -290,7 +290,7 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True
 
     def log_message(self, format: str, *args: object) -> None:
-        """Says nothing: there are many requests a second."""
+        """Print nothing: there are many requests a second."""
 
     def end_headers(self) -> None:
         """End the headers of any answer, also of an error, with the common headers."""
@@ -344,12 +344,11 @@ class _Handler(BaseHTTPRequestHandler):
             return text("the program failed; the terminal says where", 500)
 
     def _refused(self) -> Answer | None:
-        """The answer to a request that a page from elsewhere makes, or makes a browser make; None for all others."""
+        """Return the refusal of a request from a foreign page; None for all other requests."""
         host = self.headers.get("Host", "")
         if not self.server.is_named(urlsplit(f"//{host}").hostname):
-            return text(
-                f"this server is not named so; open {self.server.url}, or start it with --host and the name", 403
-            )
+            other = as_options("start it with host= and the name")
+            return text(f"this server is not named so; open {self.server.url}, or {other}", 403)
         site = self.headers.get("Sec-Fetch-Site")
         # Browsers send no Sec-Fetch-Site over plain http to other machines: there Referer tells of pictures and links
         callers = [self.headers.get(name) for name in (("Origin", "Referer") if site is None else ("Origin",))]

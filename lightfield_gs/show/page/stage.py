@@ -79,7 +79,7 @@ class Controls:
         return Controls(**values)
 
     def picture(self) -> Controls:
-        """What decides the native picture: all but the place of the eye."""
+        """Return the controls of the native picture: all but the position of the eye."""
         return replace(self, eye=0.0)
 
     def look(self) -> Look:
@@ -92,7 +92,7 @@ class Controls:
 
 
 def number(query: Mapping[str, str], name: str, low: float, high: float) -> float:
-    """A number of the query in low..high. Raises InputError."""
+    """Return a number of the query in low..high. Raises InputError."""
     try:
         value = float(query[name])
     except KeyError:
@@ -191,7 +191,7 @@ class Stage:
         return Picture(view, f"one view, {view.shape[1]} x {view.shape[0]}", stages)
 
     def sheet(self, controls: Controls, still: bool) -> Picture:
-        """Twelve views side by side, the left-most camera's first; smaller ones where not still."""
+        """Return twelve views side by side, the left-most camera's first, at a smaller size unless still."""
         upright = self.panel.height_px > self.panel.width_px
         width_px = SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
         stages: dict[str, float] = {}
@@ -239,7 +239,7 @@ class Stage:
                 self._changed.notify_all()
 
     def settled(self) -> tuple[int, np.ndarray]:
-        """The version of where the page has come to rest, and its native picture."""
+        """Return the version of the page's resting state, and its native picture."""
         with self._changed:
             version, controls = self.version, self._settled
         return version, self.native(controls)[0]
@@ -260,19 +260,19 @@ class Stage:
         return look.applied(turned, self.panel, self.gaussians).zero_depth
 
     def depth(self, controls: Controls) -> tuple[list[str], list[str]]:
-        """How deep the scene is on the panel: lines on that, and warnings (lightfield_gs.panels.comfort)."""
+        """Return lines on the depth of the scene on the panel, and warnings (lightfield_gs.panels.comfort)."""
         report = depth_report(self.gaussians, self.panel, self._rig(controls))
         return report.lines(), report.warnings()
 
     def eye_mm(self, controls: Controls) -> tuple[float, float, float]:
-        """The place of the eye before the panel, mm. Raises InputError where the panel does not say."""
+        """Return the position of the eye before the panel, mm. Raises InputError if the panel lacks measures."""
         if missing := missing_geometry(self.panel):
             raise InputError(f"panel {self.panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
         distance = cast(float, self.panel.viewing_distance_mm)
         return controls.eye * 2 * distance * math.tan(math.radians(self.panel.cone_deg) / 2), 0.0, distance
 
     def rig_of_file(self, controls: Controls) -> Rig:
-        """The rig in the coordinates of the scene's file."""
+        """Return the rig in the coordinates of the scene's file."""
         return self._rig(controls).relative_to([-part for part in self.gaussians.origin])
 
     # How it is drawn
@@ -286,7 +286,7 @@ class Stage:
         return image.cpu().numpy()
 
     def _native_live(self, controls: Controls) -> dict[str, float]:
-        """Draws the native picture on the GPU, where it stays; returns the time that it took."""
+        """Draw the native picture on the GPU, where it stays; return the time."""
         rig, stages = self._rig(controls), dict[str, float]()
         if self._moving is None or self._moving[0] != controls.quality:
             encoder = Encoder(self.panel, rig, quality=controls.quality, versioned=True, **self.drawn_as)
@@ -299,14 +299,17 @@ class Stage:
         return stages
 
     def _views(self, controls: Controls, eyes: list[float], width_px: int) -> list[np.ndarray]:
-        """What perfect lenses show to eyes at these places across the viewing zone, each uint8 [h, w, 3]."""
+        """Return the pictures [h, w, 3], uint8, of eyes at these positions across the viewing zone.
+
+        The lenses are perfect.
+        """
         panel, rig = self._rig(controls).reduced(self.panel, width_px)
         side = -1 if panel.invert_views else 1
         positions = [panel.views * (0.5 - side * eye) for eye in eyes]
         return list(to_bytes(render_views(self.gaussians, panel, rig, positions, **self.drawn_as)).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""
+        """Return left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""
         width, height = min(size_px[0], self.panel.width_px), min(size_px[1], self.panel.height_px)
         height -= (height - self.panel.height_px) % PERIOD
         left = round(centre[0] * self.panel.width_px - width / 2)
