@@ -1,4 +1,4 @@
-"""The hidden parts of a photo with depths, its soft outlines, and the pixels invented around it: against closed forms."""
+"""The hidden parts of a photo with depths, its soft outlines, and invented pixels around it: against closed forms."""
 
 import math
 from dataclasses import replace
