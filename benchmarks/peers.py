@@ -30,7 +30,7 @@ BYTES_AT_A_TIME = 4 << 30  # the most that dense views take which are held toget
 def gsplat() -> Any:
     """The module gsplat with its CUDA part. Raises InputError when there is none, or no GPU."""
     if not torch.cuda.is_available():
-        raise InputError("gsplat needs a GPU (--device cuda), and torch finds none here")
+        raise InputError("gsplat needs a GPU (device='cuda'), and torch finds none here")
     try:
         import gsplat as module
         from gsplat.cuda._backend import _C as native

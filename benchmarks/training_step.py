@@ -139,20 +139,23 @@ def _line(row: dict[str, Any]) -> str:
     )
 
 
+Options = options.BenchmarkOptions
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_repeats(parser)
     options.add_machine(parser, several_threads=True)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """A row for each number of threads, on CUDA one, and gsplat's where it can be had; and their text."""
-    if args.device == "cpu":
-        found = cpu_rows(options.thread_counts(args.threads), args.repeats)
+    if given.device == "cpu":
+        found = cpu_rows(options.thread_counts(given.threads), given.repeats)
     else:
-        found = [cuda_row(args.repeats)]
+        found = [cuda_row(given.repeats)]
         try:
-            found.append(gsplat_row(args.repeats))
+            found.append(gsplat_row(given.repeats))
         except InputError as error:
             options.progress(f"no row of gsplat: {error}")
     return {"rows": found}, table(found)

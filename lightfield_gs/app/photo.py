@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from lightfield_gs.io.images import Picture
     from lightfield_gs.models.config import ModelConfig
     from lightfield_gs.models.detail import DetailLevel
-    from lightfield_gs.models.replayed import ReplayedNet
+    from lightfield_gs.models.splatter_net import ReplayedNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.depth import DepthMap
@@ -363,7 +363,7 @@ def _network(checkpoint: Path | None, version: tuple[int, int] | None, device: s
     import torch
 
     from lightfield_gs.models import SplatterNet
-    from lightfield_gs.models.replayed import ReplayedNet
+    from lightfield_gs.models.splatter_net import ReplayedNet
 
     with torch.inference_mode(False):  # the weights could not be used outside of it otherwise
         return ReplayedNet(SplatterNet.from_pretrained(checkpoint).to(device))

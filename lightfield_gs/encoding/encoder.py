@@ -128,7 +128,7 @@ class Encoder:
         one.
         """
         expect("gaussians", gaussians, Gaussians)
-        if wants_gradients(gaussians, self.background, self.output):
+        if wants_gradients(gaussians.fields().values(), self.background, self.output):
             refuse_gradients("an Encoder")
         return self._draw(gaussians)
 

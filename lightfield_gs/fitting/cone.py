@@ -77,10 +77,6 @@ class Cone:
             )
         return ConeAngles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
 
-    def weights(self) -> np.ndarray:
-        """Return [C] float64, FLOOR..1, the weight of each photograph in the fit."""
-        return cone_weights(self.angles_deg, self.cone_deg)
-
 
 def cone_weights(angles_deg: np.ndarray, cone_deg: float) -> np.ndarray:
     """Return weights FLOOR..1 at angles from the centre.
@@ -262,7 +258,7 @@ class Display:
 
     def photo_weights(self, indices: Sequence[int]) -> list[float]:
         """Return the weights of photographs, by their indices in the capture; the largest is 1."""
-        weights = self.cone.weights()[list(indices)]
+        weights = cone_weights(self.cone.angles_deg, self.cone.cone_deg)[list(indices)]
         return (weights / weights.max()).tolist()
 
     def comments(self) -> list[str]:
@@ -300,9 +296,8 @@ def place_display(
     judged = None if display is None else display.cone
     if score_cone is not None:
         judged = place_cone(capture, score_cone, centre if display is None else display.cone.name)
-    if display is not None:
-        return display, judged, display.messages
-    return None, judged, () if judged is None else judged.messages
+    placed = display or judged
+    return display, judged, () if placed is None else placed.messages
 
 
 def read_cone(cone: Panel | str | Path | float) -> tuple[Panel, str]:
@@ -334,12 +329,8 @@ def upright_turns(capture: Capture, centre: int) -> tuple[int, tuple[str, ...]]:
     counts = np.bincount(votes[np.linalg.norm(down, axis=1) > _LEAST_ACROSS], minlength=len(_DOWN))
     own = int(votes[centre])
     quarters = own if counts[own] == counts.max() else int(counts.argmax())
-    how = (
-        "is not turned",
-        "is turned by 90 degrees clockwise",
-        "is turned by 180 degrees",
-        "is turned by 90 degrees counter-clockwise",
-    )[quarters]
+    ways = ("", "90 degrees clockwise", "180 degrees", "90 degrees counter-clockwise")
+    how = f"is turned by {ways[quarters]}" if quarters else "is not turned"
     name = capture.names[centre]
     return quarters, (
         f"cone: the rig {how} from {name} as stored (Exif orientation {tags[centre]}), so that "

@@ -253,13 +253,9 @@ def scores_by_angle(
     for low, high in zip(EDGES_DEG, EDGES_DEG[1:]):
         last = high == EDGES_DEG[-1]
         parts.append((f"{low}-{high} degrees", (angles >= low) & ((angles < high) | last)))
-    return [
-        {
-            "views": name,
-            "photographs": int(chosen.sum()),
-            "psnr_db": float(psnr[chosen].mean()),
-            "ssim": float(similar[chosen].mean()),
-        }
-        for name, chosen in parts
-        if chosen.any()
-    ]
+    rows: list[dict[str, float | str]] = []
+    for name, chosen in parts:
+        if chosen.any():
+            means = {"psnr_db": float(psnr[chosen].mean()), "ssim": float(similar[chosen].mean())}
+            rows.append({"views": name, "photographs": int(chosen.sum()), **means})
+    return rows

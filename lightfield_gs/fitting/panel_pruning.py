@@ -177,14 +177,8 @@ def prune_for_panel(
         assume("cone: nothing of the scene shows on the panel, so that nothing is left out of it")
         gone = torch.zeros_like(gone)
     whole = 3 * display.panel.width_px * display.panel.height_px
-    return PanelPruning(
-        ~gone,
-        int(unseen.sum()),
-        int((cut & ~unseen).sum()),
-        int(floating.sum()),
-        int(unfounded.sum()),
-        float(weights[gone].sum()) / whole,
-    )
+    counts = (int(part.sum()) for part in (unseen, cut & ~unseen, floating, unfounded))
+    return PanelPruning(~gone, *counts, float(weights[gone].sum()) / whole)
 
 
 def photo_visibility(gaussians: Gaussians, images: PosedImages, antialiased: bool = False) -> Tensor:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -215,22 +216,9 @@ class PosedImages:
         poses, intrinsics, limits = (
             tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, self.intrinsics, self.limits)
         )
-        means, quaternions, scales, opacities, sh = (tensor[None] for tensor in gaussians.fields().values())
-        arguments = ImageArguments(
-            means,
-            quaternions,
-            scales,
-            opacities,
-            sh,
-            background[None],
-            poses,
-            intrinsics,
-            limits,
-            width,
-            height,
-            antialiased,
-        )
-        return ImageRender.from_arguments(arguments, capacity=capacity)
+        fields = [tensor[None] for tensor in gaussians.fields().values()]
+        views = (background[None], poses, intrinsics, limits, width, height, antialiased)
+        return ImageRender.from_arguments(ImageArguments(*fields, *views), capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
         """Return [H,W] float32, the weights 0..1 of a photograph's pixels."""
@@ -246,17 +234,9 @@ class PosedImages:
     def select(self, indices: Sequence[int]) -> PosedImages:
         """Return some of the photographs."""
         chosen = list(indices)
-        return replace(
-            self,
-            names=[self.names[index] for index in chosen],
-            photos=self.photos[chosen],
-            weights=None if self.weights is None else self.weights[chosen],
-            world_to_camera=self.world_to_camera[chosen],
-            intrinsics=self.intrinsics[chosen],
-            limits=self.limits[chosen],
-            sizes=[self.sizes[index] for index in chosen],
-            opacity=None if self.opacity is None else self.opacity[chosen],
-        )
+        parts: dict[str, Any] = {name: value[chosen] for name, value in vars(self).items() if isinstance(value, Tensor)}
+        parts |= {name: [getattr(self, name)[index] for index in chosen] for name in ("names", "sizes")}
+        return replace(self, **parts)
 
     @property
     def device(self) -> torch.device:

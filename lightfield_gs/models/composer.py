@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.models.config import ModelConfig
-from lightfield_gs.models.initializer import Pixels
+from lightfield_gs.models.initializer import Pixels, flat
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. Lines
@@ -64,15 +64,10 @@ def mirrored(raw: Tensor, layers: int, sh_degree: int) -> Tensor:
     return torch.cat(parts, dim=1)
 
 
-def _flat(channels: Tensor) -> Tensor:
-    """Reshape [B,C,H,W] to [B,H*W,C]."""
-    return channels.flatten(2).transpose(1, 2)
-
-
 def _harmonics(constant: Tensor, rest: Tensor | None) -> Tensor:
     """Combine the constant term [B,3,H,W] and the others [B,3(K-1),H,W] (coefficient-major) to [B,H*W,K,3]."""
-    coefficients = _flat(constant)[:, :, None]
-    return coefficients if rest is None else torch.cat([coefficients, _flat(rest).unflatten(2, (-1, 3))], dim=2)
+    coefficients = flat(constant)[:, :, None]
+    return coefficients if rest is None else torch.cat([coefficients, flat(rest).unflatten(2, (-1, 3))], dim=2)
 
 
 class DeltaComposer(nn.Module):
@@ -120,7 +115,7 @@ class DeltaComposer(nn.Module):
         opacities = torch.sigmoid(values["opacity"] + outside + (inside - outside) * pixels.mask)
         constant = (pixels.colour + values["colour"] - 0.5) / SH_CONSTANT
         harmonics = _harmonics(constant, values.get("harmonics"))
-        return _flat(means), _flat(quaternions), _flat(scales), _flat(opacities)[..., 0], harmonics
+        return flat(means), flat(quaternions), flat(scales), flat(opacities)[..., 0], harmonics
 
 
 class AbsoluteComposer(nn.Module):
@@ -145,10 +140,10 @@ class AbsoluteComposer(nn.Module):
         means = torch.cat([pixels.rays * depth, depth], dim=1) + values["offset"]
         harmonics = _harmonics(values["colour"], values.get("harmonics"))
         return Gaussians(
-            _flat(means),
-            _flat(torch.nn.functional.normalize(values["rotation"], dim=1)),
-            _flat(values["scale"].exp()),
-            _flat(torch.sigmoid(values["opacity"]))[..., 0],
+            flat(means),
+            flat(torch.nn.functional.normalize(values["rotation"], dim=1)),
+            flat(values["scale"].exp()),
+            flat(torch.sigmoid(values["opacity"]))[..., 0],
             harmonics,
         )
 

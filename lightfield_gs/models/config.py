@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.text_files import check_keys, config_path, read_mapping
-from lightfield_gs.models.unet import UNetConfig, check_field_types
+from lightfield_gs.models.unet import UNetConfig, check_field_types, check_ranges
 
 INPUT_CHANNELS = {"rgb": 3, "rgb_mask_ray": 6}
 COMPOSERS = ("delta", "absolute")
@@ -66,10 +65,7 @@ class ModelConfig:
             (0 < self.near < self.base_depth < self.far, "base_depth", "0 < near < base_depth < far"),
             (self.photo_focal > 0, "photo_focal", "positive"),
         )
-        for good, field, expected in checks:
-            if not good:
-                value = shown(getattr(self, field))
-                raise InputError(f"model configuration: {field}: expected {expected}, got {value}")
+        check_ranges(self, "", checks)
 
     @property
     def size_step(self) -> int:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.stages import run_stage
 
 # Margin on each side of the object's bounding box, as a fraction of its longer side.
 MARGIN = 0.08
@@ -168,12 +169,10 @@ def crop_on_device(photo: Tensor, sizes_px: Sequence[int]) -> tuple[Tensor, list
         found=found.data_ptr(),
         checks=checks.data_ptr(),
     )
+    run_stage("find_object", _core, photo.device, job)
     crops = []
-    with torch.cuda.device_of(photo):
-        stream = torch.cuda.current_stream().cuda_stream
-        _core.cuda.find_object(job, stream)
-        for size in sizes_px:
-            narrow, out = (torch.empty(shape, device=photo.device) for shape in ((height, size, 4), (4, size, size)))
-            _core.cuda.crop_object(job, size, narrow.data_ptr(), out.data_ptr(), stream)
-            crops.append(out)
+    for size in sizes_px:
+        narrow, out = (torch.empty(shape, device=photo.device) for shape in ((height, size, 4), (4, size, size)))
+        run_stage("crop_object", _core, photo.device, job, size, narrow.data_ptr(), out.data_ptr())
+        crops.append(out)
     return checks, crops

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
-from lightfield_gs.models.initializer import Pixels
+from lightfield_gs.models.initializer import Pixels, flat
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
@@ -79,7 +79,7 @@ def with_detail(
     disparity, harmonics = surface.disparity, surface.harmonics
     sheet = _sheet(upsample_along_surface(disparity, disparity, pixels.footprint, factor), texels, texel_px)
     if harmonics.shape[1]:
-        rest = _flat(upsample_along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
+        rest = flat(upsample_along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
     return from_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, faded.fields().values()))
 
@@ -164,9 +164,8 @@ def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tens
 
 def _fog(size: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return optical depth, mean disparity and its standard deviation of a layer near each pixel, [B,1,H,W] each."""
-    thick, first, second = blur(torch.cat([size, size * disparity, size * disparity.square()], 1), _AVERAGED).split(
-        1, 1
-    )
+    moments = torch.cat([size, size * disparity, size * disparity.square()], 1)
+    thick, first, second = blur(moments, _AVERAGED).split(1, 1)
     mean = first / thick
     return thick, mean, (second / thick - mean.square()).clamp_min(1e-8).sqrt()
 
@@ -199,8 +198,8 @@ def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, 
     mask, colour = _sharpened(texels, math.sqrt(blur))
     opacity = (_opacity(blur) * mask).clamp(0, _MOST_OPAQUE)
     means = torch.cat([texels.rays * depth, depth], 1)
-    constant = (_flat(colour)[:, :, None] - 0.5) / SH_CONSTANT
-    return _flat(means), _flat(axes), _flat(scales), opacity.flatten(1), constant
+    constant = (flat(colour)[:, :, None] - 0.5) / SH_CONSTANT
+    return flat(means), flat(axes), flat(scales), opacity.flatten(1), constant
 
 
 def _blurs(texel_px: float) -> tuple[float, float]:
@@ -269,11 +268,6 @@ def _quaternions(first: Tensor, second: Tensor, third: Tensor) -> Tensor:
     y = (third[:, 0] - first[:, 2]) / (4 * w)
     z = (first[:, 1] - second[:, 0]) / (4 * w)
     return torch.stack([w, x, y, z], 1)
-
-
-def _flat(channels: Tensor) -> Tensor:
-    """Reshape [B,C,H,W] to [B,H*W,C]."""
-    return channels.flatten(2).transpose(1, 2)
 
 
 def blur(channels: Tensor, deviation: float) -> Tensor:

@@ -57,6 +57,11 @@ def describe_pixels(images: Tensor, intrinsics: Tensor) -> Pixels:
     return Pixels(rays, (1 / intrinsics[:, 0])[:, None, None, None], colour, mask)
 
 
+def flat(channels: Tensor) -> Tensor:
+    """Reshape [B,C,H,W] to [B,H*W,C]."""
+    return channels.flatten(2).transpose(1, 2)
+
+
 def network_input(images: Tensor, pixels: Pixels, kind: str) -> Tensor:
     """Return the input channels of the U-Net.
 

@@ -10,7 +10,6 @@ A checkpoint holds float16 weights as safetensors, with the configuration as JSO
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
 
@@ -22,6 +21,7 @@ from torch import Tensor, nn
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect
+from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, checked_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
@@ -39,6 +39,7 @@ from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
 _CONFIG_KEY = "lightfield_gs.model_config"
+_MOST_GRAPHS = 4  # of a ReplayedNet; each keeps its memory
 
 
 class SplatterNet(nn.Module):
@@ -137,14 +138,6 @@ class SplatterNet(nn.Module):
         expect("level", level, DetailLevel, type(None))
         return self.visible_gaussians(*self.crops(photo, level), level)
 
-    def crop_photo(self, photo: Tensor) -> Tensor:
-        """Crop a photo of checked_photo to the object: [4,S,S] premultiplied, on the network's device.
-
-        Raises:
-            InputError: for values outside 0..1 or an empty mask.
-        """
-        return self.crops(photo, None)[0]
-
     def crops(self, photo: Tensor, level: DetailLevel | None) -> tuple[Tensor, Tensor | None]:
         """Crop a photo for the network, and for the sheet.
 
@@ -153,16 +146,16 @@ class SplatterNet(nn.Module):
             level: of detail, or None.
 
         Returns:
-            The crop of crop_photo, [4,S,S], and the same at level.factor times the size; None without a level.
+            The crop [4,S,S], premultiplied, on the network's device. The same at level.factor times the size; None
+            without a level.
 
         Raises:
             InputError: for values outside 0..1 or an empty mask.
         """
         photo, size = photo.to(self.device), self.config.image_size_px
         if photo.is_cuda and hasattr(_core, "cuda"):
-            checks, (cropped, *finer) = crop_on_device(
-                photo.contiguous(), [size] if level is None else [size, level.factor * size]
-            )
+            sizes = [size] if level is None else [size, level.factor * size]
+            checks, (cropped, *finer) = crop_on_device(photo.contiguous(), sizes)
             values_in_range, has_object = checks.tolist()
             check_values(values_in_range)
             crop.check_object(has_object)
@@ -212,7 +205,12 @@ class SplatterNet(nn.Module):
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, with configuration and notes in the metadata."""
-        save_weights(checked_path(path), self.config, self.state_dict(), notes or {})
+        from safetensors.torch import save
+
+        path, metadata = checked_path(path), {**(notes or {}), _CONFIG_KEY: json.dumps(self.config.to_dict())}
+        weights = {name: t.detach().to("cpu", torch.float16).contiguous() for name, t in self.state_dict().items()}
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(save(weights, metadata))
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> SplatterNet:
@@ -225,6 +223,59 @@ class SplatterNet(nn.Module):
             raise InputError(f"{path}: damaged checkpoint: the weights do not fit the configuration beside them")
         net.load_state_dict(weights, assign=True)
         return net.eval()
+
+
+class ReplayedNet:
+    """SplatterNet.predict for photo after photo; on CUDA as a graph, since launches take longer than the device.
+
+    The kernels and their precision are the same, and so are the results. A level of detail gets its graph the second
+    time that it is met. The network must not change.
+    """
+
+    def __init__(self, net: SplatterNet) -> None:
+        self.net, self.config = net, net.config
+        self._met: set[DetailLevel | None] = set()
+        self._graphs: dict[DetailLevel | None, _Graph] = {}
+
+    @torch.no_grad()
+    def predict(self, rgba: np.ndarray | Tensor, level: DetailLevel | None = None) -> Gaussians:
+        """Return the Gaussians of SplatterNet.predict. Raises InputError as it does."""
+        photo = checked_photo(rgba)
+        cropped, fine = self.net.crops(photo, level)
+        if not cropped.is_cuda or not self._is_repeated(level):
+            return self.net.visible_gaussians(cropped, fine, level)
+        with torch.cuda.device(cropped.device):
+            if level not in self._graphs:
+                self._graphs[level] = _Graph(self.net, cropped, fine, level)
+            return visible(self._graphs[level].replay(cropped, fine))
+
+    def _is_repeated(self, level: DetailLevel | None) -> bool:
+        if level in self._graphs:
+            return True
+        if level in self._met:
+            return len(self._graphs) < _MOST_GRAPHS
+        self._met.add(level)
+        return False
+
+
+class _Graph:
+    """SplatterNet.all_gaussians as a CUDA graph, for photos of one level of detail."""
+
+    def __init__(self, net: SplatterNet, cropped: Tensor, fine: Tensor | None, level: DetailLevel | None) -> None:
+        with torch.inference_mode(False), torch.no_grad():  # tensors that are writable in any mode
+            self._cropped, self._fine = cropped.clone(), None if fine is None else fine.clone()
+            self._intrinsics = net.photo_intrinsics()
+            self._graph, self._gaussians = capture_graph(
+                lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level), warm_up=True
+            )
+
+    def replay(self, cropped: Tensor, fine: Tensor | None) -> Gaussians:
+        """Return the Gaussians, which the next call writes over."""
+        self._cropped.copy_(cropped)
+        if self._fine is not None and fine is not None:
+            self._fine.copy_(fine)
+        self._graph.replay()
+        return self._gaussians
 
 
 def visible(gaussians: Gaussians) -> Gaussians:
@@ -262,22 +313,6 @@ def check_values(values_in_range: float | Tensor) -> None:
     """Raise InputError unless the values of a photo are in range; see in_range."""
     if not values_in_range:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")
-
-
-def save_weights(path: Path, config: ModelConfig, state: Mapping[str, Tensor], notes: dict[str, str]) -> None:
-    """Write the weights of a network; the file appears complete or not at all.
-
-    Args:
-        path: the checkpoint.
-        config: of the network.
-        state: its state_dict; saved as float16.
-        notes: further metadata.
-    """
-    from safetensors.torch import save
-
-    weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in state.items()}
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(save(weights, notes | {_CONFIG_KEY: json.dumps(config.to_dict())}))
 
 
 def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:

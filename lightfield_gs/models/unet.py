@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -20,6 +21,7 @@ from torch import Tensor, nn
 from lightfield_gs import _core
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.stages import run_stage
 
 MOST = 65536  # largest whole number in a configuration
 
@@ -41,19 +43,9 @@ def group_norm_silu(norm: nn.GroupNorm, features: Tensor) -> Tensor:
         return F.silu(norm(features))
     batch, channels, height, width = features.shape
     out = torch.empty_like(features)
-    with torch.cuda.device_of(features):
-        _core.cuda.group_norm_silu(
-            batch,
-            height * width,
-            channels,
-            norm.num_groups,
-            features.data_ptr(),
-            norm.weight.data_ptr(),
-            norm.bias.data_ptr(),
-            norm.eps,
-            out.data_ptr(),
-            torch.cuda.current_stream().cuda_stream,
-        )
+    sizes = (batch, height * width, channels, norm.num_groups)
+    addresses = (tensor.data_ptr() for tensor in (features, norm.weight, norm.bias))
+    run_stage("group_norm_silu", _core, features.device, *sizes, *addresses, norm.eps, out.data_ptr())
     return out
 
 
@@ -83,6 +75,14 @@ def check_field_types(config: Any, where: str) -> None:
             good, expected = isinstance(value, type(default)), type(default).__name__
         if not good:
             raise InputError(f"model configuration: {where}{field.name}: expected {expected}, got {shown(value)}")
+
+
+def check_ranges(config: Any, where: str, checks: Iterable[tuple[bool, str, str]]) -> None:
+    """Raise InputError at the first field that fails; checks: whether it is good, its name, and the expectation."""
+    for good, field, expected in checks:
+        if not good:
+            value = shown(getattr(config, field))
+            raise InputError(f"model configuration: {where}{field}: expected {expected}, got {value}")
 
 
 def _is_count(value: Any) -> bool:
@@ -117,25 +117,16 @@ class UNetConfig:
     def __post_init__(self) -> None:
         """Check the values of all fields. Raises InputError."""
         check_field_types(self, "unet.")
+        levels = 0 < len(self.multipliers) <= 16 and min(self.multipliers) >= 1
+        divides = self.heads >= 1 and all(self.base_channels * m % self.heads == 0 for m in self.multipliers)
         checks = (
             (self.base_channels >= 4, "base_channels", "at least 4"),
-            (
-                0 < len(self.multipliers) <= 16 and min(self.multipliers) >= 1,
-                "multipliers",
-                "a number per level, at least 1, for at most 16 levels",
-            ),
+            (levels, "multipliers", "a number per level, at least 1, for at most 16 levels"),
             (1 <= self.blocks <= 64, "blocks", "1 to 64"),
-            (
-                self.heads >= 1 and all(self.base_channels * m % self.heads == 0 for m in self.multipliers),
-                "heads",
-                "a divisor of every level's channels",
-            ),
+            (divides, "heads", "a divisor of every level's channels"),
             (0 <= self.dropout < 1, "dropout", "0 to 1, less than 1"),
         )
-        for good, field, expected in checks:
-            if not good:
-                value = shown(getattr(self, field))
-                raise InputError(f"model configuration: unet.{field}: expected {expected}, got {value}")
+        check_ranges(self, "unet.", checks)
 
 
 def _group_norm(channels: int) -> nn.GroupNorm:

@@ -182,7 +182,7 @@ def _describe_unused_depth(path: Path) -> str:
         return f"a depth map is in it (an auxiliary picture), {way}" if is_there else ""
     if start.startswith(b"\x76\x2f\x31\x01"):  # EXR
         layer = read_layer(path, depth_channel)
-        return "" if layer is None else f"its channel {layer.name} holds distances: --depth {path} takes them"
+        return "" if layer is None else f"its channel {layer.name} holds distances: give the file as depth= too"
     for namespace, name in _NAMESPACES.items():
         if f'"{namespace}"' in jpeg_xmp(path):
             return f"a depth map should be in it ({name}), and is not found; give one with depth=FILE"

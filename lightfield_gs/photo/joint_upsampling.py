@@ -67,7 +67,7 @@ def disparities_to_z(values: Tensor, limits: tuple[float, float] | None = None) 
         notes.append("there is no depth in what it sees, and the scene is flat")
         values = torch.full_like(values, low)
     description = f"disparities, of which the 1st and the 99th percentile are put at z {far:g} and {near:g}"
-    description += " (assumed; --depth-range)" if limits is None else ""
+    description += " (assumed; depth_range=)" if limits is None else ""
 
     def z(disparities: Tensor) -> Tensor:
         fraction = ((disparities.float() - low) / value_range).clamp(0, 1 + _C.nearer)

@@ -6,10 +6,10 @@ import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations
 from pathlib import Path
+from typing import NamedTuple
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
@@ -27,8 +27,7 @@ _OF_VIEWS = frozenset("view views v cam camera angle deg".split())
 _MOST_NAMED = 3
 
 
-@dataclass(frozen=True)
-class _Number:
+class _Number(NamedTuple):
     """A number in a name.
 
     Attributes:
@@ -49,8 +48,7 @@ class _Number:
         return -value if is_signed and self.sign == "-" else value
 
 
-@dataclass(frozen=True)
-class _Name:
+class _Name(NamedTuple):
     """A file's name as texts, with a number between each two."""
 
     path: Path
@@ -60,10 +58,8 @@ class _Name:
     @property
     def natural(self) -> list[tuple[str, int, int]]:
         """Sort key by text and value in turn, so that b9 comes before b10."""
-        return [
-            (text, int(part.whole), int(part.decimals or 0))
-            for text, part in zip(self.texts, (*self.parts, _Number("", False, "0", "")))
-        ]
+        parts = (*self.parts, _Number("", False, "0", ""))
+        return [(text, int(part.whole), int(part.decimals or 0)) for text, part in zip(self.texts, parts)]
 
 
 def _parsed(path: Path) -> _Name:

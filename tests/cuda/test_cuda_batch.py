@@ -11,8 +11,7 @@ from PIL import Image
 
 from lightfield_gs import Rig, _core, cli
 from lightfield_gs.base.device import HostCopies
-from lightfield_gs.models.replayed import ReplayedNet
-from lightfield_gs.models.splatter_net import PRETRAINED, SplatterNet
+from lightfield_gs.models.splatter_net import PRETRAINED, ReplayedNet, SplatterNet
 from lightfield_gs.photo.detail_level import detail_level
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):

@@ -10,6 +10,7 @@ import importlib.util
 import os
 import sys
 import types
+from collections.abc import Callable
 
 import torch
 
@@ -36,8 +37,13 @@ def use_cuda_stages() -> None:
     sorted._CpuStages = lambda scene, plan, threads: sorted.CudaStages(scene, plan)
     torch.set_num_threads(1)
     _use_cuda_fit()
-    lightfield_gs._core.surface = lambda job, threads: lightfield_gs._core.cuda.surface(job, 0)
-    lightfield_gs._core.sheet = lambda job, threads: lightfield_gs._core.cuda.sheet(job, 0)
+    for stage in ("surface", "sheet", "find_object", "crop_object", "group_norm_silu"):
+        setattr(lightfield_gs._core, stage, _on_cuda(stage))
+
+
+def _on_cuda(stage: str) -> Callable[..., None]:
+    """Return a stage of the CPU, whose last argument is the number of threads, that runs the CUDA stage."""
+    return lambda *arguments: getattr(lightfield_gs._core.cuda, stage)(*arguments[:-1], 0)
 
 
 def _use_cuda_fit() -> None:

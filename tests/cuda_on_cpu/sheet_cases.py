@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.harmonics import rotations
-from lightfield_gs.models.detail import DetailLevel, SheetSurface, _flat, _sheet, upsample_along_surface
-from lightfield_gs.models.initializer import describe_pixels
+from lightfield_gs.models.detail import DetailLevel, SheetSurface, _sheet, upsample_along_surface
+from lightfield_gs.models.initializer import describe_pixels, flat
 from lightfield_gs.models.sheet import lay_texels
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
@@ -81,7 +81,7 @@ def expected(case: Case) -> Gaussians:
     fine = upsample_along_surface(channels, channels[:, :1], (1 / camera[:, 0])[:, None, None, None], case.factor)
     texels = describe_pixels(photo, case.factor * camera)
     *fields, constant = _sheet(fine[:, :1], texels, case.texel_px)
-    return from_tensors([*fields, torch.cat([constant, _flat(fine[:, 1:]).unflatten(2, (-1, 3))], 2)])
+    return from_tensors([*fields, torch.cat([constant, flat(fine[:, 1:]).unflatten(2, (-1, 3))], 2)])
 
 
 def compare(case: Case, found: dict[str, Tensor]) -> None:

@@ -64,7 +64,7 @@ def test_the_cone_of_a_ring_has_its_angles():
     assert place_cone(capture, 30, "06.png").angles_deg[1] == pytest.approx(48)
     beyond = (30 - 15 - MARGIN_DEG) / FALL_DEG
     expected = FLOOR + (1 - FLOOR) * math.cos(math.pi / 2 * beyond) ** 2
-    np.testing.assert_allclose(cone.weights(), [FLOOR, 1, 1, 1, 1, 1, expected, FLOOR, FLOOR])
+    np.testing.assert_allclose(cone_weights(cone.angles_deg, 30), [FLOOR, 1, 1, 1, 1, 1, expected, FLOOR, FLOOR])
     assert cone_weights(np.array([20.0, 20 + FALL_DEG / 2]), 30).tolist() == pytest.approx([1, (1 + FLOOR) / 2])
 
 

@@ -4,7 +4,7 @@ import torch
 from photo_cases import photo, tiny_net
 
 from lightfield_gs.models.detail import DetailLevel
-from lightfield_gs.models.replayed import ReplayedNet
+from lightfield_gs.models.splatter_net import ReplayedNet
 
 
 def test_it_predicts_what_the_network_does():

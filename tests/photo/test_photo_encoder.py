@@ -55,7 +55,7 @@ def test_later_changes_of_the_network_do_not_show():
 
 def test_what_is_not_seen_does_not_move_the_rig():
     net, rgba = tiny_net(), photo(70, 40)
-    everything = net.all_gaussians(net.crop_photo(torch.from_numpy(rgba)), net.photo_intrinsics())
+    everything = net.all_gaussians(net.crops(torch.from_numpy(rgba), None)[0], net.photo_intrinsics())
     seen = net.predict(rgba)
     assert seen.count < everything.count
     rigs = [Rig.frame(gaussians, PANEL, np.eye(4)) for gaussians in (everything, seen)]

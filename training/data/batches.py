@@ -53,7 +53,7 @@ def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) ->
     if plan.procedural is not None:
         made.append(plan.procedural.drawn(views.device, compiled))
     if plan.meshes is not None:
-        made.append(plan.meshes.drawn())
+        made.append(plan.meshes.drawn(compiled))
     batch = Batch(*(torch.cat(fields) if len(made) > 1 else fields[0] for fields in zip(*made)))
     if plan.photo is not None:
         batch.source = fused(photographed, compiled)(batch.source, plan.photo)
