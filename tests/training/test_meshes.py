@@ -20,6 +20,7 @@ from training.data.batches import Batch, make_batch
 from training.data.plan import Augmentation, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.data.transfer import packed
 from training.distributed import Team
 from training.loop import make_planner, plans
 from training.meshes.pack import Meshes, ResidentMeshes, read_meshes
@@ -337,6 +338,14 @@ def test_examples_depend_on_seed_step_and_number_alone(packs):
     for number in range(2):
         for one, other in zip(_example(half, number), _example(whole, 2 + number)):
             torch.testing.assert_close(one, other)
+
+
+def test_plans_go_to_a_device_in_one_piece(packs):
+    planner = _planner(packs, shadows=1.0)
+    plan = planner.plan(1, 0, 3, 16)
+    there = make_batch(packed(plan, torch.device("cpu")), planner.views)
+    for one, other in zip(vars(there).values(), vars(make_batch(plan, planner.views)).values()):
+        assert torch.equal(one, other)
 
 
 def test_examples_show_scenes_in_the_cone_framed_as_photos_are(packs):
