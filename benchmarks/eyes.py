@@ -1,4 +1,4 @@
-"""What eyes across the cone see of a panel's image, with and without the view filter, against exact cameras."""
+"""Compare the views of eyes across the cone, with and without the view filter, with exact cameras."""
 
 from __future__ import annotations
 
@@ -81,6 +81,9 @@ def table(found: list[dict[str, Any]]) -> str:
     return "\n".join(aligned([head, *lines]))
 
 
+Options = options.SceneOptions
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_scene(parser, SCENES)
@@ -90,15 +93,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Rows of every width of the view filter, for every scene and cone, and their text."""
-    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.load_panel(args)
+    scenes, panel = SCENES if given.scene is None else given.scene.split(","), given.load_panel()
     check_panel(panel)
-    cones, degrees = options.cones(args.cone), options.sh_degrees(args.sh_degree)
+    cones, degrees = options.cones(given.cone), options.sh_degrees(given.sh_degree)
     found: list[dict[str, Any]] = []
-    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
+    torch.set_num_threads(given.thread_count or torch.get_num_threads())
     options.check_scenes(scenes, degrees)
-    for subject in scene_subjects(scenes, degrees, panel, cones, args.device):
+    for subject in scene_subjects(scenes, degrees, panel, cones, given.device):
         options.progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: {EYES} eyes")
         found += rows(subject)
     return {"rows": found}, table(found)

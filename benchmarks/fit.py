@@ -89,15 +89,15 @@ OUR_ARMS, USUAL_ARMS = ("ours",), ("ours", "gsplat-mcmc", "gsplat-default")
 
 
 def check_arms(arms: Sequence[str]) -> None:
-    """Raises InputError for arms that there are not, and where those of gsplat cannot be had."""
+    """Raise InputError for unknown arms, and for arms of gsplat where it is not installed."""
     if unknown := sorted(set(arms) - set(ARMS)):
-        raise InputError(f"--arms: expected of {', '.join(ARMS)}, got {', '.join(unknown)}")
+        raise InputError(f"arms=: expected of {', '.join(ARMS)}, got {', '.join(unknown)}")
     if set(arms) & set(RECIPES):
         peers.gsplat()
 
 
 def usual_arms(device: str) -> tuple[str, ...]:
-    """Ours, and those of gsplat where it can be had on CUDA."""
+    """Return our arms, and the arms of gsplat if it runs on CUDA here."""
     if device == "cuda":
         try:
             peers.gsplat()
@@ -150,7 +150,7 @@ def _fit_rows(photographs: Photographs, arm: str, settings: FitSettings) -> Iter
 
 
 def _clear(device: torch.device) -> None:
-    """Lets go of what earlier fits held."""
+    """Free the memory of earlier fits."""
     gc.collect()
     if device.type == "cuda":
         torch.cuda.synchronize()
@@ -170,7 +170,7 @@ def _timed(call: Callable[[], None], device: torch.device) -> tuple[float, int]:
 
 
 def protocol(photographs: Photographs, settings: FitSettings, arms: Sequence[str], folder: Path) -> dict[str, Any]:
-    """What all rows have in common."""
+    """Return the fields common to all rows."""
     train, test = photographs.train, photographs.test
     return {
         "capture": photographs.name,
@@ -222,14 +222,14 @@ class Photographs:
         if not test:
             raise InputError(
                 f"{capture.folder}: {len(capture.names)} photographs are too few to hold out one of {test_every}; "
-                "give a smaller --test-every"
+                "give a smaller test_every="
             )
         fitted, held = (PosedImages.load(capture, some, normalization, device, some) for some in (train, test))
         points, centres = (normalization.points(places) for places in (capture.points, capture.centres))
         return cls(capture.folder.resolve().name, fitted, held, points, capture.colours, centres)
 
     def start(self, settings: FitSettings) -> Gaussians:
-        """What a fit begins with, on the device."""
+        """Return the initial Gaussians of a fit, on the device."""
         return initialize_gaussians(self.points, self.colours, self.centres, settings).to(self.train.device)
 
 
@@ -246,6 +246,29 @@ def scores(fit: Fit, images: PosedImages) -> dict[str, float]:
         psnr, psnr_by_ours = (weighted_psnr_db(picture, photo, weights) for picture in (image, by_ours))
         found.append((psnr, weighted_ssim(image, photo, weights), psnr_by_ours))
     return dict(zip(("psnr_db", "ssim", "psnr_db_by_ours"), np.mean(found, 0).tolist()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(options.BenchmarkOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        capture: folder of the capture.
+        gaussians, steps, longest_px: None: those of GAUSSIANS, STEPS and LONGEST_PX.
+        seeds: number of fits of each arm.
+        arms: names with commas. None: see `usual_arms`.
+        test_every: one of so many photographs is held out.
+        plot: file for the picture of the rows.
+    """
+
+    capture: Path
+    gaussians: int | None = None
+    steps: int | None = None
+    seeds: int = 1
+    arms: str | None = None
+    longest_px: int | None = None
+    test_every: int = 8
+    plot: Path | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -286,25 +309,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Rows of every seed, arm and mark, each in the JSON as soon as it is known, and their text; draws the plot."""
-    if args.plot is not None:
-        check_plot(args.plot)
-    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
-    arms = usual_arms(args.device) if args.arms is None else args.arms.split(",")
+    if given.plot is not None:
+        check_plot(given.plot)
+    torch.set_num_threads(given.thread_count or torch.get_num_threads())
+    arms = usual_arms(given.device) if given.arms is None else given.arms.split(",")
     check_arms(arms)
-    settings = FitSettings(steps=args.steps or STEPS[args.device], cap_max=args.gaussians or GAUSSIANS[args.device])
-    capture = read_capture(args.capture, longest_px=args.longest_px or LONGEST_PX[args.device])
-    options.progress(f"{args.capture}: reading {len(capture.names)} photographs")
-    photographs = Photographs.load(capture, args.test_every, args.device)
-    result: dict[str, Any] = {"protocol": protocol(photographs, settings, arms, args.capture)}
-    result |= {"machine": machine(args.device), "rows": []}
-    for row in rows(photographs, arms, settings, args.seeds):
+    settings = FitSettings(steps=given.steps or STEPS[given.device], cap_max=given.gaussians or GAUSSIANS[given.device])
+    capture = read_capture(given.capture, longest_px=given.longest_px or LONGEST_PX[given.device])
+    options.progress(f"{given.capture}: reading {len(capture.names)} photographs")
+    photographs = Photographs.load(capture, given.test_every, given.device)
+    result: dict[str, Any] = {"protocol": protocol(photographs, settings, arms, given.capture)}
+    result |= {"machine": machine(given.device), "rows": []}
+    for row in rows(photographs, arms, settings, given.seeds):
         options.progress(fit_report.line(row))
         result["rows"].append(row)
         result["summary"] = fit_report.summary(result["rows"])
-        if args.json is not None:
-            write_json(result, args.json)
-    if args.plot is not None:
-        fit_report.plot(result["rows"], result["protocol"], args.plot)
+        if given.json is not None:
+            write_json(result, given.json)
+    if given.plot is not None:
+        fit_report.plot(result["rows"], result["protocol"], given.plot)
     return result, fit_report.table(result["rows"], result["protocol"])

@@ -77,7 +77,7 @@ def _time_table(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _times(methods: list[str], ms: dict[str, float]) -> list[str]:
-    """The cells of a line: the time of each method, and that of the first over those of the others."""
+    """Return the cells of a line: the time of each method, and the first time over each other time."""
     first = ms.get(methods[0])
     ratios = [first / ms[other] if first and other in ms else None for other in methods[1:]]
     return [
@@ -102,12 +102,15 @@ def _memory_table(rows: list[dict[str, Any]]) -> list[str]:
     return aligned(lines)
 
 
+Options = light_field.Options
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     light_field.add_arguments(parser, SCENES, METHODS)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of light-field images, for the scenes and methods of the paper by default, and its tables."""
-    result = light_field.measure_cases(args, SCENES, METHODS)
+    result = light_field.measure_cases(given, SCENES, METHODS)
     return result, "\n".join([tables(result["rows"]), *map(light_field.cost_line, result["harmonics"])])

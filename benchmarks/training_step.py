@@ -1,4 +1,4 @@
-"""What the rasterizer costs in a training step: forward and backward of ordinary images, a batch of scenes at a time.
+"""The rasterizer's time in a training step: forward and backward of ordinary images, a batch of scenes at a time.
 
 CPU: 8 objects before 4 cameras each, two layers of 128 x 128 Gaussians one behind the other, as the network draws them.
 CUDA: 32 scenes of one such layer before 4 cameras each, image and alpha; Gaussians and gradients stay on the device.
@@ -57,7 +57,7 @@ def cameras() -> Cameras:
 
 
 def step_row(step: Step, cuda: bool, repeats: int | None) -> dict[str, Any]:
-    """What was drawn, and medians of ms_forward, ms_backward and ms_total."""
+    """Return the setting, and medians of ms_forward, ms_backward and ms_total."""
     _, times = timed_in_turn((step.forward, step.backward), cuda, repeats)
     forward, backward, total = map(statistics.median, (*zip(*times), map(sum, times)))
     scenes = step.gaussians.means.shape[0]
@@ -139,20 +139,23 @@ def _line(row: dict[str, Any]) -> str:
     )
 
 
+Options = options.BenchmarkOptions
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_repeats(parser)
     options.add_machine(parser, several_threads=True)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """A row for each number of threads, on CUDA one, and gsplat's where it can be had; and their text."""
-    if args.device == "cpu":
-        found = cpu_rows(options.thread_counts(args.threads), args.repeats)
+    if given.device == "cpu":
+        found = cpu_rows(options.thread_counts(given.threads), given.repeats)
     else:
-        found = [cuda_row(args.repeats)]
+        found = [cuda_row(given.repeats)]
         try:
-            found.append(gsplat_row(args.repeats))
+            found.append(gsplat_row(given.repeats))
         except InputError as error:
             options.progress(f"no row of gsplat: {error}")
     return {"rows": found}, table(found)

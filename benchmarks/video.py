@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
-from dataclasses import asdict
+from contextlib import ExitStack, nullcontext
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from torch import Tensor
 
+from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import options
 from lightfield_gs.bench.report import aligned
@@ -20,12 +23,29 @@ from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.camera_path import turntable
 from lightfield_gs.video.frame_folder import FrameFolder
-from lightfield_gs.video.rendering import FrameOptions, NativeRenderer, NullSink, Sink, render_frames
+from lightfield_gs.video.rendering import FrameOptions, NativeRenderer, Sink, render_frames
 from lightfield_gs.video.video_file import VideoFile
 
 SINKS = ("none", "png", "h264-rgb", "ffv1")
 FRAMES = {"cpu": 10, "cuda": 300}
 _FPS = Fraction(30)
+
+
+class NullSink(nullcontext):
+    """Discards frames, to measure rendering alone."""
+
+    def __init__(self, count: int):
+        self.missing = list(range(count))
+
+    def __enter__(self) -> NullSink:
+        return self
+
+    def fetch(self, image: Tensor) -> np.ndarray:
+        """Copy the frame to the host."""
+        return to_numpy(image)
+
+    def put(self, number: int, image: np.ndarray) -> None:
+        """Discard it."""
 
 
 @torch.inference_mode()
@@ -95,6 +115,21 @@ def table(rows: list[dict[str, Any]]) -> str:
 SCENE = "sheet:128"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.PanelOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        scene: name or file of the scene.
+        files: kinds of files, with commas.
+        frames: number of frames. None: that of FRAMES.
+    """
+
+    scene: str = SCENE
+    files: str = "none,png"
+    frames: int | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument("--scene", default=SCENE, help="sheet:S, cloud:N or a .ply (default: %(default)s)")
@@ -113,13 +148,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """A row of each kind of files, and their text."""
-    options.check_scenes([args.scene])
-    sinks = tuple(args.files.split(","))
+    options.check_scenes([given.scene])
+    sinks = tuple(given.files.split(","))
     if not set(sinks) <= set(SINKS):
-        raise InputError(f"--files: expected some of {', '.join(SINKS)}, with commas, got {args.files!r}")
-    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
-    frames = args.frames or FRAMES[args.device]
-    found = rows(args.scene, options.load_panel(args), frames, sinks, args.device)
+        raise InputError(f"files=: expected some of {', '.join(SINKS)}, with commas, got {given.files!r}")
+    torch.set_num_threads(given.thread_count or torch.get_num_threads())
+    frames = given.frames or FRAMES[given.device]
+    found = rows(given.scene, given.load_panel(), frames, sinks, given.device)
     return {"rows": found}, table(found)

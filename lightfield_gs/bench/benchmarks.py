@@ -27,7 +27,7 @@ _CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def load(name: str) -> Any:
-    """Return the module of a benchmark, with `add_arguments(parser)` and `run(args)`.
+    """Return the module of a benchmark, with `add_arguments(parser)`, the dataclass `Options` and `run(options)`.
 
     Raises:
         InputError: the benchmark is in a checkout of the sources alone, and this package is not in one.

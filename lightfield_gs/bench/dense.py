@@ -10,6 +10,7 @@ import gc
 import math
 import statistics
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -246,6 +247,19 @@ def _comparisons(found: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.BenchmarkOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        gaussians: numbers of Gaussians. None: those of COUNTS.
+        size: width and height of the image, px. None: that of SIZES_PX.
+    """
+
+    gaussians: tuple[int, ...] | None = None
+    size: tuple[int, int] | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument(
@@ -266,11 +280,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of every number of Gaussians, also of gsplat if it is installed, on CUDA; and their text."""
-    torch.set_num_threads(options.one_thread_count(args.threads) or torch.get_num_threads())
-    counts, size = args.gaussians or COUNTS[args.device], args.size or SIZES_PX[args.device]
-    found = rows(counts, size, args.device, args.repeats)
+    torch.set_num_threads(given.thread_count or torch.get_num_threads())
+    counts, size = given.gaussians or COUNTS[given.device], given.size or SIZES_PX[given.device]
+    found = rows(counts, size, given.device, given.repeats)
     return {"rows": found}, table(found)
 
 

@@ -322,6 +322,21 @@ BENCH_METHODS = (*METHODS, GSPLAT)
 SCENES, USUAL_METHODS = ("sheet:128",), ("direct",)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.SceneOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        methods: names with commas. None: those of USUAL_METHODS.
+        memory_budget: bytes of the method sorted.
+        oracle_samples: number of sub-pixels. None: ORACLE_SAMPLES.
+    """
+
+    methods: str | None = None
+    memory_budget: int | None = None
+    oracle_samples: int | None = None
+
+
 def add_arguments(
     parser: argparse.ArgumentParser, scenes: Sequence[str] = SCENES, methods: Sequence[str] = USUAL_METHODS
 ) -> None:
@@ -352,32 +367,36 @@ def add_arguments(
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of every case and method, and their text."""
-    result = measure_cases(args, SCENES, USUAL_METHODS)
+    result = measure_cases(given, SCENES, USUAL_METHODS)
     lines = [table(result["rows"]), *map(comparison_line, result["comparisons"])]
     return result, "\n".join([*lines, *map(cost_line, result["harmonics"])])
 
 
-def measure_cases(
-    args: argparse.Namespace, usual_scenes: Sequence[str], usual_methods: Sequence[str]
-) -> dict[str, Any]:
-    scenes = usual_scenes if args.scene is None else args.scene.split(",")
-    methods = _methods(list(usual_methods) if args.methods is None else args.methods.split(","), args.device)
-    count = options.one_thread_count(args.threads)
-    if args.memory_budget is not None and "sorted" not in methods:
-        raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
-    if args.oracle_samples is not None and args.oracle_samples < 1:
-        raise InputError(f"--oracle-samples: expected 1 or more, got {args.oracle_samples}")
-    panel, degrees = options.load_panel(args), options.sh_degrees(args.sh_degree)
+def measure_cases(given: Options, usual_scenes: Sequence[str], usual_methods: Sequence[str]) -> dict[str, Any]:
+    scenes = usual_scenes if given.scene is None else given.scene.split(",")
+    methods = _methods(list(usual_methods) if given.methods is None else given.methods.split(","), given.device)
+    count = given.thread_count
+    if given.memory_budget is not None and "sorted" not in methods:
+        raise InputError(f"memory_budget= is for the method sorted, not {', '.join(methods)}; add it to methods=")
+    if given.oracle_samples is not None and given.oracle_samples < 1:
+        raise InputError(f"oracle_samples=: expected 1 or more, got {given.oracle_samples}")
+    panel, degrees = given.load_panel(), options.sh_degrees(given.sh_degree)
     options.check_scenes(scenes, degrees)
     found: list[dict[str, Any]] = []
     comparisons: list[dict[str, Any]] = []
     for case in (
-        Case(s, panel, cone, degree) for s in scenes for cone in options.cones(args.cone) for degree in degrees
+        Case(s, panel, cone, degree) for s in scenes for cone in options.cones(given.cone) for degree in degrees
     ):
         new_rows, new_comparisons = bench_case(
-            case, methods, args.device, args.repeats, count, args.memory_budget, args.oracle_samples or ORACLE_SAMPLES
+            case,
+            methods,
+            given.device,
+            given.repeats,
+            count,
+            given.memory_budget,
+            given.oracle_samples or ORACLE_SAMPLES,
         )
         found += new_rows
         comparisons += new_comparisons
@@ -387,10 +406,10 @@ def measure_cases(
 
 def _methods(methods: list[str], device: str) -> list[str]:
     if unknown := sorted(set(methods) - set(BENCH_METHODS)):
-        raise InputError(f"--methods: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
+        raise InputError(f"methods=: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
     if GSPLAT in methods:
         if device != "cuda":
-            raise InputError(f"--methods {GSPLAT}: runs on a GPU alone, add --device cuda")
+            raise InputError(f"methods={GSPLAT}: runs on a GPU alone, add device='cuda'")
         load_from_checkout("peers").gsplat()  # raises before any work
     return methods
 

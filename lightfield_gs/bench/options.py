@@ -6,13 +6,73 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
+from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.bench.scenes import NAMED_CONES, check_scene
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.photo.load import load_photo
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions:
+    """The options of all benchmarks.
+
+    Attributes:
+        device: device of the benchmark.
+        threads: number of threads, of some benchmarks several with commas. None: all cores.
+        repeats: runs of each call. None: see `timed`.
+        json: file for the rows.
+    """
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    threads: str | None = None
+    repeats: int | None = None
+    json: Path | None = None
+
+    @property
+    def thread_count(self) -> int | None:
+        """The number of threads, of a benchmark that takes one. Raises InputError for several."""
+        counts = thread_counts(self.threads)
+        if len(counts) > 1:
+            raise InputError(f"threads=: expected one number, got {self.threads}")
+        return counts[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PanelOptions(BenchmarkOptions):
+    """The options of benchmarks that draw for a panel.
+
+    Attributes:
+        panel: name of the panel or its file.
+        device_serial: the display, where the file has several.
+    """
+
+    panel: str = DEFAULT_PANEL
+    device_serial: str | None = None
+
+    def load_panel(self) -> Panel:
+        """Read the panel. Raises InputError."""
+        return Panel.load(self.panel, serial=self.device_serial)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(PanelOptions):
+    """The options of benchmarks that draw scenes; each is a text with commas.
+
+    Attributes:
+        scene: names or files of scenes.
+        cone: viewing cones. None: the panel's.
+        sh_degree: degrees of synthetic scenes.
+    """
+
+    scene: str | None = None
+    cone: str | None = None
+    sh_degree: str | None = None
 
 
 def add_machine(parser: argparse.ArgumentParser, several_threads: bool = False) -> None:
@@ -39,11 +99,6 @@ def add_panel(parser: argparse.ArgumentParser) -> None:
         "published figures",
     )
     add_device_serial(parser.add_argument)
-
-
-def load_panel(args: argparse.Namespace) -> Panel:
-    """Load the panel of the options. Raises InputError."""
-    return Panel.load(args.panel, serial=args.device_serial)
 
 
 def add_scene(parser: argparse.ArgumentParser, usual: Sequence[str]) -> None:
@@ -80,7 +135,7 @@ def _cone(text: str) -> float:
     except ValueError:
         degrees = math.nan
     if not 0 < degrees < 180:
-        raise InputError(f"--cone: expected degrees between 0 and 180, or {' or '.join(NAMED_CONES)}, got {text!r}")
+        raise InputError(f"cone=: expected degrees between 0 and 180, or {' or '.join(NAMED_CONES)}, got {text!r}")
     return degrees
 
 
@@ -93,7 +148,7 @@ def sh_degrees(text: str | None) -> list[int | None]:
     if text is None:
         return [None]
     if not all(part in ("0", "1", "2", "3") for part in text.split(",")):
-        raise InputError(f"--sh-degree: expected degrees 0..3 with commas between, got {text!r}")
+        raise InputError(f"sh_degree=: expected degrees 0..3 with commas between, got {text!r}")
     return [int(part) for part in text.split(",")]
 
 
@@ -104,7 +159,7 @@ def add_photo(parser: argparse.ArgumentParser, usual: Path) -> None:
 def check_photos(photos: Sequence[str]) -> None:
     """Raise InputError before the first measurement, so that no measurements are lost."""
     for path in photos:
-        with named("--photo"):
+        with named("photo="):
             load_photo(path)
 
 
@@ -121,18 +176,10 @@ def thread_counts(text: str | None) -> list[int | None]:
     except ValueError:
         counts = []
     if not counts or min(counts) < 1:
-        raise InputError(f"--threads: expected positive numbers with commas between, got {text!r}")
+        raise InputError(f"threads=: expected positive numbers with commas between, got {text!r}")
     return [*counts]
-
-
-def one_thread_count(text: str | None) -> int | None:
-    """Return the number of --threads for a benchmark that takes one number; None without the option."""
-    counts = thread_counts(text)
-    if len(counts) > 1:
-        raise InputError(f"--threads: expected one number, got {text}")
-    return counts[0]
 
 
 def progress(line: str) -> None:
     """Print the progress of the benchmark."""
-    print(f"bench: {line}", file=sys.stderr, flush=True)
+    print(f"bench: {as_options(line)}", file=sys.stderr, flush=True)

@@ -271,6 +271,19 @@ def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
     axis.tick_params(labelsize=8)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.SceneOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        photo: files with commas. None: the example of the package, unless there are scenes.
+        plot: file for the picture of the rows.
+    """
+
+    photo: str | None = None
+    plot: Path | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_scene(parser, SCENES)
@@ -282,21 +295,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of every scene, photo, cone and setting, and their text; draw the plot."""
-    if args.plot is not None:
-        check_plot(args.plot)
-    photos = [] if args.scene and not args.photo else (args.photo or str(EXAMPLE)).split(",")
+    if given.plot is not None:
+        check_plot(given.plot)
+    photos = [] if given.scene and not given.photo else (given.photo or str(EXAMPLE)).split(",")
     options.check_photos(photos)
-    scenes = SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
+    scenes = SCENES if not given.scene and not given.photo else given.scene.split(",") if given.scene else ()
     options.check_scenes(scenes)
     found: list[dict[str, Any]] = []
-    count = options.one_thread_count(args.threads)
-    cones = CONES if args.cone is None else options.cones(args.cone)
-    for subject in subjects(scenes, photos, options.load_panel(args), cones, args.device):
+    count = given.thread_count
+    cones = CONES if given.cone is None else options.cones(given.cone)
+    for subject in subjects(scenes, photos, given.load_panel(), cones, given.device):
         made = subject()
         options.progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
-        found += rows(made, settings(), args.repeats, count)
-    if args.plot is not None:
-        plot(found, args.plot)
+        found += rows(made, settings(), given.repeats, count)
+    if given.plot is not None:
+        plot(found, given.plot)
     return {"rows": found}, table(found)

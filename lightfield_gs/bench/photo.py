@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import statistics
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -21,7 +22,6 @@ from lightfield_gs.base.options import Detail
 from lightfield_gs.bench import options
 from lightfield_gs.bench.report import aligned, in_ms
 from lightfield_gs.bench.timing import timed
-from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.scene import add_detail
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.models.splatter_net import PRETRAINED
@@ -153,6 +153,21 @@ def table(found: list[dict[str, Any]]) -> str:
     return "\n".join(aligned([head, *lines]))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options(options.PanelOptions):
+    """The options of the benchmark.
+
+    Attributes:
+        photo: files with commas. None: the example of the package.
+        model: checkpoint or configuration of a network. None: the checkpoint of the package.
+        network: options of the network.
+    """
+
+    photo: str | None = None
+    model: str | None = None
+    network: PhotoOptions = PhotoOptions()
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_photo(parser, EXAMPLE)
@@ -167,10 +182,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser, several_threads=True)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of every photo and number of threads, and their text."""
-    photos = [str(EXAMPLE)] if args.photo is None else args.photo.split(",")
+    photos = [str(EXAMPLE)] if given.photo is None else given.photo.split(",")
     options.check_photos(photos)
-    threads, detail = options.thread_counts(args.threads), network_detail(read_options(PhotoOptions, args))
-    found = rows(photos, args.model, options.load_panel(args), args.device, args.repeats, threads, detail)
+    threads, detail = options.thread_counts(given.threads), network_detail(given.network)
+    found = rows(photos, given.model, given.load_panel(), given.device, given.repeats, threads, detail)
     return {"rows": found}, table(found)

@@ -36,7 +36,7 @@ def check_plot(path: Path) -> None:
     """Raise InputError if no plot can be written to this path."""
     check_output_path(path)
     if path.suffix.lower() not in PLOT_SUFFIXES:
-        raise InputError(f"--plot: expected {', '.join(PLOT_SUFFIXES)}, got {path.name}")
+        raise InputError(f"plot=: expected {', '.join(PLOT_SUFFIXES)}, got {path.name}")
     new_figure()
 
 
@@ -45,5 +45,5 @@ def new_figure(**options: Any) -> Any:
     try:
         from matplotlib.figure import Figure  # not pyplot, which looks for a display
     except ImportError:
-        raise InputError("--plot needs matplotlib: pip install 'lightfield-gs[plot]', or leave --plot out") from None
+        raise InputError("plot= needs matplotlib: pip install 'lightfield-gs[plot]', or leave plot= out") from None
     return Figure(**options)

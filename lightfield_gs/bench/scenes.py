@@ -98,7 +98,7 @@ def check_scene(name: str, sh_degree: int | None = None) -> None:
     if Path(name).suffix.lower() != ".ply":
         raise InputError(f"scene {name!r}: expected sheet:S, cloud:N or the path of a .ply file")
     if sh_degree is not None:
-        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out --sh-degree")
+        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out sh_degree=")
     if not checked_path(name).is_file():
         raise InputError(f"scene {name!r}: found no such file")
 

@@ -273,6 +273,9 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
         yield Skip(f"reuse, {change}", ", ".join(spared) or "no stage", film, anew, note)
 
 
+Options = options.SceneOptions
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     options.add_scene(parser, SCENES)
@@ -283,13 +286,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_machine(parser)
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of every skip, for every scene and cone, and their text."""
-    scenes, panel = SCENES if args.scene is None else args.scene.split(","), options.load_panel(args)
-    cones, count = options.cones(args.cone), options.one_thread_count(args.threads)
-    degrees, found = options.sh_degrees(args.sh_degree), []
+    scenes, panel = SCENES if given.scene is None else given.scene.split(","), given.load_panel()
+    cones, count = options.cones(given.cone), given.thread_count
+    degrees, found = options.sh_degrees(given.sh_degree), []
     options.check_scenes(scenes, degrees)
-    for subject in scene_subjects(scenes, degrees, panel, cones, args.device):
+    for subject in scene_subjects(scenes, degrees, panel, cones, given.device):
         options.progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: with and without every skip by turns")
-        found += rows(subject, args.repeats, count)
+        found += rows(subject, given.repeats, count)
     return {"rows": found}, table(found)

@@ -7,7 +7,9 @@ import argparse
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench.benchmarks import BENCHMARKS, DEFAULT, load
+from lightfield_gs.bench.options import BenchmarkOptions
 from lightfield_gs.bench.timing import machine, machine_line
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.text_files import write_json
 
@@ -33,22 +35,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run a benchmark, print its table, and write the JSON. Raises InputError."""
     benchmark = load(args.what)
-    choose_device(args.device)
-    if getattr(args, "repeats", None) is not None and args.repeats < 1:
-        raise InputError(f"--repeats: expected 1 or more, got {args.repeats}")
-    if args.json is not None:
-        check_output_path(args.json)
-    check_outputs((args.json, getattr(args, "plot", None)), _inputs(args))
-    result, text = benchmark.run(args)
-    result["machine"] = machine(args.device)
+    options: BenchmarkOptions = read_options(benchmark.Options, args)
+    choose_device(options.device)
+    if options.repeats is not None and options.repeats < 1:
+        raise InputError(f"--repeats: expected 1 or more, got {options.repeats}")
+    if options.json is not None:
+        check_output_path(options.json)
+    check_outputs((options.json, getattr(options, "plot", None)), _inputs(options))
+    result, text = benchmark.run(options)
+    result["machine"] = machine(options.device)
     print(machine_line(result["machine"]))
     print(text)
-    if args.json is not None:
-        write_json(result, args.json)
+    if options.json is not None:
+        write_json(result, options.json)
     return 0
 
 
-def _inputs(args: argparse.Namespace) -> list:
+def _inputs(options: BenchmarkOptions) -> list:
     """Return the files that the benchmark reads, so that no output overwrites them."""
-    several = [path for name in ("scene", "photo") for path in (getattr(args, name, None) or "").split(",") if path]
-    return [*several, *(getattr(args, name, None) for name in ("model", "panel", "capture"))]
+    texts = [getattr(options, name, None) or "" for name in ("scene", "photo")]
+    several = [path for text in texts for path in text.split(",") if path]
+    return [*several, *(getattr(options, name, None) for name in ("model", "panel", "capture"))]

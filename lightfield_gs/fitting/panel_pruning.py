@@ -52,8 +52,8 @@ class PanelPruning:
         faint: number of others that the contribution cut removes.
         floating: number of the rest that float before the eyes.
         unfounded: number of floating Gaussians that no photograph shows; these are removed too.
-        contribution: of the removed Gaussians, as a fraction 0..1 of the light of an opaque image. The mean error of
-            colours 0..1 is at most that, and 1e-4, at which samples end.
+        contribution: contribution of the removed Gaussians, as a fraction 0..1 of the light of an opaque image. The
+            mean error of colours 0..1 is at most this plus 1e-4, the transmittance at which samples end.
     """
 
     kept: Tensor

@@ -190,7 +190,7 @@ _NON_IMAGES = (
     FileKind("packed by gzip", "rename it to end in .spz if it is such a scene, else unpack it", (), (b"\x1f\x8b",)),
     FileKind(
         "a file of settings or cameras, and neither a picture nor a scene",
-        "a panel goes with --panel and cameras with --camera; of scenes in JSON, meta.json and lod-meta.json are read",
+        "a panel goes with panel= and cameras with camera=; of scenes in JSON, meta.json and lod-meta.json are read",
         (".json", ".yaml", ".yml", ".toml"),
     ),
 )
@@ -198,7 +198,7 @@ _BY_SUFFIX = {suffix: kind for kind in _KINDS for suffix in kind.suffixes}
 _BY_NAME = {
     "tileset.json": FileKind("a tree of 3D Tiles", _EXPORT),
     "transforms.json": FileKind("the cameras of a capture", "fit its folder: lightfield-gs fit"),
-    "cameras.json": FileKind("the cameras of a scene", "give the scene, and these with --camera"),
+    "cameras.json": FileKind("the cameras of a scene", "give the scene, and these with camera="),
     **dict.fromkeys(
         ("points3d.bin", "points3d.txt", "images.bin", "images.txt", "cameras.bin", "cameras.txt", "database.db"),
         FileKind("a part of a COLMAP model", "fit the folder of its photographs: lightfield-gs fit"),
@@ -378,7 +378,7 @@ def _refuse_folder(path: Path) -> None:
     if pictures > len(kinds):
         raise InputError(
             f"{path} is a folder of {pictures} pictures; one is encoded by its own name, all are in a row by "
-            "lightfield-gs video, each by itself by batch, and as views of one scene by fit --sfm or weave"
+            "lightfield-gs video, each by itself by batch, and as views of one scene by fit with sfm=True or weave"
         )
     if kinds:
         refuse_kind(f"{path} is a folder, and what it holds", kinds[0])

@@ -235,8 +235,8 @@ def read_depth(
         invalid: The meaning of infinite distances, of numbers for the sky (1e10, 65504, 65535) and of the disparity 0:
             "far" or "hole". A "far" pixel is at twice the largest measured distance, or with limits at the far limit; a
             "hole" is not measured.
-        rays: Of a "ray", see `ray_lengths`: the lengths [H, W] of the rays up to z = 1, for a map of this height and
-            width.
+        rays: For kind "ray", a function such as `ray_lengths`: the lengths [H, W] of rays up to z = 1, by a map's
+            height and width.
 
     Raises:
         InputError: No depth map, numbers out of range, or whole numbers without a scale; the message names the file.
@@ -294,7 +294,7 @@ def depth_map(
     if limits is not None and _is_reversed(limits):
         description += f", {nearness(kind, limits)}"
     elif given is None:
-        description += f", {nearness(kind, limits)} (assumed; --depth-kind)"
+        description += f", {nearness(kind, limits)} (assumed; depth_kind=)"
     description += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
         beyond = min(_C.far_ratio * z[measured].max(), FARTHEST) if limits is None else max(limits)
@@ -390,8 +390,9 @@ def _scale(path: str | Path, values: np.ndarray, sky: np.ndarray | None, kind: s
     """Return z [H, W]: infinite where it is far away, NaN where nothing was measured."""
     if scale is None and values.dtype.kind in "iu":
         raise InputError(
-            f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR, with --depth-kind "
-            "disparity where bright is near), or the length of one (--depth-scale, 0.001 for millimetres to metres)"
+            f"{path} holds whole numbers; say what they mean: near and far (depth_range=NEAR,FAR, with "
+            "depth_kind=disparity where bright is near), or the length of one (depth_scale=, 0.001 for "
+            "millimetres to metres)"
         )
     scale, values = 1.0 if scale is None else _positive("depth scale", scale), values.astype(np.float64)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):

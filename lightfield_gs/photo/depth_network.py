@@ -24,7 +24,7 @@ from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_
 
 _ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
 _INSTALL = "pip install 'lightfield-gs[depth]'"
-_OTHER_WAY = "or give a depth map with --depth FILE"
+_OTHER_WAY = "or give a depth map with depth=FILE"
 _FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
 _USUAL_SIDE_PX = 518  # of the network's input, where its processor does not state it
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
@@ -102,7 +102,7 @@ def estimated_depth(
     network = _network(_folder(str(model), say), on)
     kind = kind or _model_kind(str(model), network.model.config)
     if kind == "distance" and limits is not None:
-        raise InputError(f"{model} estimates distances, and --depth-range is for disparities; leave it out")
+        raise InputError(f"{model} estimates distances, and depth_range= is for disparities; leave it out")
     values = _predict(str(model), network, pixels)
     found = distances_to_z(values) if kind == "distance" else disparities_to_z(values, limits)
     photo = torch.from_numpy(pixels).to(values.device).float() / 255
@@ -159,7 +159,7 @@ def _folder(model: str, say: Callable[[str], None] | None) -> str:
             return folder
     except HFValidationError:
         raise InputError(
-            f"--depth-model: expected a name of huggingface.co, such as {DEPTH_MODEL}, or a folder; there is no "
+            f"depth_model=: expected a name of huggingface.co, such as {DEPTH_MODEL}, or a folder; there is no "
             f"folder {model}"
         ) from None
     except OSError:
@@ -173,7 +173,7 @@ def _folder(model: str, say: Callable[[str], None] | None) -> str:
         raise InputError(
             f"the depth network {model} ({about}) is not on this machine and could not be fetched: "
             f"{_short_message(error)}; fetch it with a connection once, or copy its folder here for "
-            f"--depth-model FOLDER, {_OTHER_WAY}"
+            f"depth_model=FOLDER, {_OTHER_WAY}"
         ) from None
 
 
@@ -194,8 +194,8 @@ def _network(folder: str, device: str) -> Any:
         raise _not_installed(error) from None
     except Exception as error:  # of its files: it may be anything
         raise InputError(
-            f"--depth-model {folder}: expected a depth-estimation model of transformers with weights in .safetensors: "
-            f"{_short_message(error)}"
+            "depth_model=: expected a depth-estimation model of transformers with weights in .safetensors, got "
+            f"{folder}: {_short_message(error)}"
         ) from None
 
 
@@ -211,7 +211,7 @@ def _model_kind(model: str, config: Any) -> str:
     if declared in ("metric", "relative"):
         return "distance" if declared == "metric" else "disparity"
     if config.model_type not in _KINDS:
-        raise InputError(f"{model} ({config.model_type}) does not say what its numbers are: give --depth-kind")
+        raise InputError(f"{model} ({config.model_type}) does not say what its numbers are: give depth_kind=")
     return _KINDS[config.model_type]
 
 
@@ -235,7 +235,7 @@ def _predict(model: str, network: Any, pixels: np.ndarray) -> Tensor:
         raise InputError(f"{model} could not estimate the depth of this photo: {_short_message(error)}") from None
     values = values.reshape(values.shape[-2:])
     if not bool(torch.isfinite(values).all()):
-        raise InputError(f"{model}: its depths are not finite; give another with --depth-model, {_OTHER_WAY}")
+        raise InputError(f"{model}: its depths are not finite; give another with depth_model=, {_OTHER_WAY}")
     return values
 
 

@@ -26,7 +26,7 @@ _NAMESPACES = {
     "http://ns.google.com/photos/dd/1.0/depthmap/": "Dynamic Depth",
 }
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
-# In the boxes of HEIC and AVIF, in the XMP of an auxiliary JPEG, and in the trailer of Samsung's files
+# Names in the boxes of HEIC and AVIF, in the XMP of an auxiliary JPEG, and in the trailer of Samsung's files
 _HEIF_DEPTH = (b"urn:mpeg:hevc:2015:auxid:2", b"urn:mpeg:mpegB:cicp:systems:auxiliary:depth")
 _APPLE_DEPTH = re.compile(rb"AuxiliaryImageType(=\"|>)(disparity|depth)", re.IGNORECASE)
 _SAMSUNG_DEPTH = b"DualShot_DepthMap"
@@ -182,7 +182,7 @@ def _describe_unused_depth(path: Path) -> str:
         return f"a depth map is in it (an auxiliary picture), {way}" if is_there else ""
     if start.startswith(b"\x76\x2f\x31\x01"):  # EXR
         layer = read_layer(path, depth_channel)
-        return "" if layer is None else f"its channel {layer.name} holds distances: --depth {path} takes them"
+        return "" if layer is None else f"its channel {layer.name} holds distances: give the file as depth= too"
     for namespace, name in _NAMESPACES.items():
         if f'"{namespace}"' in jpeg_xmp(path):
             return f"a depth map should be in it ({name}), and is not found; give one with depth=FILE"

@@ -155,5 +155,5 @@ def test_bad_arguments_are_refused_before_any_work(words, monkeypatch):
 def test_a_photo_without_a_cut_out_is_refused_before_any_work(what, tmp_path, monkeypatch):
     monkeypatch.setattr(scenes, "_MAKERS", {"sheet": None})
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)).save(tmp_path / "busy.png")
-    with pytest.raises(InputError, match="--photo: .*busy.png has no cut-out"):
+    with pytest.raises(InputError, match="photo=: .*busy.png has no cut-out"):
         command.run(arguments(*what.split(), "--photo", f"{photo.EXAMPLE},{tmp_path / 'busy.png'}"))

@@ -143,7 +143,7 @@ FOLDERS = {
     "nerf": (["transforms.json"], "capture"),
     "trainer": (["cfg_args", "cameras.json"], "trainer.*--save_ply"),
     "nerfstudio": (["config.yml", "nerfstudio_models/step-29999.ckpt"], "ns-export"),
-    "photos": (["a.jpg", "b.JPG"], "2 pictures.*fit --sfm"),
+    "photos": (["a.jpg", "b.JPG"], "2 pictures.*fit with --sfm"),
     "unfinished": (["cfg_args", "cameras.json", "input.ply"], "trainer.*--save_ply"),
     "lcc": (["meta.lcc", "data.bin", "thumb.jpg"], "LCC"),
     "deeper": (["time_0/a.ply", "time_1/a.ply"], "one of them: deeper/time_0/a.ply"),

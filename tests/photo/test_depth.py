@@ -71,7 +71,7 @@ def test_what_is_infinitely_far_is_far_or_left_out_as_asked(tmp_path):
 @pytest.mark.parametrize(
     "array, options, words",
     [
-        (np.ones((2, 3), np.uint16), {}, "whole numbers.*--depth-range"),
+        (np.ones((2, 3), np.uint16), {}, "whole numbers.*depth_range="),
         (np.ones((2, 3, 2)), {}, r"expected numbers \[H, W\]"),
         (np.ones((2, 3), bool), {}, "bool"),
         (np.ones((2, 3), complex), {}, "complex"),

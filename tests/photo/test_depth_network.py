@@ -96,7 +96,7 @@ def test_metric_networks_give_distances(folder, transformers):
         values = depth_network._predict(model, network, photo)
     assert "distances" in found.description and found.focal_px is None
     assert float(values.min()) * 0.999 <= found.z.min() <= found.z.max() <= float(values.max()) * 1.001
-    with pytest.raises(lf.InputError, match="--depth-range is for disparities"):
+    with pytest.raises(lf.InputError, match="depth_range= is for disparities"):
         depth_from_network(photo, model, "cpu", limits=(1, 2))
     assert depth_from_network(photo, model, "cpu", kind="disparity").max() <= 1.6 + 1e-6
 
@@ -171,7 +171,7 @@ def test_models_that_do_not_say_what_their_numbers_are():
     class Config:
         model_type = "chmv2"
 
-    with pytest.raises(lf.InputError, match="--depth-kind"):
+    with pytest.raises(lf.InputError, match="depth_kind="):
         depth_network._model_kind("trees", Config())
     Config.model_type = "dpt"
     assert depth_network._model_kind("dpt", Config()) == "disparity"

@@ -233,7 +233,7 @@ def _read_layout(folder: Path, images: Path | None, masks: Path | None) -> Posed
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
         "sparse or the folder itself, or a transforms.json (one of another name is given itself); photographs alone "
-        "need --sfm first, which poses them"
+        "need sfm=True first, which poses them"
     )
 
 

@@ -74,7 +74,7 @@ def structure_from_motion(
         assume(f"{photographs}: {others} of {len(files.paths)} pictures are masks by their names or folder: not posed")
     target = checked_path(output) / "sparse" / "0"
     if target.exists():
-        raise InputError(f"{target}: there is a model already: read it without --sfm, or remove it")
+        raise InputError(f"{target}: there is a model already: read it without sfm=True, or remove it")
     target.parent.parent.mkdir(parents=True, exist_ok=True)
     with scratch_folder(target.parent.parent / "sfm") as work:
         best = _reconstruct(pycolmap, files, names, work, progress)
@@ -123,7 +123,7 @@ def _pycolmap() -> ModuleType:
         import pycolmap
     except ImportError as error:
         raise InputError(
-            f"--sfm poses photographs by pycolmap, which cannot be imported ({error}): pip install lightfield-gs[sfm]"
+            f"sfm=True takes pycolmap, which cannot be imported ({error}): pip install lightfield-gs[sfm]"
         ) from None
     pycolmap.logging.minloglevel = 2  # errors only
     return pycolmap

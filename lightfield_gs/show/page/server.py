@@ -19,7 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
-from lightfield_gs.base.cli_messages import is_out_of_memory
+from lightfield_gs.base.cli_messages import as_options, is_out_of_memory
 from lightfield_gs.base.errors import InputError
 
 DEFAULT_HOST = "127.0.0.1"
@@ -347,9 +347,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Return the refusal of a request from a foreign page; None for all other requests."""
         host = self.headers.get("Host", "")
         if not self.server.is_named(urlsplit(f"//{host}").hostname):
-            return text(
-                f"this server is not named so; open {self.server.url}, or start it with --host and the name", 403
-            )
+            other = as_options("start it with host= and the name")
+            return text(f"this server is not named so; open {self.server.url}, or {other}", 403)
         site = self.headers.get("Sec-Fetch-Site")
         # Browsers send no Sec-Fetch-Site over plain http to other machines: there Referer tells of pictures and links
         callers = [self.headers.get(name) for name in (("Origin", "Referer") if site is None else ("Origin",))]
