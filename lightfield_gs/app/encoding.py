@@ -60,8 +60,8 @@ class Encoding:
         Args:
             options: what is asked for.
             watch: notes the times.
-            copies: from CUDA to the host, one input after the other. With them `draw` does not wait for the image, and
-                counts nothing for the stats.
+            copies: from CUDA to the host, one input after the other. With copies `draw` does not wait for the image,
+                and collects no statistics.
         """
         self.options, self.watch, self.messages = options, watch, list[str]()
         self.bits = _check_files(options)

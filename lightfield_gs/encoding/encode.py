@@ -186,7 +186,7 @@ def check_types(
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
-        check_values(gaussians)  # looks at values, which waits for the device: a stream that captures must not
+        check_values(gaussians)  # reads values, which waits for the device: forbidden in a stream that captures
 
 
 def check_view_filter(view_filter: Any, cameras: Cameras | None = None) -> float:
@@ -212,7 +212,7 @@ def check_together(
     """Return quality, view_filter, threads and memory_budget, checked.
 
     Raises InputError where they are out of their ranges, and where arguments of one method meet another.
-    given: the other arguments that one method alone takes (base/options.py).
+    given: the other arguments, which only one method takes (base/options.py).
     """
     view_filter = check_view_filter(view_filter, cameras)
     quality = Quality.of(quality)

@@ -104,7 +104,7 @@ def focus_on_scene(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
     """Return the rig with its zero plane in the subject, or where nothing is in the middle, amid the scene.
 
     Args:
-        rig: With the centre camera, at the panel's resolution.
+        rig: A rig with the centre camera, at the panel's resolution.
         gaussians: One set.
         panel: The panel.
 
@@ -177,7 +177,7 @@ def fit_rig(rig: Rig, extent: Sequence[float], panel: Panel) -> Rig:
     """Return the rig with focal length, principal point and zero plane that show the content of this extent.
 
     Args:
-        rig: With the camera's pose.
+        rig: A rig with the camera's pose.
         extent: As content_extent returns it.
         panel: The panel.
 

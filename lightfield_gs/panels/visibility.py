@@ -311,7 +311,7 @@ def _between(surface: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """
     height, width = surface.shape
     places = np.clip(np.arange(width) + 0.5 + moves, 0, width)
-    # Beyond the edges of the picture the scene goes on as far as anyone looks
+    # Beyond the edges of the picture the scene continues without end
     places = np.pad(places, ((0, 0), (1, 1)), constant_values=((0, 0), (0, width)))
     there = np.pad(surface, ((0, 0), (1, 1)), mode="edge")
     rows, columns = np.nonzero(there[:, :-1] & there[:, 1:])
