@@ -157,12 +157,12 @@ def _look_from(
 
 
 def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-
     axis = scene_up(up, file)
+    words = f"axes: {axis.describe()}"
     notes: list[str] = []
     rig = Rig.frame(gaussians, panel, up=axis.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
-    return rig, [f"axes: {axis.describe()}", *(f"framing: {words}; {others}" for words in notes)]
+    return rig, [words, *(f"framing: {line}; {others}" for line in notes)]
 
 
 def scene_up(up: str | None, file: SceneFile) -> Up:

@@ -92,15 +92,16 @@ def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
 
 
 def _check_photo_options(photo: PhotoOptions) -> None:
+    is_estimated, has_map = photo.is_estimated, photo.depth_file is not None
     if photo.depth is not None:
         _refuse(photo, ("rgbd",), "takes the place of --depth")
-    if photo.is_estimated:
+    if is_estimated:
         if photo.depth_kind == "ray":
             raise InputError("--depth-kind: ray is for a depth map in a file; --depth auto estimates none of that kind")
         _refuse(photo, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
     else:
         _refuse(photo, ("depth_model",), "is for --depth auto")
-    if photo.mask is None and photo.depth_file is None:
+    if photo.mask is None and not has_map:
         _refuse(photo, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if photo.intrinsics is not None and min(photo.intrinsics[:2]) <= 0:
         raise InputError(

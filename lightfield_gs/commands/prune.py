@@ -14,9 +14,9 @@ from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_filters, add_look, add_panel
 from lightfield_gs.commands.options.parser import read_options, within
-from lightfield_gs.commands.options.scene import add_antialiased, add_reading, add_view_filter
+from lightfield_gs.commands.options.scene import add_reading
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 
 
@@ -60,8 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FRACTION",
         help="0..1, allowed mean error of colours in 0..1 (default 3e-4: 50 dB and more)",
     )
-    add_antialiased(add)
-    add_view_filter(add)
+    add_filters(add)
     add_panel(add, "for framing, as `encode` takes it")
     add_camera(add)
     add_look(add)

@@ -22,10 +22,11 @@ from lightfield_gs.commands.options.panel import (
     add_depth_report,
     add_device_serial,
     add_look,
+    add_rendering,
     add_viewing_distance,
 )
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
-from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
+from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
@@ -109,9 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "NAME_rgbd.png",
     )
     add_scene(add, "cut the object out of a photo with rembg")
-    add_antialiased(add)
-    add_view_filter(add)
-    add_background(add)
+    add_rendering(add)
     add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
     add(
         "--compression",

@@ -11,9 +11,9 @@ from lightfield_gs.app.video import VideoOptions, frame_drawer, frame_sink, vide
 from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.panel import add_camera, add_depth_report, add_look, add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_depth_report, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import read_options, threads
-from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
+from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.commands.options.video import add_motion, add_result
 from lightfield_gs.io.atomic import check_outputs
 
@@ -56,9 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="exact",
         help="of native pictures: less time for more error (default exact)",
     )
-    add_antialiased(add)
-    add_view_filter(add)
-    add_background(add)
+    add_rendering(add)
     add("--threads", type=threads, metavar="N", help="number of threads that draw (default: all cores)")
 
 

@@ -13,9 +13,9 @@ from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel
+from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
+from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve
 
 
@@ -49,9 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_camera(add)
     add_look(add)
     add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
-    add_antialiased(add)
-    add_view_filter(add)
-    add_background(add)
+    add_rendering(add)
     add(
         "--device", choices=DEVICES, default="auto", help="device of the drawing (default auto: cuda if there is a GPU)"
     )

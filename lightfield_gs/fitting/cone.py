@@ -51,7 +51,7 @@ class Cone:
         pivot: [3] float64, coordinates of the capture, on the axis of the centre camera.
         zero_depth: its depth before the centre camera, scene units.
         cone_deg: full angle.
-        angles_deg: [C] float64, 0..180, of every photograph from the centre one, seen from the pivot.
+        angles_deg: [C] float64, 0..180, of every photograph from the centre photograph, seen from the pivot.
         messages: the choices, one line each.
     """
 
@@ -163,7 +163,7 @@ def central_depth(capture: Capture, index: int) -> float | None:
 
 
 def _capture_middle(capture: Capture) -> np.ndarray:
-    """Return [3], the intersection of the axes, or the point that the camera in the middle of all looks at."""
+    """Return [3], the intersection of the axes, or the point in the view of the middle camera."""
     centres, axes = capture.centres, capture.world_to_camera[:, 2, :3]
     if (point := axes_intersection(centres, axes)) is not None:
         return point

@@ -66,15 +66,12 @@ class Property:
 
 @dataclass
 class Element:
-    """One element of the header."""
+    """One element of the header; has_lists: any of its properties is a list."""
 
     name: str
     count: int
     properties: list[Property]
-
-    @property
-    def has_lists(self) -> bool:
-        return any(column.length_kind is not None for column in self.properties)
+    has_lists: bool = False
 
     def record(self, order: str) -> np.dtype:
         """Return the packed dtype of a row without lists; order: "<" or ">"."""
@@ -131,6 +128,7 @@ def _parse_lines(path: Path, lines: list[str], size_bytes: int) -> Header:
                 elements.append(Element(name, int(count), []))
             case ["property", *words] if elements and (column := _parse_property(words)) is not None:
                 elements[-1].properties.append(column)
+                elements[-1].has_lists |= column.length_kind is not None
             case _:
                 raise InputError(f"{path}: cannot read the header line {line[:80]!r}")
     if file_format not in _ORDERS:

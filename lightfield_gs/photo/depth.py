@@ -235,8 +235,8 @@ def read_depth(
         invalid: The meaning of infinite distances, of numbers for the sky (1e10, 65504, 65535) and of the disparity 0:
             "far" or "hole". A "far" pixel is at twice the largest measured distance, or with limits at the far limit; a
             "hole" is not measured.
-        rays: Of a "ray", see `ray_lengths`: the lengths [H, W] of the rays up to z = 1, for a map of this height and
-            width.
+        rays: For kind "ray", a function such as `ray_lengths`: the lengths [H, W] of rays up to z = 1, by a map's
+            height and width.
 
     Raises:
         InputError: No depth map, numbers out of range, or whole numbers without a scale; the message names the file.

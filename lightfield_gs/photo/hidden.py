@@ -154,7 +154,7 @@ def _continue_disparity(
     """Return the hidden disparity [H, W] and its steps along columns and rows; the photo's elsewhere."""
     steps = [_slope(disparity, depth, dim, focal_px[1 - dim]) for dim in (0, 1)]
     rows, columns = covered.nonzero().unbind(1)
-    # Of the pixels that cover something: weight, weighted disparity, and weighted steps
+    # Sums over the covering pixels: weight, weighted disparity, and weighted steps
     sums = depth.new_zeros(4, len(rows))
     for sign, run in zip((1, -1), runs):
         source, distance = (part[rows, columns] for part in run)

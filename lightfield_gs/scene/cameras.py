@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from lightfield_gs.base.checks import expect, shown, whole_number
+from lightfield_gs.base.checks import expect, shown, whole_number, wrong_type
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.scene.gaussians import check_finite
 
@@ -59,7 +59,8 @@ class Cameras:
         for name in ("world_to_camera", "focal_px", "principal_point_px", "jacobian_limits"):
             value = getattr(self, name)
             if name != "jacobian_limits" or value is not None:
-                expect(f"cameras: {name}", value, torch.Tensor)
+                if not isinstance(value, torch.Tensor):
+                    raise wrong_type(f"cameras: {name}", value, torch.Tensor)
                 if not value.is_floating_point() or value.layout != torch.strided or value.is_meta:
                     raise InputError(
                         f"cameras: {name}: expected floating point numbers, dense, on the CPU or CUDA, got "

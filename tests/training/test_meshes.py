@@ -24,8 +24,9 @@ from training.distributed import Team
 from training.loop import make_planner, plans
 from training.meshes.pack import Meshes, ResidentMeshes, read_meshes
 from training.meshes.rasterize import list_draws, project, rasterize
-from training.meshes.render import Scene, render_images, render_pictures
-from training.meshes.scenes import MeshOptions, MeshScenes, standard_light
+from training.meshes.render import Scene, Shadows, render_images, render_pictures, render_shadow_maps
+from training.meshes.scenes import MeshOptions, MeshScenes, light_axes, standard_light, to_light
+from training.meshes.shade import LIGHT
 from training.trainer import Trainer
 
 CONE_DEG = (25.0, 12.0)
@@ -89,7 +90,8 @@ class _Samples:
     def __init__(self, meshes: ResidentMeshes, camera: torch.Tensor, intrinsics: list[float], size: int) -> None:
         draws = list_draws(meshes.meshes, np.array([0]), np.array([0]), 1)
         self.projected = project(meshes, draws, camera, torch.tensor([intrinsics]))
-        self.winner = rasterize(self.projected, draws.view[self.projected.draw], 1, (size, size)).view(size, size)
+        points, view = self.projected.points[self.projected.corners], draws.view[self.projected.draw]
+        self.winner = rasterize(points, view, 1, (size, size))[0].view(size, size)
 
     def at(self, row: int, column: int) -> tuple[np.ndarray, float]:
         points = self.projected.points[self.projected.corners[self.winner[row, column]]].double().numpy()
@@ -111,10 +113,8 @@ def test_neighbouring_triangles_share_no_sample_and_leave_none(tmp_path):
     projected = project(meshes, draws, _facing(1.0), torch.tensor([[40.0, 40.0, 24.3, 24.3]]))
     count = torch.zeros(48 * 48, dtype=torch.int64)
     for row in range(len(triangles)):
-        one = dataclasses.replace(
-            projected, corners=projected.corners[row : row + 1], draw=projected.draw[row : row + 1]
-        )
-        count += rasterize(one, torch.zeros(1, dtype=torch.int64), 1, (48, 48)) >= 0
+        points = projected.points[projected.corners[row : row + 1]]
+        count += rasterize(points, torch.zeros(1, dtype=torch.int64), 1, (48, 48))[0] >= 0
     inside = torch.zeros(48, 48, dtype=torch.int64)
     inside[4:44, 4:44] = 1
     torch.testing.assert_close(count.view(48, 48), inside)
@@ -182,6 +182,35 @@ def test_pictures_have_depth_normals_and_numbers_of_objects(tmp_path):
     # Beside the cube, the square behind it at twice the distance ends 5 px from the middle
     assert pictures.draws[0, 0, 0] == -1 and pictures.depth[0, 0, 0] == 0 and pictures.images[0, 3, 0, 0] == 0
     torch.testing.assert_close(pictures.normals[0, :, 16, 16], torch.tensor([0.0, 0.0, -1.0]))
+
+
+def test_the_first_light_throws_shadows(tmp_path):
+    """A small square before a wall, lit from the right: its shadow lies to the left on the wall, soft at the rim."""
+    white = np.full((1, 1, 4), 255, np.uint8)
+    meshes = _resident(tmp_path, _square((0, 0, 0, 0), white, 1.0))
+    small = torch.diag(torch.tensor([0.2, 0.2, 1])) @ _facing(1.1)
+    small[:, 0, 3] = 0.1
+    cameras = torch.cat([0.7 * _facing(1.3 / 0.7), small])
+    direction = torch.tensor([0.6, 0, -0.8])
+    light = torch.zeros(1, sum(LIGHT.values()))
+    light[:, :3], light[:, 3:6], light[:, 6:9] = 0.3, direction, 0.5
+    draws = list_draws(meshes.meshes, np.array([0, 0]), np.array([0, 0]), 1)
+    axes = light_axes(direction[None].double().numpy())
+    matrices = torch.from_numpy(to_light(axes, cameras.double().numpy())).float()
+    maps = render_shadow_maps(meshes, Shadows(draws, matrices))
+    from_camera = torch.from_numpy(to_light(axes, np.eye(4)[None, :3])).float()
+    intrinsics = torch.tensor([[83.2, 83.2, 32.0, 32.0]])  # 64 px a unit on the wall
+    scene = Scene(draws, cameras, intrinsics, light, 64, None, from_camera, torch.zeros(1, dtype=torch.int64))
+    row = render_images(meshes, scene, maps)[0, 0, 32]
+    # On the wall, 0.25 scene units of light's way before it: from 0.1 - 0.15 - 0.1 to 0.1 - 0.15 + 0.1 of its middle
+    lit, dark = 0.3 + 0.5 * 0.8, 0.3
+    torch.testing.assert_close(row[12:21], torch.full((9,), lit))
+    torch.testing.assert_close(row[24:31], torch.full((7,), dark))
+    assert (row[21:24].diff() <= 0).all()
+    torch.testing.assert_close(row[36:40], torch.full((4,), lit))  # the small square itself
+    without = render_images(meshes, dataclasses.replace(scene, shadow=torch.full((1,), -1)), maps)
+    torch.testing.assert_close(without, render_images(meshes, scene))
+    assert not torch.equal(without[0, 0, 32], row)
 
 
 def test_normals_turn_to_the_camera(tmp_path):
@@ -311,7 +340,7 @@ def test_examples_depend_on_seed_step_and_number_alone(packs):
 
 
 def test_examples_show_scenes_in_the_cone_framed_as_photos_are(packs):
-    planner = _planner(packs, random_light=1.0, patterned=0.5)
+    planner = _planner(packs, random_light=1.0, patterned=0.5, shadows=0.5)
     planner.augmentation = Augmentation(source_jitter=0.0, target_zoom=(1.0, 1.0))
     batch = make_batch(planner.plan(0, 0, 16, 32), planner.views)
     assert batch.source.shape == (16, 4, 32, 32) and batch.targets.shape == (16, 3, 4, 32, 32)

@@ -11,11 +11,15 @@ import torch
 Function = TypeVar("Function", bound=Callable)
 
 
-def fused(function: Function, wanted: bool) -> Function:
-    """A function of the module's own, if wanted as torch.compile makes it for each set of shapes that it meets."""
-    return _compiled(function) if wanted else function
+def fused(function: Function, wanted: bool, dynamic: bool = False) -> Function:
+    """A function of the module's own, if wanted as torch.compile makes it.
+
+    Args:
+        dynamic: Make it once for all shapes, not for each set of shapes that it meets.
+    """
+    return _compiled(function, dynamic) if wanted else function
 
 
 @cache
-def _compiled(function: Function) -> Function:
-    return torch.compile(function, dynamic=False)
+def _compiled(function: Function, dynamic: bool) -> Function:
+    return torch.compile(function, dynamic=dynamic)

@@ -62,21 +62,26 @@ class _Clock:
         return found
 
 
-def _nearest(meshes: ResidentMeshes, scene: Scene, clock: _Clock) -> None:
+def _nearest(meshes: ResidentMeshes, scene: Scene, clock: _Clock, compiled: bool) -> None:
     """Time the stages before shading by themselves."""
     draws, side = scene.draws, SAMPLES * scene.size_px
     projected = clock.timed("project", project, meshes, draws, scene.to_camera, SAMPLES * scene.intrinsics)
     view = draws.view[projected.draw]
-    clock.timed("rasterize", rasterize, projected, view, draws.views, (side, side))
+    clock.timed(
+        "rasterize", rasterize, projected.points[projected.corners], view, draws.views, (side, side), None, compiled
+    )
 
 
 @torch.no_grad()
-def measure(source: MeshScenes, examples: int, views: int, size_px: int, steps: int) -> dict[str, float]:
+def measure(
+    source: MeshScenes, examples: int, views: int, size_px: int, steps: int, compiled: bool
+) -> dict[str, float]:
     """Return mean milliseconds of each stage, of all views of a step, after three steps that do not count.
 
     Args:
         examples: Scenes of a step.
         views: Pictures of a scene.
+        compiled: See render_images.
     """
     meshes, scenes = source.meshes, _scenes(source, examples, views, size_px)
     for step in range(-3, steps):
@@ -84,8 +89,8 @@ def measure(source: MeshScenes, examples: int, views: int, size_px: int, steps: 
             clock = _Clock(meshes.device)
         scene = clock.timed("plan", next, scenes)
         scene = clock.timed("copy", on_device, scene, meshes.device)
-        _nearest(meshes, scene, clock)
-        clock.timed("render", render_images, meshes, scene)
+        _nearest(meshes, scene, clock, compiled)
+        clock.timed("render", render_images, meshes, scene, None, compiled)
     return {stage: float(np.mean(times)) for stage, times in clock.ms.items()}
 
 
@@ -104,6 +109,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--views", type=int, default=4, help="pictures of a scene (default: 4)")
     parser.add_argument("--steps", type=int, default=20, help="steps to measure (default: 20)")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
+    parser.add_argument("--compile", action="store_true", help="let torch.compile make some kernels")
     options = parser.parse_args(arguments)
     size, examples, views, steps = (
         whole_number(f"--{name}", getattr(options, name), 1, 4096) for name in ("size", "examples", "views", "steps")
@@ -112,7 +118,9 @@ def main(arguments: list[str] | None = None) -> int:
     begun = time.perf_counter()
     meshes = ResidentMeshes(read_meshes(options.meshes, options.split), device)
     print(f"{len(meshes.meshes)} objects read in {time.perf_counter() - begun:.1f} s")
-    found = measure(MeshScenes(meshes, MeshOptions(str(options.meshes)), CONE_DEG), examples, views, size, steps)
+    found = measure(
+        MeshScenes(meshes, MeshOptions(str(options.meshes)), CONE_DEG), examples, views, size, steps, options.compile
+    )
     for stage, ms in found.items():
         print(f"{stage:<10}{ms:10.2f} ms for {examples * views} views")
     print(f"{1e3 * examples * views / found['render']:.0f} views of {size} px a second on {device}")

@@ -45,7 +45,7 @@ class Meshes:
             and the material's rectangle in it; width 0: no texture.
         cut: bool [M], whether texels of less than half opacity are holes.
         texels: uint8 [P,4], all textures by rows.
-        supports: float32 [O,SUPPORTS,3], the vertices that lie furthest in directions all round.
+        supports: float32 [O,3,SUPPORTS], the vertices that lie furthest in directions all round.
         grey: bool [O], whether an object has no colours of its own.
     """
 
@@ -224,7 +224,7 @@ class _Pack:
             "base_colours": base.astype(np.float32) / 255,
             "rectangles": rectangles,
             "cut": stored["mat_cut"][materials] > 0,
-            "supports": _supports(positions),
+            "supports": _supports(positions).T,
             "grey": len(base) == 1 and not coloured and texture < 0 and spread <= _GREY_LEVELS,
         }
 

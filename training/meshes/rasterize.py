@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from training.data.fusing import fused
 from training.meshes.pack import Meshes, ResidentMeshes
 
 NEAR = 0.05  # scene units: triangles with a corner nearer to the camera are left out
@@ -128,24 +129,42 @@ def _expanded(counts: Tensor, first: Tensor, begin: Tensor, total: int) -> tuple
 
 
 def rasterize(
-    projected: Projected, view: Tensor, views: int, size: tuple[int, int], holes: Holes | None = None
-) -> Tensor:
-    """Return the nearest triangle of each sample, int64 [N*H*W], rows of the projected ones; -1: none.
+    points: Tensor, view: Tensor, views: int, size: tuple[int, int], holes: Holes | None = None, compiled: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Return the nearest triangle of each sample, int64 [N*H*W], -1 for none, and its 1/z, 0 for none.
 
     Args:
+        points: [NT,3,3], corners of triangles as in Projected.
         view: int64 [NT], the view of each triangle.
         size: H, W.
         holes: Says of fragments, by triangle and sample int64 [F], which of them are holes; None: there are no holes.
+        compiled: Use a few kernels that torch.compile makes.
     """
     height, width = size
     buffer = torch.zeros(views * height * width, dtype=torch.int64, device=view.device)
-    rows = _Rows(projected.points[projected.corners], view, size)
-    for triangle, sample, near in rows.fragments():
-        keys = (near.view(torch.int32).long() << 32) + (_LAST - triangle)
+    for triangle, sample, key in _Rows(points, view, size).fragments(fused(_fragments, compiled, dynamic=True)):
         if holes is not None:
-            keys = torch.where(holes(triangle, sample), 0, keys)
-        buffer.scatter_reduce_(0, sample, keys, "amax")
-    return torch.where(buffer > 0, _LAST - (buffer & _LAST), -1)
+            key = torch.where(holes(triangle, sample), 0, key)
+        buffer.scatter_reduce_(0, sample, key, "amax")
+    near = (buffer >> 32).to(torch.int32).view(torch.float32)
+    return torch.where(buffer > 0, _LAST - (buffer & _LAST), -1), near
+
+
+def _fragments(
+    row: Tensor, before: int, begins: Tensor, near: Tensor, step: Tensor, triangle: Tensor, sample: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return triangle, sample and key of fragments [F] of rows.
+
+    Args:
+        row: int64 [F].
+        before: Number of fragments before these.
+        begins: int64 [R], number of each row's first fragment.
+        near, step, triangle, sample: Of the rows, as _Rows has them.
+    """
+    along = torch.arange(len(row), device=row.device) + before - begins[row]
+    bits = (near[row] + step[row] * along).view(torch.int32).long()
+    chosen = triangle[row]
+    return chosen, sample[row] + along, (bits << 32) + (_LAST - chosen)
 
 
 class _Rows:
@@ -183,8 +202,8 @@ class _Rows:
         begin, end = (value.clamp(low, high) for value in (at_left, at_left + gradient[:, 0] * last))
         return begin, (end - begin) / last.clamp_min(1)
 
-    def fragments(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Yield triangle, sample and 1/z of all fragments, a bounded number at a time."""
+    def fragments(self, make: Callable[..., tuple[Tensor, Tensor, Tensor]]) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """Yield what `make` (_fragments) returns of all rows, a bounded number of fragments at a time."""
         ends = self.counts.cumsum(0)
         total = int(ends[-1]) if len(ends) else 0
         if not total:
@@ -194,13 +213,11 @@ class _Rows:
             limits = torch.arange(_FRAGMENTS, total + _FRAGMENTS, _FRAGMENTS, device=ends.device).clamp_max(total)
             last = torch.searchsorted(ends, limits) + 1
             bounds = torch.cat([bounds[:1], torch.stack([last, ends[last - 1]], 1).cpu()])
+        begins = ends - self.counts
         for (first, before), (last, after) in pairwise(bounds.tolist()):
             counts = self.counts[first:last]
-            begins = ends[first:last] - counts
-            row, step = _expanded(counts, torch.zeros_like(counts), begins - before, after - before)
-            line = torch.stack([self.near[first:last], self.step[first:last]], -1)[row]
-            near = line[:, 0] + line[:, 1] * step
-            yield self.triangle[first:last][row], self.sample[first:last][row] + step, near
+            row = torch.repeat_interleave(counts, output_size=after - before) + first
+            yield make(row, before, begins, self.near, self.step, self.triangle, self.sample)
 
 
 def _first_centre(edge: Tensor, limit: int) -> Tensor:

@@ -19,7 +19,8 @@ from training.data.textures import SKIN, Photographs, draw_skin
 from training.data.uniform import Numbers
 from training.meshes.pack import ResidentMeshes
 from training.meshes.rasterize import list_draws
-from training.meshes.render import LIGHT, OWN, Looks, Scene, render_images
+from training.meshes.render import Looks, Scene, Shadows, render_images, render_shadow_maps
+from training.meshes.shade import LIGHT, OWN
 from training.ranges import check_ranges
 
 MOST_OBJECTS = 4
@@ -27,6 +28,7 @@ SCENE_NUMBERS, OBJECT_NUMBERS = 64, 320  # uniform numbers that a scene and each
 _VIEWS_NUMBERS = 2  # of each target
 _HALF_LENGTH = 0.3  # of an object, for the waves of its pattern
 _UPRIGHT = np.diag([1.0, -1.0, -1.0])  # from axes with y up, z backwards to those with y down, z forward
+KEY = slice(LIGHT["ambient"], LIGHT["ambient"] + LIGHT["key"])  # columns of the direction to the first light
 _STANDARD = {"ambient": 0.45, "key": ((0.35, 0.8, 0.5), 0.55), "fill": ((-0.6, 0.3, -0.4), 0.2)}
 
 
@@ -42,6 +44,7 @@ class MeshOptions:
         random_light: fraction of the scenes, 0..1, under a random light; others have that of the project's sets.
         patterned: fraction of the objects, 0..1, in random colours and solid patterns.
         photographed: fraction of the objects, 0..1, that wear pieces of the run's photographs, where there are some.
+        shadows: fraction of the scenes, 0..1, whose first light throws soft shadows.
     """
 
     folder: str = ""
@@ -51,6 +54,7 @@ class MeshOptions:
     random_light: float = 0.7
     patterned: float = 0.2
     photographed: float = 0.2
+    shadows: float = 0.0
 
     def __post_init__(self) -> None:
         shares = dict.fromkeys(
@@ -73,6 +77,7 @@ class MeshPlan:
 
     Attributes:
         sources, targets: Scenes of the B input pictures and of the B V targets.
+        shadows: What throws shadows, if anything does.
         world_to_camera: [B,V,4,4], the world being the source camera's axes.
         backgrounds: [B,V,3].
         meshes: The meshes on the device that draws.
@@ -80,14 +85,16 @@ class MeshPlan:
 
     sources: Scene
     targets: Scene
+    shadows: Shadows | None
     world_to_camera: torch.Tensor
     backgrounds: torch.Tensor
     meshes: ResidentMeshes
 
-    def drawn(self) -> tuple[torch.Tensor, ...]:
-        """Return the fields of a Batch; the plan's tensors are on the device of the meshes."""
+    def drawn(self, compiled: bool) -> tuple[torch.Tensor, ...]:
+        """Return the fields of a Batch; the plan is on the device of the meshes; compiled: see make_batch."""
         count, views = self.backgrounds.shape[:2]
-        sources, targets = (render_images(self.meshes, scene) for scene in (self.sources, self.targets))
+        maps = None if self.shadows is None else render_shadow_maps(self.meshes, self.shadows, compiled)
+        sources, targets = (render_images(self.meshes, scene, maps, compiled) for scene in (self.sources, self.targets))
         return (
             sources,
             self.sources.intrinsics,
@@ -152,7 +159,9 @@ class MeshScenes:
         source, targets = (
             drawn.scene(images, size) for images, size in ((slice(0, 1), sizes[0]), (slice(1, None), sizes[1]))
         )
-        return MeshPlan(source, targets, _floats(drawn.cameras[:, 1:]), _floats(framing.backgrounds), self.meshes)
+        return MeshPlan(
+            source, targets, drawn.shadows(), _floats(drawn.cameras[:, 1:]), _floats(framing.backgrounds), self.meshes
+        )
 
 
 class _Drawn:
@@ -173,9 +182,7 @@ class _Drawn:
         tilt = np.radians(u.between(-8, 40, 1))
         roll = np.where(u(1) < 0.15, u.between(-np.pi, np.pi, 1), np.radians(u.between(-4, 4, 1)))
         turned = rotation(2, roll) @ rotation(0, tilt) @ rotation(1, u.between(-np.pi, np.pi, 1)) @ _UPRIGHT
-        turned = (
-            turned @ (np.where(framing.mirror, -1, 1)[:, None, None] * np.diag([1, 0, 0]) + np.diag([0, 1, 1]))[:, None]
-        )
+        turned = turned * np.stack([np.where(framing.mirror, -1, 1), *np.ones((2, len(tilt)))], -1)[:, None, None]
         self._to_source = turned @ to_scene
         self._to_source[..., 2, 3] += DISTANCE
         azimuth, elevation = (
@@ -186,6 +193,8 @@ class _Drawn:
         self.cameras = np.concatenate([cameras[:, :1], cameras], 1)
         random_light = u() < self._options.random_light
         self._light = np.where(random_light[:, None], _random_light(u, turned[:, 0]), standard_light(turned[:, 0]))
+        self._axes = light_axes(self._light[:, KEY])
+        self._shadowed = u() < self._options.shadows
         self._looks = self._new_looks(each, np.repeat(random_light, MOST_OBJECTS))
 
     def scene(self, images: slice, size_px: int) -> Scene:
@@ -197,27 +206,49 @@ class _Drawn:
         exists = np.broadcast_to(self._exists[:, None], to_camera.shape[:3])
         objects = np.broadcast_to(self._objects[:, None], to_camera.shape[:3])
         scene, image, place = np.nonzero(exists)
+        from_camera = np.linalg.inv(cameras)[..., :3, :]
         draws = list_draws(self._scenes.meshes.meshes, objects[exists], scene * count + image, len(cameras) * count)
         first, own, patterns, skins = self._looks
         return Scene(
             draws,
             _floats(to_camera[exists]),
-            _floats(self._intrinsics(images, to_camera, size_px).reshape(-1, 4)),
+            _floats(self._intrinsics(images, to_camera, exists, size_px).reshape(-1, 4)),
             _floats(_turned_light(self._light, cameras[..., :3, :3]).reshape(-1, sum(LIGHT.values()))),
             size_px,
             Looks(torch.from_numpy(first[scene, place]), own, patterns, skins, self._scenes._photographs),
+            _floats(to_light(self._axes[:, None], from_camera).reshape(-1, 3, 4)),
+            torch.from_numpy(np.repeat(self._shadow_numbers(), count)),
         )
 
-    def _intrinsics(self, images: slice, to_camera: np.ndarray, size_px: int) -> np.ndarray:
-        """Return (fx, fy, cx, cy) of crops round the scenes, [B,I,4], from matrices [B,I,J,3,4]."""
-        supports = self._scenes.meshes.meshes.supports[self._objects][:, None]
-        points = supports @ np.swapaxes(to_camera[..., :3], -1, -2) + to_camera[..., None, :, 3]
-        places = points[..., :2] / points[..., 2:]
-        low, high = _box(places, self._exists[:, None])
+    def _intrinsics(self, images: slice, to_camera: np.ndarray, exists: np.ndarray, size_px: int) -> np.ndarray:
+        """Return (fx, fy, cx, cy) of crops round the scenes, [B,I,4].
+
+        Args:
+            to_camera: [B,I,J,3,4].
+            exists: bool [B,I,J].
+        """
+        matrix = to_camera[exists].astype(np.float32)
+        supports = self._scenes.meshes.meshes.supports[np.broadcast_to(self._objects[:, None], exists.shape)[exists]]
+        points = matrix[..., :3] @ supports + matrix[..., 3:]
+        low, high = _box(points[:, :2] / points[:, 2:], exists)
         side = (1 + 2 * MARGIN) * (high - low).max(-1)
         focal = size_px / (side * self._framing.sides[:, images])
         middle = (low + high) / 2 + self._framing.shifts[:, images] * side[..., None]
         return np.concatenate([focal[..., None], focal[..., None], size_px / 2 - middle * focal[..., None]], -1)
+
+    def shadows(self) -> Shadows | None:
+        """Return the first lights of the scenes with shadows; None: there are none."""
+        exists = self._exists & self._shadowed[:, None]
+        if not exists.any():
+            return None
+        scene, _ = np.nonzero(exists)
+        view = np.unique(scene, return_inverse=True)[1]
+        draws = list_draws(self._scenes.meshes.meshes, self._objects[exists], view, int(self._shadowed.sum()))
+        return Shadows(draws, _floats(to_light(self._axes[scene], self._to_source[exists])))
+
+    def _shadow_numbers(self) -> np.ndarray:
+        """Return the number of each scene's shadow map, int64 [B]; -1: none."""
+        return np.where(self._shadowed, np.cumsum(self._shadowed) - 1, -1)
 
     def _new_looks(
         self, each: Numbers, glossy: np.ndarray
@@ -259,23 +290,23 @@ def _placed(
     Seen from above, the rectangles round them do not overlap. Objects stand on one ground in most scenes.
 
     Args:
-        supports: [B,J,SUPPORTS,3].
+        supports: [B,J,3,SUPPORTS].
     """
     count = exists.shape
     yaw = np.where(exists.sum(1, keepdims=True) > 1, each.between(-np.pi, np.pi).reshape(count), 0)
     size = np.where(np.arange(MOST_OBJECTS) == 0, 1, np.exp(each.between(np.log(0.4), 0)).reshape(count))
     turn = size[..., None, None] * rotation(1, yaw)
-    points = supports @ np.swapaxes(turn, -1, -2)
-    half = np.abs(points[..., [0, 2]]).max(-2)
+    points = turn.astype(np.float32) @ supports
+    half = np.abs(points[..., [0, 2], :]).max(-1)
     angle, gap = (each.between(*ends).reshape(count) for ends in ((-np.pi, np.pi), (0.0, 0.2)))
     centre = np.zeros((*count, 3))
-    centre[..., 1] = np.where(u(1) < 0.75, -points[..., 1].min(-1), 0)
+    centre[..., 1] = np.where(u(1) < 0.75, -points[..., 1, :].min(-1), 0)
     for place in range(1, MOST_OBJECTS):
         direction = np.stack([np.cos(angle[:, place]), np.sin(angle[:, place])], -1)
         reach = half[:, :place] + (half[:, place] + gap[:, place, None])[:, None]
         distance = _free_distance(direction, centre[:, :place, [0, 2]], reach)
         centre[:, place, [0, 2]] = distance[:, None] * direction
-    low, high = _box(points + centre[..., None, :], exists)
+    low, high = _box((points + centre[..., None])[exists], exists)
     factor = (u.between(*scale) / np.linalg.norm(high - low, axis=-1))[:, None, None]
     return np.concatenate([factor[..., None] * turn, (factor * (centre - (low + high)[:, None] / 2))[..., None]], -1)
 
@@ -293,10 +324,32 @@ def _free_distance(direction: np.ndarray, centres: np.ndarray, reach: np.ndarray
 
 
 def _box(points: np.ndarray, exists: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends [...,C] of the boxes round points [...,J,SUPPORTS,C] of the objects that exist [...,J]."""
-    taken = exists[..., None]
-    low, high = np.where(taken, points.min(-2), np.inf), np.where(taken, points.max(-2), -np.inf)
-    return low.min(-2), high.max(-2)
+    """Return the ends [...,C] of the boxes round the objects of scenes.
+
+    Args:
+        points: [K,C,SUPPORTS], of the objects that exist.
+        exists: bool [...,J].
+    """
+    ends = []
+    for found, far in ((points.min(-1), np.inf), (points.max(-1), -np.inf)):
+        ends.append(np.full((*exists.shape, points.shape[1]), far))
+        ends[-1][exists] = found
+    return ends[0].min(-2), ends[1].max(-2)
+
+
+def light_axes(key: np.ndarray) -> np.ndarray:
+    """Return the axes [B,3,3] of cameras that look along a light which comes from directions [B,3]."""
+    least = np.eye(3)[np.abs(key).argmin(-1)]
+    across = np.cross(key, least)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    return np.stack([across, np.cross(-key, across), -key], 1)
+
+
+def to_light(axes: np.ndarray, to_source: np.ndarray) -> np.ndarray:
+    """Return matrices [...,3,4] to the axes of a light's camera, of those [...,3,4] to the axes of the source."""
+    out = axes @ (to_source - np.array([0, 0, DISTANCE])[:, None] * (np.arange(4) == 3))
+    out[..., 2, 3] -= 1
+    return out
 
 
 def standard_light(turned: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Options of the panel, of the cameras of its views, of the look of the scene, and of the image."""
+"""Options of the panel, of the cameras of its views, of the look of the scene, and of the rendering of the image."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.parser import byte_size, camera_choice, numbers, threads, within
-from lightfield_gs.commands.options.scene import add_antialiased, add_background, add_scene, add_view_filter
+from lightfield_gs.commands.options.parser import background, byte_size, camera_choice, numbers, threads, within
+from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.scene.axes import UP_AXES
 
@@ -18,6 +18,7 @@ _distance_mm = within(1e-3, 1e9, "mm")
 _depth_amount = within(0, 2)
 _cone_deg = within(0, 179, "degrees")
 _zoom = within(0.01, 100)
+_filter_views = within(0, 65536, "views")
 
 
 def add_encoding(add: Add) -> None:
@@ -31,9 +32,7 @@ def add_encoding(add: Add) -> None:
         add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; it downloads 176 MB once)"
     )
     add_method(add)
-    add_antialiased(add)
-    add_view_filter(add)
-    add_background(add)
+    add_rendering(add)
     add_file(add)
 
 
@@ -211,6 +210,38 @@ def add_method(add: Add) -> None:
         choices=QUALITY_NAMES,
         default="exact",
         help="of --method direct: less time for more error (default exact)",
+    )
+
+
+def add_filters(add: Add) -> None:
+    """Add the options of anti-aliasing, of pixels and of views."""
+    add(
+        "--antialiased",
+        action=argparse.BooleanOptionalAction,
+        help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's antialiased mode), which look too "
+        "bright and too thick without it: Gaussians that the pixel blur widens become fainter (default: as "
+        "stored in the file, else without)",
+    )
+    add(
+        "--view-filter",
+        type=_filter_views,
+        default=0.0,
+        metavar="VIEWS",
+        help="anti-aliasing between views, with a rig: each sub-pixel's picture is averaged over camera "
+        "positions this many views wide. Things far before or behind the panel are then blurred, not seen "
+        "double; 0: off, 1: the width of a view (default 0)",
+    )
+
+
+def add_rendering(add: Add) -> None:
+    """Add the options of how a scene is drawn: anti-aliasing and background."""
+    add_filters(add)
+    add(
+        "--background",
+        type=background,
+        metavar="R,G,B",
+        help="0..1 each (default: the background that lightfield-gs fitted the scene before, if the file states "
+        "it, else 1,1,1)",
     )
 
 

@@ -1,4 +1,4 @@
-"""Options of a scene: of reading its file, of a photo, and of drawing."""
+"""Options of a scene: the reading of its file, and the scene that is made of a photo."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from lightfield_gs.base.options import (
     FITS,
     MAP_ORIENTATIONS,
 )
-from lightfield_gs.commands.options.parser import background, numbers, within
+from lightfield_gs.commands.options.parser import numbers, within
 
 Add = Callable[..., argparse.Action]
 _time = within(-1e6, 1e6)
 _depth_range = numbers(2)
 _pixel_aspect = within(0.1, 10)
 _intrinsics = numbers(4)
-_filter_views = within(0, 65536, "views")
 
 
 def add_scene(
@@ -172,35 +171,3 @@ def add_detail(add: Add) -> None:
         "soft colours; auto: as fine as a view of the panel can show (default auto)",
     )
     add("--detail-budget", type=int, metavar="N", help="most Gaussians for --detail auto (default 1500000)")
-
-
-def add_antialiased(add: Add) -> None:
-    add(
-        "--antialiased",
-        action=argparse.BooleanOptionalAction,
-        help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's antialiased mode), which look too "
-        "bright and too thick without it: Gaussians that the pixel blur widens become fainter (default: as "
-        "stored in the file, else without)",
-    )
-
-
-def add_view_filter(add: Add) -> None:
-    add(
-        "--view-filter",
-        type=_filter_views,
-        default=0.0,
-        metavar="VIEWS",
-        help="anti-aliasing between views, with a rig: each sub-pixel's picture is averaged over camera "
-        "positions this many views wide. Things far before or behind the panel are then blurred, not seen "
-        "double; 0: off, 1: the width of a view (default 0)",
-    )
-
-
-def add_background(add: Add) -> None:
-    add(
-        "--background",
-        type=background,
-        metavar="R,G,B",
-        help="0..1 each (default: the background that lightfield-gs fitted the scene before, if the file states "
-        "it, else 1,1,1)",
-    )
