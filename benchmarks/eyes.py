@@ -1,4 +1,4 @@
-"""What eyes across the cone see of a panel's image, with and without the view filter, against exact cameras."""
+"""Compare the views of eyes across the cone, with and without the view filter, with exact cameras."""
 
 from __future__ import annotations
 

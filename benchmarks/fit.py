@@ -89,7 +89,7 @@ OUR_ARMS, USUAL_ARMS = ("ours",), ("ours", "gsplat-mcmc", "gsplat-default")
 
 
 def check_arms(arms: Sequence[str]) -> None:
-    """Raises InputError for arms that there are not, and where those of gsplat cannot be had."""
+    """Raise InputError for unknown arms, and for arms of gsplat where it is not installed."""
     if unknown := sorted(set(arms) - set(ARMS)):
         raise InputError(f"arms=: expected of {', '.join(ARMS)}, got {', '.join(unknown)}")
     if set(arms) & set(RECIPES):
@@ -97,7 +97,7 @@ def check_arms(arms: Sequence[str]) -> None:
 
 
 def usual_arms(device: str) -> tuple[str, ...]:
-    """Ours, and those of gsplat where it can be had on CUDA."""
+    """Return our arms, and the arms of gsplat if it runs on CUDA here."""
     if device == "cuda":
         try:
             peers.gsplat()
@@ -150,7 +150,7 @@ def _fit_rows(photographs: Photographs, arm: str, settings: FitSettings) -> Iter
 
 
 def _clear(device: torch.device) -> None:
-    """Lets go of what earlier fits held."""
+    """Free the memory of earlier fits."""
     gc.collect()
     if device.type == "cuda":
         torch.cuda.synchronize()
@@ -170,7 +170,7 @@ def _timed(call: Callable[[], None], device: torch.device) -> tuple[float, int]:
 
 
 def protocol(photographs: Photographs, settings: FitSettings, arms: Sequence[str], folder: Path) -> dict[str, Any]:
-    """What all rows have in common."""
+    """Return the fields common to all rows."""
     train, test = photographs.train, photographs.test
     return {
         "capture": photographs.name,
@@ -229,7 +229,7 @@ class Photographs:
         return cls(capture.folder.resolve().name, fitted, held, points, capture.colours, centres)
 
     def start(self, settings: FitSettings) -> Gaussians:
-        """What a fit begins with, on the device."""
+        """Return the initial Gaussians of a fit, on the device."""
         return initialize_gaussians(self.points, self.colours, self.centres, settings).to(self.train.device)
 
 

@@ -47,14 +47,14 @@ class Recipe:
     our_loss: bool = False
 
     def initial(self, settings: FitSettings, points: int) -> FitSettings:
-        """The settings of initialize_gaussians for what the recipe begins with, of so many points."""
+        """Return the settings of initialize_gaussians for the recipe's start from so many points."""
         if self.strategy == "mcmc":
             return replace(settings, init_opa=0.5, init_scale=0.1)
         return replace(settings, init_opa=0.1, init_scale=1.0, cap_max=max(settings.cap_max, points))
 
 
 def _parameters(start: Gaussians) -> torch.nn.ParameterDict:
-    """What is optimised, under the names that the strategies know; the harmonics are those of SH_DEGREE."""
+    """Return the parameters under the names of the strategies; harmonics are of SH_DEGREE."""
     sh = start.sh.new_zeros(start.count, (SH_DEGREE + 1) ** 2, 3)
     sh[:, : start.sh.shape[1]] = start.sh
     tensors = {
@@ -103,7 +103,7 @@ class PeerFit:
         return module.DefaultStrategy(**self._scaled(times), **absolute)
 
     def _scaled(self, times: dict[str, int]) -> dict[str, int]:
-        """Steps of the recipe as those of a fit of this length."""
+        """Scale steps of the recipe to a fit of this length."""
         return {name: max(1, int(step * self._settings.steps / RECIPE_STEPS)) for name, step in times.items()}
 
     def advance(self, until: int) -> None:
@@ -133,7 +133,7 @@ class PeerFit:
         return min(step // every, SH_DEGREE)
 
     def _drawn(self, cameras: Cameras, matrices: Tensor, degree: int) -> tuple[Tensor, dict[str, Any]]:
-        """The image [1, H, W, 3] before black, and what gsplat tells of it."""
+        """Return the image [1, H, W, 3] before black, and gsplat's information on it."""
         params = self.params
         sh = torch.cat([params["sh0"], params["shN"]], 1)
         scales, opacities = params["scales"].exp(), params["opacities"].sigmoid()
@@ -158,7 +158,7 @@ class PeerFit:
         return image, info
 
     def _drawn_by_ours(self, scene: Gaussians, cameras: Cameras) -> tuple[Tensor, dict[str, Any]]:
-        """Ours, and what the strategies would know from gsplat."""
+        """Return our image, and the information that the strategies expect from gsplat."""
         if self._recipe.strategy == "mcmc" or not torch.is_grad_enabled():
             return render(scene, cameras, background=BLACK).image, {}
         screen = scene.means.new_zeros(1, scene.count, 2, requires_grad=True)
@@ -168,7 +168,7 @@ class PeerFit:
         return images.image, {**info, "width": cameras.width_px, "height": cameras.height_px}
 
     def _loss(self, image: Tensor, place: int) -> Tensor:
-        """That of Kerbl et al. 2023, and regularisers of mcmc; what a mask leaves out looks as in the photograph."""
+        """Return the loss of Kerbl et al. 2023, with regularisers of mcmc; masked pixels look as in the photograph."""
         one = slice(place, place + 1)
         photo, weights = self._images.photos[one], None
         if self._images.weights is not None:

@@ -77,7 +77,7 @@ def _time_table(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _times(methods: list[str], ms: dict[str, float]) -> list[str]:
-    """The cells of a line: the time of each method, and that of the first over those of the others."""
+    """Return the cells of a line: the time of each method, and the first time over each other time."""
     first = ms.get(methods[0])
     ratios = [first / ms[other] if first and other in ms else None for other in methods[1:]]
     return [

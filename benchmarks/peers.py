@@ -22,7 +22,7 @@ from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 GSPLAT_OPTIONS = {"packed": False, "rasterize_mode": "classic", "eps2d": 0.3, "near_plane": 0.01, "radius_clip": 0.0}
-BYTES_PER_PIXEL = 20  # what gsplat takes for its image, its coverage and its last index
+BYTES_PER_PIXEL = 20  # of gsplat's image, coverage and last index
 BYTES_AT_A_TIME = 4 << 30  # the most that dense views take which are held together
 
 
@@ -71,7 +71,7 @@ class GsplatClassic:
         return _rasterize(self._rasterization, self._gaussians, self._cameras.select(views))[0]
 
     def counted(self) -> dict[str, Any]:
-        """The counters of a run as `encode` names them; None for those that gsplat does not tell."""
+        """Return the counters of a run by the names of `encode`; None for counters that gsplat lacks."""
         events = [torch.cuda.Event(enable_timing=True) for _ in range(3)]
         events[0].record()
         with torch.no_grad():

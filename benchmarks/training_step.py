@@ -1,4 +1,4 @@
-"""What the rasterizer costs in a training step: forward and backward of ordinary images, a batch of scenes at a time.
+"""The rasterizer's time in a training step: forward and backward of ordinary images, a batch of scenes at a time.
 
 CPU: 8 objects before 4 cameras each, two layers of 128 x 128 Gaussians one behind the other, as the network draws them.
 CUDA: 32 scenes of one such layer before 4 cameras each, image and alpha; Gaussians and gradients stay on the device.
@@ -57,7 +57,7 @@ def cameras() -> Cameras:
 
 
 def step_row(step: Step, cuda: bool, repeats: int | None) -> dict[str, Any]:
-    """What was drawn, and medians of ms_forward, ms_backward and ms_total."""
+    """Return the setting, and medians of ms_forward, ms_backward and ms_total."""
     _, times = timed_in_turn((step.forward, step.backward), cuda, repeats)
     forward, backward, total = map(statistics.median, (*zip(*times), map(sum, times)))
     scenes = step.gaussians.means.shape[0]

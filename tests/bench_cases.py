@@ -1,4 +1,4 @@
-"""What tests of the benchmark run on: a small panel, and the arguments of a command line."""
+"""Cases for tests of the benchmark: a small panel, and the arguments of a command line."""
 
 import argparse
 

@@ -95,7 +95,7 @@ class Browser:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     def screenshot(self) -> np.ndarray:
-        """What the window shows, uint8 [h, w, 3], in pixels of the screen."""
+        """Return the picture of the window, uint8 [h, w, 3], in pixels of the screen."""
         png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
 

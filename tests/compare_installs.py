@@ -41,7 +41,7 @@ def main() -> int:
 
 
 def _recorded(installs: list[Path], device: str, only: str) -> list[Found]:
-    """What the cases find with each of the installs, which run side by side."""
+    """Return the results of the cases with each install; both run side by side."""
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder, name) for name in ("before", "after")]
         processes = []

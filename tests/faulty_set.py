@@ -1,4 +1,4 @@
-"""What the validator must say of a set of objects with a faulty one, in either layout."""
+"""The validator's messages on a set with a faulty object, in either layout."""
 
 from __future__ import annotations
 

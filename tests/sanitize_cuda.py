@@ -77,7 +77,7 @@ class Log:
             return b"SUMMARY" in said.read()
 
     def reports(self) -> list[str]:
-        """What each says first, and the kernel where one is named."""
+        """Return the first line of each report, and the kernel if one is named."""
         text = self.tool.read_text(errors="replace") if self.tool.exists() else ""
         found = [(re.split("\n| at ", report)[0], KERNEL.search(report)) for report in REPORT.findall(text)]
         return [f"{said} in {kernel[1]}" if kernel else said for said, kernel in found]

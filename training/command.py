@@ -1,4 +1,4 @@
-"""What the commands of this package share."""
+"""Common parts of the commands of this package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Main = Callable[[list[str] | None], int]
 
 
 def with_line_errors(name: str) -> Callable[[Main], Main]:
-    """Decorates a main(arguments): what the user can mend is a line on stderr that begins with the name."""
+    """Decorate a main(arguments): errors of the user become a line on stderr that begins with the name."""
 
     def decorate(main: Main) -> Main:
         @functools.wraps(main)

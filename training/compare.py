@@ -42,7 +42,7 @@ from training.train import parse
 
 @dataclass(frozen=True)
 class Arm:
-    """The targets of an arm: fields of TrainingConfig; those that are None are the same for all arms.
+    """The targets of an arm: fields of TrainingConfig; None stands for the value of all arms.
 
     Args:
         cone_deg: full cone of its targets, degrees.
@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"arm {name}", flush=True)
         if train(experiment.runs[name]) is None:
             return 0
-        torch.compiler.reset()  # what was compiled for one arm's network is of no use to the next
+        torch.compiler.reset()  # the next arm cannot use the compiled network of this one
     print(write_report(experiment.output_dir, experiment.runs, experiment.scored))
     return 0
 

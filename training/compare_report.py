@@ -1,4 +1,4 @@
-"""What a comparison found: scores of every arm, per angle, as JSON, as tables and as plots."""
+"""The report of a comparison: scores of every arm, per angle, as JSON, as tables and as plots."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from training.evaluation import labelled, score_folder
 FLOORS = {"copy": "copy the input", "card": "flat card"}
 _SPLIT = "val"
 LIMIT_BYTES = 64 << 20
-# What score_folder returned, for each arm and each folder that is scored.
+# The results of score_folder, for each arm and each scored folder.
 Scores = dict[str, dict[str, dict[str, Any]]]
 
 

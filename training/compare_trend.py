@@ -23,7 +23,7 @@ _MEANINGS = {_ALL: "all novel views", _SOURCE: "the source itself"}
 
 
 class Point(NamedTuple):
-    """A comparison on an axis: a value of what was varied, and for each folder that was scored the leads by label."""
+    """A comparison on an axis: a value on it, and for each scored folder the leads by label."""
 
     axis: str
     value: float

@@ -1,4 +1,4 @@
-"""One object before a network: what it predicts from one view of it, beside the truth, in all views.
+"""Compare the prediction of an object from one view with the object, in all its views.
 
 The protocol is described in training/evaluation.py.
 """

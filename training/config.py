@@ -200,7 +200,7 @@ class TrainingConfig:
         raise IndexError("step beyond the last stage")
 
     def identity(self) -> dict:
-        """The fields that decide what is computed; a run may be resumed when they are the same.
+        """Return the fields that decide the results; a run may be resumed when they are the same.
 
         Of the folders of data only their own names, so that they may be moved.
         """
@@ -235,7 +235,7 @@ class TrainingConfig:
 
 
 def _filled(values: dict, defaults: dict) -> dict:
-    """values and what they lack of the defaults, also in dictionaries inside."""
+    """Complete values by the defaults, also in dictionaries inside."""
     inside = {
         name: _filled(value, defaults[name])
         for name, value in values.items()

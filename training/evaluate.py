@@ -118,7 +118,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def _scored(net: SplatterNet, data: Path, options: argparse.Namespace, device: str) -> dict[str, Any]:
-    """The report on one folder, with what it was made by; notes what was left out or is in doubt."""
+    """Return the report on one folder, with its settings; note objects that are left out or in doubt."""
     from training.evaluation import score_folder
 
     renders = options.save_renders

@@ -149,6 +149,6 @@ def score_folder(
 
 
 def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """The rows of a table of what score_folder returned: the source views, each angle, all novel views."""
+    """Return the rows of a table of score_folder's result: the source views, each angle, all novel views."""
     angles = [(f"{row['angle_deg']} deg", row) for row in report["bins"]]
     return [("source", report["source"]), *angles, ("all", report)]

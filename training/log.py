@@ -1,4 +1,4 @@
-"""What a run tells: losses.jsonl, scores.jsonl, TensorBoard, a progress bar."""
+"""The records of a run: losses.jsonl, scores.jsonl, TensorBoard, a progress bar."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RunLog:
                 part.close()
 
     def record(self, values: dict[str, float]) -> None:
-        """A step: its number and what it reports."""
+        """Record a step: its number and its report."""
         if not self._writes:
             return
         self._lines.write(json.dumps(values) + "\n")

@@ -81,7 +81,7 @@ def _mesh_scenes(config: TrainingConfig, team: Team, photographs: Photographs | 
 
 
 def _tell(sets: list[CachedSet]) -> None:
-    """Prints what says which pixels of each set are object, and notes objects that are not where the network looks."""
+    """Print how the pixels of objects are found in each set, and note objects that are not where the network looks."""
     if sets:
         print(*sets, sep="\n", flush=True)
     doubts = [
@@ -189,7 +189,7 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
 
 
 def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
-    """What train() does, as one of a team."""
+    """Do the work of train() as one of a team."""
     for stage in config.stages:
         team.split(stage.objects)
     trainer, planner = Trainer(config, team), make_planner(config, team, tell=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 class NoMarks:
-    """What a trainer takes that nobody measures."""
+    """Marks of a trainer that nobody measures."""
 
     def mark(self, part: str) -> None:
         """A part of a step ends."""

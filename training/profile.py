@@ -23,7 +23,7 @@ RASTERIZER = ("rasterizer", "rasterizer backward")
 
 
 def _profile(config: TrainingConfig, steps: int, warm_up: int, team: Team) -> list[PartTime] | None:
-    """What profile() does, as one of a team."""
+    """Do the work of profile() as one of a team."""
     trainer, planner, behind = Trainer(config, team), make_planner(config, team), None
     for plan in islice(plans(planner, config, 0, team), warm_up + steps):
         if trainer.step == warm_up:

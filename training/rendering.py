@@ -50,7 +50,7 @@ def render_card(
     fx, fy, cx, cy = intrinsics[:, :, None, None].unbind(1)
     x, y = torch.broadcast_tensors((columns - cx) / fx, (rows[:, None] - cy) / fy)
     rotation, translation = world_to_camera[:, :3, :3], world_to_camera[:, :3, 3]
-    # A camera's centre is -R^T t, and what its pixel sees lies at the centre + distance * R^T (x, y, 1).
+    # A camera's centre is -R^T t, and the point in its pixel is the centre + distance * R^T (x, y, 1).
     centres = -torch.einsum("vij,vi->vj", rotation, translation)[:, None, None]
     rays = torch.einsum("vij,vhwi->vhwj", rotation, torch.stack([x, y, torch.ones_like(x)], -1))
     distances = (depth - centres[..., 2]) / rays[..., 2]

@@ -22,7 +22,7 @@ from training.schedule import WeightAverage, learning_rate, make_optimizer
 
 
 class StepValues:
-    """What a step reports, on its way from the device: reading it waits for that step and for nothing after it."""
+    """The report of a step, on its way from the device: reading it waits for that step and for nothing after it."""
 
     def __init__(self, step: int, rate: float, values: dict[str, Tensor], team: Team) -> None:
         self.step, self._rate, self._names = step, rate, list(values)
@@ -124,7 +124,7 @@ class Trainer:
         return StepValues(self.step - 1, rate, values, self.team)
 
     def _level(self, batch: Batch) -> DetailLevel | None:
-        """How the next step lays the source pictures over what is predicted of them, None for not at all.
+        """Return how the next step lays the source pictures over their predictions; None: not at all.
 
         Their pixels are as wide on the target as where it is magnified most, so that the sheet closes in all.
         """

@@ -16,7 +16,7 @@ void parallel_for(int64_t items, int threads, const std::function<void(int64_t, 
   std::exception_ptr failure;
   std::mutex failure_mutex;
 
-  // What every thread does; the first failure ends the work of all
+  // The loop of every thread; the first failure ends the work of all
   auto work = [&](int worker) {
     try {
       for (int64_t item = next++; item < items; item = next++) body(item, worker);
@@ -33,7 +33,7 @@ void parallel_for(int64_t items, int threads, const std::function<void(int64_t, 
   pool.reserve(size_t(std::max<int64_t>(helpers, 0)));
   try {
     for (int64_t i = 0; i < helpers; ++i) pool.emplace_back(work, int(i + 1));
-  } catch (const std::system_error&) {  // no more threads can be had: those that run do all of it
+  } catch (const std::system_error&) {  // no more threads can be had: the running ones do all items
   }
   work(0);
   for (auto& thread : pool) thread.join();

@@ -18,7 +18,7 @@ T* at(Address address) {
   return reinterpret_cast<T*>(address);
 }
 
-// Python has one type for what a stage reads and what it writes.
+// Python has one type for the inputs and the outputs of a stage.
 template <class T>
 Gaussians<const T> read_only(const Gaussians<T>& g) {
   return {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh};

@@ -28,7 +28,7 @@ void force(DirectFrame& frame, int kernel) {
   frame.forced = kernel;
 }
 
-// What a frame found out, read from a copy of its state in host memory.
+// The results of a frame, read from a copy of its state in host memory.
 py::dict frame_state(Address address) {
   const FrameState& state = *at<FrameState>(address);
   py::dict out;

@@ -1,4 +1,4 @@
-// Bind the stages that lay a photo over what the network predicts.
+// Bind the stages that lay a photo over the network's prediction.
 #include "stages/photo.h"
 
 #include "bind/bindings.h"

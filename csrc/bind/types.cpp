@@ -1,4 +1,4 @@
-// Bind what the functions of the module take: constants, the panel and the rig, and for each precision the structs
+// Bind the types of the functions' arguments: constants, the panel and the rig, and for each precision the structs
 // that name buffers.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>

@@ -36,7 +36,7 @@ inline Splat<double> projected(const Camera<double>& camera, const Shape<double>
   return splat;
 }
 
-// Add the gradient of a Gaussian to those of the set.
+// Add the gradient of a Gaussian to the gradients of the set.
 template <class T>
 void add_gradient(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
   const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);

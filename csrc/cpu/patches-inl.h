@@ -57,7 +57,7 @@ struct Patches {
     int count = 0;
     std::fill(touched, touched + kWords, 0);
     for (int p = 0; p < kCount; p += kLanes) {
-      // What the row nearest to the centre leaves of the exponent
+      // The exponent left in the row nearest to the centre
       const V half = hn::Load(d, half_y + p);
       const V middle = hn::Sub(hn::Load(d, y + p), hn::Set(d, v));
       const V nearest = hn::Max(hn::Sub(hn::Abs(middle), half), hn::Zero(d));

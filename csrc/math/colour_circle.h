@@ -19,7 +19,7 @@
 
 namespace lfgs {
 
-constexpr int kCircleOrder = -1;  // stands in place of a polynomial's order
+constexpr int kCircleOrder = -1;  // stored as the order of a polynomial
 constexpr int kCircleTerms = 7;   // c0 to c6, stored like the powers of s of a polynomial
 // A colour on a circle, and its gradient, take as many numbers as a polynomial of this order.
 constexpr int kLeastCircleOrder = 7;
@@ -54,7 +54,7 @@ struct ColourCircle {
     place = x / unit, distance = away / unit;
   }
 
-  // The gradient of the mean, from those of foot, place and distance.
+  // The gradient of the mean, from the gradients of foot, place and distance.
   LFGS_HD glm::vec<3, R> backward(const glm::vec<3, R>& g_foot, R g_place, R g_distance) const {
     const glm::vec<3, R> turned = g_foot - glm::dot(g_foot, foot) * foot - glm::dot(g_foot, along) * along;
     return (turned / distance + g_place * along + g_distance * foot) / unit;

@@ -16,7 +16,7 @@ LFGS_HD glm::mat<3, 3, R> rotation_matrix(const glm::vec<4, R>& q) {
                            1 - 2 * (x * x + y * y));
 }
 
-// Gradient of a unit quaternion from that of its rotation matrix.
+// Gradient of a unit quaternion from the gradient of its rotation matrix.
 template <class R>
 LFGS_HD glm::vec<4, R> rotation_matrix_backward(const glm::vec<4, R>& q, const glm::mat<3, 3, R>& g) {
   R w = q[0], x = q[1], y = q[2], z = q[3];
@@ -39,7 +39,7 @@ LFGS_HD Symmetric3<R> times_own_transpose(const glm::mat<3, 3, R>& f) {
   return {dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)};
 }
 
-// Gradient of F from that of the six numbers of F F^T.
+// Gradient of F from the gradient of the six numbers of F F^T.
 template <class R>
 LFGS_HD glm::mat<3, 3, R> times_own_transpose_backward(const glm::mat<3, 3, R>& f, const Symmetric3<R>& g) {
   glm::mat<3, 3, R> twice(2 * g.xx, g.xy, g.xz, g.xy, 2 * g.yy, g.yz, g.xz, g.yz, 2 * g.zz);

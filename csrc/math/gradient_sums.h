@@ -26,7 +26,7 @@ enum FootprintSum : int {
   kDirectFootprintSums
 };
 
-// The splat's gradient without that of its depth, which is blended like a colour.
+// The splat's gradient, except for its depth, which is blended like a colour.
 template <class R, class T>
 LFGS_HD Splat<R> image_gradient(const Splat<T>& s, const R* sums) {
   Splat<R> g{};

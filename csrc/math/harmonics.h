@@ -10,7 +10,7 @@
 namespace lfgs {
 
 constexpr int kMaxShCount = 16;
-constexpr double kConstantHarmonic = 0.28209479177387814;  // that of degree 0, 1 / (2 sqrt(pi))
+constexpr double kConstantHarmonic = 0.28209479177387814;  // of degree 0, 1 / (2 sqrt(pi))
 
 // Write the values of the harmonics at the unit direction d: basis[k], k < (degree + 1)^2.
 template <class R>
@@ -36,7 +36,7 @@ LFGS_HD void sh_basis(int degree, const glm::vec<3, R>& d, R* basis) {
   basis[15] = -k3 * x * (x * x - 3 * y * y);
 }
 
-// Gradient of the direction d from those of the values that sh_basis writes.
+// Gradient of the direction d from the gradients of the values that sh_basis writes.
 template <class R>
 LFGS_HD glm::vec<3, R> sh_basis_backward(int degree, const glm::vec<3, R>& d, const R* g) {
   R x = d.x, y = d.y, z = d.z;
@@ -104,7 +104,7 @@ LFGS_HD glm::vec<3, R> sh_colour_towards_backward(int degree, const T* sh, const
   return sh_basis_backward(degree, d, g_basis);
 }
 
-// The same for the colour seen from `eye`. Return the gradient of the mean; that of the eye is minus this.
+// The same for the colour seen from `eye`. Return the gradient of the mean; the eye's gradient is minus this.
 template <bool kAdd = true, class R, class T, class G>
 LFGS_HD glm::vec<3, R> sh_colour_backward(int degree, const T* sh, const glm::vec<3, R>& mean,
                                           const glm::vec<3, R>& eye, const glm::vec<3, R>& g_colour, G* g_sh) {

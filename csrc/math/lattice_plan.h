@@ -1,7 +1,7 @@
 // The plan of a coarse lattice in (x, y, view) for a part of the panel. LatticeCurvature measures how fast the light
 // field varies, from the splats that are seen there, and makes a LatticePlan. From view to view the picture moves by
 // its disparity, so that a light field is smooth along the view only if x moves along. Between two planes,
-// interpolation therefore follows x + shear s, where shear is the mean disparity of what is seen there.
+// interpolation therefore follows x + shear s, where shear is the mean disparity of the visible splats.
 #pragma once
 
 #include <cmath>
@@ -47,7 +47,7 @@ struct LatticeGrid {
   LFGS_HD int cells() const { return across - 1 - 2 * margin; }
 };
 
-// A lattice whose cells lean: what is at node i of plane k is seen at about node i + lean[k] of the next.
+// A lattice whose cells lean: a point at node i of plane k is at about node i + lean[k] of the next plane.
 struct LatticePlan : LatticeGrid {
   float lean[kMostPlanes];
 
@@ -65,7 +65,7 @@ struct LatticePlan : LatticeGrid {
 class LatticeCurvature {
  public:
   static constexpr int kBins = 16;
-  // What a splat adds to the bins from first to last.
+  // The part of a splat in the bins from first to last.
   struct Term {
     float weight, x, y, x_du, x_du2;
     int first, last;
@@ -85,7 +85,7 @@ class LatticeCurvature {
         half_((part.x_high - part.x_low) / 2),
         bins_per_s_(part.s_high > part.s_low ? kBins / (part.s_high - part.s_low) : 0) {}
 
-  // What a splat adds whose centre is at u from the part's origin.
+  // The part of a splat whose centre is at u from the part's origin.
   LFGS_HD Term term(const Splat<float>& s, float u) const {
     const float opacity = std::exp2(s.log2_opacity), inverse = opacity / s.S0;
     const float y = opacity * s.tau + s.c0 * s.c0 * inverse, x_du = inverse * s.du, x_du2 = x_du * s.du;

@@ -27,8 +27,8 @@ namespace lfgs {
 namespace HWY_NAMESPACE {
 
 // Blend one splat over a vector of samples: `weight` is its part of the light of each, which their transmittances lose.
-// A sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
-// background. Return whether a sample ended and with it the last of the vector.
+// A sample whose transmittance would fall too low ends here: the light that it still lets through goes to `rest` for
+// the background. Return whether a sample ended and with it the last of the vector.
 template <class D>
 HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmittance, hn::TFromD<D>* HWY_RESTRICT rest,
                      hn::Vec<D>& weight) {
@@ -48,8 +48,8 @@ HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmit
 }
 
 // The same splat on the way back: the transmittances lose what they lost to Over, and where a sample ended before it
-// alpha becomes zero. Return where; `before` is what they were. Over subtracts the weight that it needs anyway, here
-// one operation does for both: so the last digit of a transmittance may differ.
+// alpha becomes zero. Return where; `before` receives the transmittances before this splat. Over subtracts the weight
+// that it needs anyway, here one operation does for both: so the last digit of a transmittance may differ.
 template <class D>
 HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_RESTRICT transmittance,
                                  hn::Vec<D>& before) {

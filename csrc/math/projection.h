@@ -59,8 +59,8 @@ LFGS_HD R largest_component(const glm::vec<4, R>& quaternion) {
   return glm::max(glm::max(q.x, q.y), glm::max(q.z, q.w));
 }
 
-// Gradient of a quaternion from that of its unit quaternion. The shorter the quaternion, the larger its gradient, up to
-// infinity; but zero stays zero.
+// Gradient of a quaternion from the gradient of its unit quaternion. The shorter the quaternion, the larger its
+// gradient, up to infinity; but zero stays zero.
 LFGS_HD glm::dvec4 quaternion_gradient(const glm::dvec4& quaternion, const glm::dvec4& g_unit) {
   if (g_unit == glm::dvec4(0)) return g_unit;
   const double largest = largest_component(quaternion);
@@ -213,7 +213,7 @@ struct Projection {
 
     // From the conditional form to xx, xy and yy
     R gS0 = s.S0 / R(kHalfLog2e), gS1 = s.S1 / R(kHalfLog2e), gS2 = s.S2 / R(kHalfLog2e);
-    R gQ0 = gS0, gQ1 = gS1, gQ2 = gS2, g_iy = 0;  // of -xy(s)^2 / yy; gS becomes that of xx(s)
+    R gQ0 = gS0, gQ1 = gS1, gQ2 = gS2, g_iy = 0;  // of -xy(s)^2 / yy; gS becomes the gradient of xx(s)
     [[maybe_unused]] const R g_aperture = gS0;    // of aperture_variance()
     if constexpr (kCompensated) {
       // D(s) = (xx(s) - blur) (1 - blur / yy) - xy(s)^2 / yy, where the blur counts

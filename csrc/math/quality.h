@@ -1,4 +1,4 @@
-// What may be given up for speed, and what kernels make of it; by default nothing is given up.
+// The accuracy that kernels may give up for speed; by default none.
 // lightfield_gs/rasterizer/quality.py has the knobs as users see them.
 #pragma once
 

@@ -22,7 +22,7 @@ struct Camera {
   R aperture = 0;            // standard deviation of the offsets that the picture is averaged over; 0: a pinhole
   bool antialiased = false;  // opacities compensated for the blur, see math/compensation.h
 
-  // Whether opacities are lowered for what widens footprints: the blur, the aperture, or both.
+  // Whether opacities are lowered, because the blur, the aperture or both widen footprints.
   LFGS_HD bool compensated() const { return antialiased || aperture > 0; }
 
   LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }

@@ -1,4 +1,4 @@
-// A set of 3D Gaussians and the gradients of it: plain views of memory that the caller owns.
+// A set of 3D Gaussians, or its gradients: plain pointers to memory that the caller owns.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// The stages that lay a photo over what the network predicts, on the CPU. Every buffer belongs to the caller.
+// The stages that lay a photo over the network's prediction, on the CPU. Every buffer belongs to the caller.
 #pragma once
 
 #include "math/photo/sheet.h"

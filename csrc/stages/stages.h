@@ -51,7 +51,7 @@ struct IntersectionGradient {
 static_assert(sizeof(Splat<float>) == kSplatFields * sizeof(float));
 static_assert(sizeof(Compensation<float>) == kCompensationFields * sizeof(float));
 
-// What composite counted, for statistics.
+// The counts of composite, for statistics.
 struct Counters {
   int64_t intersections = 0;  // (tile, splat)
   int64_t evaluations = 0;    // samples at which a splat was evaluated, with the lanes that it missed
@@ -90,7 +90,7 @@ struct Cameras {
   bool compensated() const { return antialiased || aperture > 0; }
 };
 
-// What project writes, for I images of N splats.
+// The output of project, for I images of N splats.
 template <class T>
 struct Splats {
   int64_t images = 0, count = 0;
@@ -107,7 +107,7 @@ struct Bins {
   int32_t* band_splats = nullptr;   // [intersections] splat index within the image
 };
 
-// What composite_images writes.
+// The output of composite_images.
 template <class T>
 struct Images {
   T* image = nullptr;  // [I, H, W, 3]

@@ -1,4 +1,4 @@
-// Weaving: pictures of M views, of any size and number, to the image of a panel. What is shared with Python is told in
+// Weaving: pictures of M views, of any size and number, to the image of a panel. The parameters are described in
 // lightfield_gs/encoding/weave.py; every buffer belongs to the caller.
 #pragma once
 
@@ -34,7 +34,7 @@ struct WeaveViews {
   int64_t first = 0, own = 0, held = 0, height_px = 0, width_px = 0;
 };
 
-// Draw into out [H, W, 3] of the panel what the views reach. T: uint8_t, uint16_t or float.
+// Draw the sub-pixels that the views reach into the panel's image, out [H, W, 3]. T: uint8_t, uint16_t or float.
 template <class T>
 void weave(const WeaveViews<T>& views, const WeaveWindow& window, const WeaveFan& fan, T* out, int threads);
 

@@ -60,8 +60,8 @@ class Encoding:
         Args:
             options: what is asked for.
             watch: notes the times.
-            copies: from CUDA to the host, one input after the other. With them `draw` does not wait for the image, and
-                counts nothing for the stats.
+            copies: from CUDA to the host, one input after the other. With copies `draw` does not wait for the image,
+                and collects no statistics.
         """
         self.options, self.watch, self.messages = options, watch, list[str]()
         self.bits = _check_files(options)
@@ -300,9 +300,10 @@ def _note_slow_ways(options: EncodeOptions, render: RenderSettings, panel: Panel
     from lightfield_gs.panels.panel import slow_reason
     from lightfield_gs.rasterizer.quality import Quality
 
-    lattices = options.method == "direct" and Quality.of(options.quality).lattice_error > 0
-    if options.method == "direct" and (why := slow_reason(panel, lattices and device == "cuda")):
-        note(why)
+    if options.method == "direct" and panel.subpixel_cells:
+        lattices = Quality.of(options.quality).lattice_error > 0
+        if (why := slow_reason(panel, lattices and device == "cuda")) is not None:
+            note(why)
     if (render.antialiased or render.view_filter) and options.quality != "exact" and device == "cuda":
         note(
             f"{'anti-aliased scenes' if render.antialiased else 'filtered views'} are drawn neither from lattices nor "

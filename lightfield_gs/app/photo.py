@@ -71,7 +71,7 @@ class ReadPhoto:
 
 @dataclass(frozen=True)
 class PhotoPlacement:
-    """How the scene of a photo came about, for its rig and its metadata.
+    """The origin of a photo's scene, for its rig and its metadata.
 
     Attributes:
         options: as they were used.

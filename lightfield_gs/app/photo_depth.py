@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
 
-# How a depth map beside its photo is taken when nothing else is description: bright is near, as Looking Glass has it
+# Default meaning of a depth map beside its photo: bright is near, as in Looking Glass' files
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
 _OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides of the photo, may be another photo's
 # Usual angles of the longer side, and those beyond which intrinsics must be in other units

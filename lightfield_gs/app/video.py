@@ -26,7 +26,7 @@ _MOST_SIDE_PX = 4096  # of a quilt without a given size: many decoders of H.264 
 
 @dataclass(frozen=True, slots=True)
 class MotionOptions:
-    """How the cameras of a video move, and how many frames there are.
+    """The motion of a video's cameras, and its number of frames.
 
     Attributes:
         turntable: seconds of one turn.
@@ -92,7 +92,7 @@ class VideoOptions:
 
 @dataclass(frozen=True)
 class VideoTarget:
-    """Where the frames go.
+    """The destination of the frames.
 
     Attributes:
         path: a folder, or a video.

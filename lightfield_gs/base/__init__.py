@@ -1,1 +1,1 @@
-"""What every room stands on: checks, errors, names of choices, paths, devices."""
+"""Tools of all packages: checks, errors, names of choices, paths, devices."""

@@ -92,7 +92,7 @@ def background_tensor(background: Colour, like: Tensor) -> Tensor:
 def _captured_background(background: Sequence[float], like: Tensor) -> Tensor:
     """Return a background that a graph under capture makes itself, in its own memory.
 
-    Of a tensor from outside the graph would keep the address alone, where something else may lie at a replay.
+    A graph would keep only the address of an outside tensor, where other data may lie at a replay.
     """
     numbers = _checked_background(background, like.dtype, torch.device("cpu")).tolist()
     return torch.stack([like.new_full((), number) for number in numbers])

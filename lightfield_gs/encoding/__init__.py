@@ -1,1 +1,1 @@
-"""A scene to the image of a panel: direct, view by view, or by whole views."""
+"""Encode scenes as images of a panel: by sub-pixels directly, view by view, or by whole views."""

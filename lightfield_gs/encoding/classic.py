@@ -1,4 +1,4 @@
-"""Ordinary images of the cameras of a rig, and the method `classic`, which interlaces one for each view."""
+"""Ordinary images of a rig's cameras, and the method `classic`, which interlaces one image for each view."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def render_views(
         panel: of whose views x counts.
         rig: of the cameras.
         x: [K], view coordinates of the cameras.
-        background: as of `encode`, and so are antialiased and view_filter.
+        background: see `encode`, also for antialiased and view_filter.
 
     Raises:
         InputError: for arguments of other types or values.
@@ -90,7 +90,7 @@ def draw_cameras(
     ).image
 
 
-_PIXELS = 4_000_000  # that are rendered at a time, so that small images go in batches
+_PIXELS = 4_000_000  # rendered at a time, so that small images form batches
 
 
 @torch.no_grad()

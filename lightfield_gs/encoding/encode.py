@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -97,52 +98,38 @@ def encode(
     Raises:
         InputError: an argument has a wrong type, shape or value, or belongs to another method.
     """
-    check_options(method, views, output)
-    check_types(gaussians, panel, rig, cameras, stats, antialiased)
-    view_filter = check_view_filter(view_filter, cameras)
-    quality, continuous, as_bytes = Quality.of(quality), views == "continuous", output == "uint8"
-    threads, memory_budget = check_together(
-        method, views, output, rig, quality, threads, memory_budget, cameras=cameras, view_map=view_map, out=out
+    check_types(method, views, output, gaussians, panel, rig, cameras, stats, antialiased)
+    quality, view_filter, threads, memory_budget = check_together(
+        method, views, output, rig, cameras, quality, view_filter, threads, memory_budget, view_map=view_map, out=out
     )
+    continuous, as_bytes = views == "continuous", output == "uint8"
     if out is not None:
         check_out(out, output, panel, gaussians.device)
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
+    fields = gaussians.fields().values()
     colour = background_tensor(background, gaussians.means).reshape(-1)
-    if wants_gradients(gaussians, colour, output, cameras):
+    if wants_gradients(fields, colour, output, cameras):
         if method == "sorted":
             refuse_gradients("method 'sorted'")
         refuse_with_gradients(
-            quality=not quality.is_exact,
-            threads=threads is not None,
-            stats=stats is not None,
-            out=out is not None,
-            view_filter=method == "classic" and view_filter > 0,
+            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
         )
         if method == "classic":
+            refuse_with_gradients(view_filter=view_filter > 0)
             return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
         numbers = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter).numbers()
-        return torch.ops.lightfield_gs.render_direct(*gaussians.fields().values(), colour, *numbers, antialiased)
+        return torch.ops.lightfield_gs.render_direct(*fields, colour, *numbers, antialiased)
     counters = Stats(device=gaussians.means.device if stats is not None else None)
     if method == "direct":
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
         with torch.no_grad():
             with counters.stage("plan"):
-                job = DirectRender(gaussians.fields().values(), colour, camera, antialiased)
+                job = DirectRender(fields, colour, camera, antialiased)
             image = job.draw(as_bytes, quality, counters, threads, out)
     elif method == "classic":
         aperture = view_aperture(panel, cast(Rig, rig), view_filter)
-        image = encode_classic(
-            gaussians,
-            panel,
-            cast(Rig, rig),
-            continuous,
-            colour,
-            DTYPES[output],
-            threads,
-            counters,
-            antialiased,
-            aperture,
-        )
+        options = DTYPES[output], threads, counters, antialiased, aperture
+        image = encode_classic(gaussians, panel, cast(Rig, rig), continuous, colour, *options)
     else:
         with counters.stage("plan"):
             seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)
@@ -174,9 +161,18 @@ def check_options(method: str, views: str, output: str) -> None:
 
 
 def check_types(
-    gaussians: Gaussians, panel: Panel, rig: Rig | None, cameras: Cameras | None, stats: Any, antialiased: bool
+    method: str,
+    views: str,
+    output: str,
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig | None,
+    cameras: Cameras | None,
+    stats: Any,
+    antialiased: bool,
 ) -> None:
-    """Raise InputError for arguments of types that `encode` does not take, and for Gaussians that cannot be drawn."""
+    """Raise InputError for names and types that `encode` does not take, and for Gaussians that cannot be drawn."""
+    check_options(method, views, output)
     for name, value, kinds in (
         ("gaussians", gaussians, (Gaussians,)),
         ("panel", panel, (Panel,)),
@@ -190,7 +186,7 @@ def check_types(
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
-        check_values(gaussians)  # looks at values, which waits for the device: a stream that captures must not
+        check_values(gaussians)  # reads values, which waits for the device: forbidden in a stream that captures
 
 
 def check_view_filter(view_filter: Any, cameras: Cameras | None = None) -> float:
@@ -206,21 +202,25 @@ def check_together(
     views: Views,
     output: Output,
     rig: Rig | None,
-    quality: Quality,
+    cameras: Cameras | None,
+    quality: QualityName | Quality,
+    view_filter: float,
     threads: int | None,
     memory_budget: int | None,
     **given: Any,
-) -> tuple[int | None, int | None]:
-    """Return threads and memory_budget as whole numbers.
+) -> tuple[Quality, float, int | None, int | None]:
+    """Return quality, view_filter, threads and memory_budget, checked.
 
     Raises InputError where they are out of their ranges, and where arguments of one method meet another.
-    given: the other arguments that one method alone takes (base/options.py).
+    given: the other arguments, which only one method takes (base/options.py).
     """
+    view_filter = check_view_filter(view_filter, cameras)
+    quality = Quality.of(quality)
     if threads is not None:
         threads = whole_number("threads", threads, 1, MOST_THREADS)
     if memory_budget is not None:
         memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
-    for name, value in {"memory_budget": memory_budget, **given}.items():
+    for name, value in {"memory_budget": memory_budget, "cameras": cameras, **given}.items():
         if value is not None and method != (only := ONLY_FOR[name]):
             raise InputError(f"{name}= is for method {only!r}, not {method!r}{_WHY_NOT[name]}")
     if method != "sorted" and rig is None:
@@ -235,7 +235,7 @@ def check_together(
             f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
             f"{output!r}: those are exact only"
         )
-    return threads, memory_budget
+    return quality, view_filter, threads, memory_budget
 
 
 def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:
@@ -255,12 +255,12 @@ def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -
         )
 
 
-def wants_gradients(gaussians: Gaussians, background: Any, output: Output, cameras: Cameras | None = None) -> bool:
+def wants_gradients(fields: Iterable[Tensor], background: Any, output: Output, cameras: Cameras | None = None) -> bool:
     """Return whether the image carries a graph: an argument asks for a gradient, and the output is not bytes.
 
     Raises InputError where one is a dual number of forward mode, whose tangent would be lost.
     """
-    tensors = [*gaussians.fields().values(), background]
+    tensors = [*fields, background]
     if cameras is not None:
         tensors += [cameras.world_to_camera, cameras.intrinsics(), cameras.limits()]
     refuse_tangents(*tensors)

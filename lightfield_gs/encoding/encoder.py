@@ -36,11 +36,11 @@ class Encoder:
     and values are checked at the capture alone. Other tensors make another capture, and so does the second frame of a
     rig. For the first frame of a rig the same kernels are launched one by one, with colours as fine as the rigs so far
     needed. The rounding to bytes may then differ from `encode`, which chooses colours by its own rig. The same holds
-    for a frame in which a scene outgrows the capacity of the frames before: its tiles share one list. The next frame
-    has enough capacity.
+    for a frame whose scene outgrows the capacity of earlier frames: its tiles share one list. The next frame has enough
+    capacity.
 
     Args:
-        panel: as of `encode`, and so are rig, views, background, output, quality, antialiased and view_filter.
+        panel: see `encode`, also for rig, views, background, output, quality, antialiased and view_filter.
         versioned: promise that only torch's in-place operations change values; torch counts them. Then a tensor without
             new operations counts as unchanged. Order and bins are kept if only sh changes, but not for another rig.
             torch does not count changes through .data, DLPack, CUDA graphs and other kernels: call `forget` after
@@ -95,7 +95,7 @@ class Encoder:
 
     @property
     def quality(self) -> Quality:
-        """How much error is allowed for less time."""
+        """The allowed errors, for less time."""
         return self._quality
 
     @property
@@ -110,7 +110,7 @@ class Encoder:
 
     @property
     def view_filter(self) -> float:
-        """How many views wide a box of camera positions each sub-pixel's picture is averaged over."""
+        """Width in views of the box of camera positions over which each sub-pixel is averaged."""
         return self._view_filter
 
     def __getstate__(self) -> dict[str, Any]:
@@ -128,7 +128,7 @@ class Encoder:
         one.
         """
         expect("gaussians", gaussians, Gaussians)
-        if wants_gradients(gaussians, self.background, self.output):
+        if wants_gradients(gaussians.fields().values(), self.background, self.output):
             refuse_gradients("an Encoder")
         return self._draw(gaussians)
 

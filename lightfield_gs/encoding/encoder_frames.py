@@ -2,7 +2,7 @@
 
 On the CPU the input of a frame is copied, and the next frame's compared with the copy bit by bit. That takes a few
 per cent of a frame, and misses no change. Project, order and bin take 0.2 % of a frame at 8K, the composite the rest.
-So only two cases count: nothing has changed, or only the background has.
+So only two cases matter: nothing has changed, or only the background has changed.
 
 On CUDA a frame is a graph, and a stage is skipped if torch can tell that its input is unchanged. For a million
 Gaussians order and bin take half the frame: 6 of 11 ms on an H100 at 8K. For 65,536 Gaussians they take 0.3 of 2.4 ms.
@@ -167,7 +167,7 @@ class CudaFrameCache:
     def _on_device(self, background: Colour, like: Tensor) -> Tensor:
         """Return a background [3] on the device: the user's own tensor, or a cached one.
 
-        The kept one is overwritten, so that the graphs that read it stay valid.
+        The cached tensor is overwritten, so that graphs that read it stay valid.
         """
         if isinstance(background, Tensor) and background.is_cuda:
             return background_tensor(background, like).reshape(-1)
@@ -223,7 +223,7 @@ class _Capture:
         return self.given.reads(given) and self.given.view == given.view
 
     def is_outgrown(self) -> bool:
-        """Return whether frames of this kind, which others draw as well, have needed more since."""
+        """Return whether other frames of this kind have needed more since."""
         return (self.frame.capacity, self.frame.colour_order) != (self.frames.capacity, self.frames.colour_order)
 
     def replay(self, given: _Input, versioned: bool) -> set[str]:

@@ -25,7 +25,7 @@ def prune(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Gaussians:
-    """Remove the Gaussians that contribute least to the image that a panel shows of a scene by a rig.
+    """Remove the Gaussians that contribute least to the image of a scene on a panel by a rig.
 
     A Gaussian contributes its weights, alpha times the transmittance before it, in all sub-pixels. The Gaussians with
     the smallest sums are left out, while their total stays within contribution_cut of the sum of an opaque image. For

@@ -18,7 +18,7 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 
-_PIXELS = 4_000_000  # that are rendered at a time, so that small views go in batches
+_PIXELS = 4_000_000  # rendered at a time, so that small views form batches
 _COVERED = 0.5  # alpha from which on a pixel has a depth
 
 
@@ -39,8 +39,8 @@ def quilt(
         gaussians: one scene.
         layout: with its size in pixels. Pixels that belong to no tile are black.
         rig: at the resolution of a tile, see QuiltLayout.fitted.
-        panel: whose cone the fan spans where the rig has none; None: layout.panel's of 40 degrees.
-        background: as of `encode`, and so are antialiased and view_filter, in views of the quilt.
+        panel: its cone is the fan's angle if the rig has none; None: layout.panel, with 40 degrees.
+        background: see `encode`, also for antialiased and view_filter; a view is a view of the quilt.
 
     Raises:
         InputError: for arguments of other types or values.

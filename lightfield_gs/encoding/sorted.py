@@ -1,7 +1,7 @@
 """The method `sorted`: a light-field image from any cameras and any view map (Shi et al. 2025, sections 3.1 and 3.3).
 
-Views go in chunks whose buffers are used again, as large as a memory budget allows. Each view is projected, ordered and
-binned like an ordinary image, and only its own sub-pixels are drawn, straight into the panel's image.
+Views are drawn in chunks, as large as a memory budget allows, which reuse the buffers. Each view is projected, ordered
+and binned like an ordinary image, and only its own sub-pixels are drawn, straight into the panel's image.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_VIEWS, _MOST_NUMBERED = 4096, (1 << 31) - 1  # of a chunk: views; splats, and lists
-# Bytes of a chunk: for a splat (footprint 32, colour 16, depth 4), for an intersection, for a list of intersections,
-# and for the gaps between the parts with the state
+# Bytes of a chunk: for a splat (footprint 32, colour 16, depth 4), an intersection, a list of intersections, and the
+# gaps between parts
 _SPLAT_BYTES, _INTERSECTION_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
 _STATE = struct.Struct("<Q4xI")  # SortedState: intersections, the long lists, and splats drawn
 
@@ -69,7 +69,7 @@ class CudaStages:
 class SortedWorkspace:
     """The stages of workspace.CpuWorkspace for one chunk.
 
-    Its memory is one buffer, and one more for the lists once the host, which waits, knows the number of intersections.
+    Its memory is one buffer, and one more for the lists. The host waits for the number of intersections before.
     """
 
     def __init__(self, scene: SceneTensors, plan: SortedPlan, views: int, stats: Stats):
@@ -182,7 +182,7 @@ class _CpuStages:
         return views * self.scene.count * (self.number * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4)
 
     def binning_bytes(self, views: int, counts: Counts) -> int:
-        """Return the bytes of order and lists of bands, and of the stage that takes most while it runs."""
+        """Return the bytes of order and lists of bands, plus the largest temporary memory of a stage."""
         (intersections, most), n, tiles = counts, self.scene.count, -(-self.plan.width_px // self.plan.tile.width_px)
         lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * intersections
         order = min(self.threads, views) * n * 4 * self.number
@@ -272,7 +272,7 @@ def encode_sorted(
 
 
 def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: SceneTensors) -> list[Tensor]:
-    """Return poses, intrinsics and limits of the cameras of all views shown, as the core takes them.
+    """Return poses, intrinsics and limits of the cameras of all views shown, for the native code.
 
     They go to the device at once and in one copy: a copy from the host waits until the device has nothing else to do.
     """
@@ -394,7 +394,7 @@ class _Encoding:
         self.resident = False
 
     def _native_cameras(self, first: int, views: int) -> _core.float32.Cameras:
-        """Return the core's view of a chunk's cameras, which is valid as long as self.cameras."""
+        """Return the native view of a chunk's cameras, which is valid as long as self.cameras."""
         poses, optics, edges = (t[first:].data_ptr() for t in self.cameras)
         return self.scene.core.Cameras(
             1, views, self.plan.width_px, self.plan.height_px, poses, optics, edges, self.antialiased, *self.aperture

@@ -45,7 +45,7 @@ class SortedPlan:
         """Sort the sub-pixels.
 
         Args:
-            panel: whose lens says which view each sub-pixel shows.
+            panel: its lens determines the view of each sub-pixel.
             view_map: in place of the lens: int32 [H, W, 3] by image channel, 0 .. views - 1, or -1 where a sub-pixel
                 shows nothing.
             views: how many there are; None: the panel's.
@@ -81,7 +81,7 @@ class SortedPlan:
         self.hidden = int(totals.sum()) < 3 * self.width_px * self.height_px
         self.shown = totals.nonzero().squeeze(1).numpy()
         self.starts = torch.zeros(len(self.shown) * self.tiles + 1, dtype=torch.int64)  # of the lists in the codes
-        for place, view in enumerate(self.shown.tolist()):  # a view at a time: nothing as large as `counts` again
+        for place, view in enumerate(self.shown.tolist()):  # without another array as large as `counts`
             padded = (counts[view] + (BLOCK - 1)).div_(BLOCK, rounding_mode="floor").mul_(BLOCK).to(torch.int64)
             lists = slice(place * self.tiles + 1, (place + 1) * self.tiles + 1)
             self.starts[lists] = padded.cumsum_(0).add_(self.starts[lists.start - 1])

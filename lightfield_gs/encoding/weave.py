@@ -1,4 +1,4 @@
-"""Interlacing views of any size and number: of a quilt, of a folder or of a light field, to the image of a panel.
+"""Interlace views of any size and number, from a quilt, a folder or a light field, to the image of a panel.
 
 View q of M, counted from the left-most camera, stands at the place (q + 1/2) / M of the fan. A sub-pixel that shows
 the panel's x of N views stands at 1 - x / N (with invert_views x / N). So a panel's integer views fall exactly on the
@@ -78,7 +78,7 @@ def weave(
     Args:
         views: [M, h, w, 3], the left-most camera's first, as in quilts; or a ViewSource. Of a ViewSource at most 1 GiB
             is held at a time, or twice as many views as a sub-pixel mixes if that is more.
-        panel: its lens says which view each sub-pixel shows.
+        panel: its lens determines the view of each sub-pixel.
         interpolation: "linear" mixes the two views beside a sub-pixel, "nearest" takes one of them.
         place: "integer": a sub-pixel looks from its integer view; "continuous": from its exact x. If M is the panel's
             N, integer places need no interpolation: every sub-pixel comes from one view, as in `interlace`.

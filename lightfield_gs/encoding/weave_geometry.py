@@ -1,4 +1,4 @@
-"""Where the sub-pixels of a panel stand among the views that it is woven from, and its pixels in their pictures."""
+"""Positions of a panel's sub-pixels among the views, and of its pixels in the views' pictures."""
 
 from __future__ import annotations
 

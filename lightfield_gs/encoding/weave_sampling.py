@@ -84,7 +84,7 @@ def sampled(stack: Tensor, slot: Tensor, view: Tensor, rows: slice, across: Taps
 
     Args:
         stack: [G, h, w, 3].
-        slot: int64 [R, W, 3], which picture of the stack each sub-pixel takes.
+        slot: int64 [R, W, 3], the index of a sub-pixel's picture in the stack.
         view: int64 [R, W, 3], its number among all views.
         rows: of the panel.
         across: taps of the columns.

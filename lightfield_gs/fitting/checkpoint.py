@@ -1,8 +1,8 @@
 """Checkpoints of a fit, from which it goes on to the same bits.
 
-A checkpoint is a safetensors file, which is whole or not there. Its tensors are the parameters with their moments, the
-counters, the statistics of density control, and poses and exposure; its metadata identify the fit. Random numbers,
-orders and schedules follow from settings and step.
+A checkpoint is a safetensors file; it is written completely or not at all. Its tensors are the parameters with their
+moments, the counters, the statistics of density control, and poses and exposure; its metadata identify the fit. Random
+numbers, orders and schedules follow from settings and step.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Any], dict[s
 
 @contextmanager
 def _explain_damage(path: Path) -> Iterator[None]:
-    """Raise InputError for the errors of a file that is no checkpoint, or not a whole one."""
+    """Raise InputError for the errors of a file that is no checkpoint, or is incomplete."""
     from safetensors import SafetensorError
 
     try:
@@ -179,6 +179,6 @@ def _explain_damage(path: Path) -> Iterator[None]:
 
 
 def _targets(trainer: Trainer) -> dict[str, Tensor]:
-    """Return the tensors that a checkpoint stores beside the Gaussians, and that restoring writes to."""
+    """Return the tensors of a checkpoint beside the Gaussians; restoring writes to them."""
     groups = {"counters": trainer.counters.tensors(), "tally": trainer.statistics.tensors(), "extra": trainer.extra}
     return {f"{group}.{name}": tensor for group, tensors in groups.items() for name, tensor in tensors.items()}

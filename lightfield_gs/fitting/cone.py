@@ -34,7 +34,7 @@ _LEAST_SPREAD_DEG = 3.0  # of axes; below it their intersection is too uncertain
 _IN_FRONT = 0.9  # the fraction of cameras that must have the intersection before them
 _FEWEST = 3  # least number of cameras, and a tenth of the least number of points, to estimate a depth
 
-# The direction (x, y) of down in a stored photograph: by the quarter turns clockwise that make it upright, and by Exif
+# The direction (x, y) of down in a stored photograph, by the clockwise quarter turns to upright, and by Exif
 # orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.
 _DOWN = ((0, 1), (1, 0), (0, -1), (-1, 0))
 _STORED_DOWN = {2: _DOWN[0], 3: _DOWN[2], 4: _DOWN[2], 5: _DOWN[1], 6: _DOWN[1], 7: _DOWN[3], 8: _DOWN[3]}
@@ -51,7 +51,7 @@ class Cone:
         pivot: [3] float64, coordinates of the capture, on the axis of the centre camera.
         zero_depth: its depth before the centre camera, scene units.
         cone_deg: full angle.
-        angles_deg: [C] float64, 0..180, of every photograph from the centre one, seen from the pivot.
+        angles_deg: [C] float64, 0..180, of every photograph from the centre photograph, seen from the pivot.
         messages: the choices, one line each.
     """
 
@@ -163,7 +163,7 @@ def central_depth(capture: Capture, index: int) -> float | None:
 
 
 def _capture_middle(capture: Capture) -> np.ndarray:
-    """Return [3], the intersection of the axes, or the point that the camera in the middle of all looks at."""
+    """Return [3], the intersection of the axes, or the point in the view of the middle camera."""
     centres, axes = capture.centres, capture.world_to_camera[:, 2, :3]
     if (point := axes_intersection(centres, axes)) is not None:
         return point

@@ -107,7 +107,7 @@ def refine_mcmc(state: GaussianState, settings: FitSettings, step: int) -> Gauss
     Args:
         state: the Gaussians; changed in place.
         settings: of the fit.
-        step: how many steps are done; with settings.seed it decides all random numbers.
+        step: number of steps done; with settings.seed it determines all random numbers.
 
     Returns:
         The same state, or a larger one where Gaussians were added.
@@ -225,7 +225,7 @@ def refine_adaptive(
         state: the Gaussians.
         statistics: their gradients.
         settings: of the fit.
-        step: how many steps are done; with settings.seed it decides all random numbers.
+        step: number of steps done; with settings.seed it determines all random numbers.
 
     Returns:
         A new state, or the same where nothing changes.
@@ -251,7 +251,7 @@ def refine_adaptive(
 
 
 def reset_opacities(state: GaussianState, settings: FitSettings) -> None:
-    """Lower every opacity to twice min_opacity in place, so that Gaussians that no photograph needs die."""
+    """Lower every opacity to twice min_opacity in place, so that unneeded Gaussians die."""
     most = 2 * settings.min_opacity
     state.values.logits.clamp_(max=math.log(most / (1 - most)))
     state.first.logits.zero_()
@@ -289,8 +289,8 @@ def _split(state: GaussianState, count: int, seed: int, step: int) -> None:
 def morton_order(means: Tensor) -> Tensor:
     """Return [N] int64, the order of means [N,3] along a Morton curve; equal codes keep their order.
 
-    Neighbours in space then lie near each other in memory, which makes drawing and updating read less (Morton, "A
-    computer oriented geodetic data base", 1966).
+    Neighbours in space are then near each other in memory, so drawing and updating read less (Morton, "A computer
+    oriented geodetic data base", 1966).
     """
     return morton_codes(means).argsort(stable=True)
 

@@ -61,7 +61,7 @@ def estimate_memory(settings: FitSettings, photographs: int, width_px: int, heig
 
 
 def keeps_photos_on_host(need: MemoryEstimate, device: str) -> bool:
-    """Return whether photographs take so much of a GPU's memory that they are better kept in the host's.
+    """Return whether photographs take too much of a GPU's memory and should stay in the host's memory.
 
     A step then copies its own, a tenth of a millisecond for a megapixel.
     """
@@ -75,7 +75,7 @@ def check_memory(need: MemoryEstimate, device: str, is_certain: bool) -> str:
     Args:
         need: the estimate.
         device: of the fit.
-        is_certain: the fit will need it, and not only may.
+        is_certain: whether the fit will need it, or only may need it.
 
     Raises:
         InputError: the need is certain, and clearly less is free.
@@ -93,7 +93,7 @@ def check_memory(need: MemoryEstimate, device: str, is_certain: bool) -> str:
 
 
 def free_bytes(device: str) -> int | None:
-    """Return the free memory of a device, or of the host for "cpu"; None where the system does not tell."""
+    """Return the free memory of a device, or of the host for "cpu"; None if the system does not state it."""
     if device != "cpu":
         return free_memory(torch.device(device))
     try:

@@ -52,8 +52,8 @@ class PanelPruning:
         faint: number of others that the contribution cut removes.
         floating: number of the rest that float before the eyes.
         unfounded: number of floating Gaussians that no photograph shows; these are removed too.
-        contribution: of the removed Gaussians, as a fraction 0..1 of the light of an opaque image. The mean error of
-            colours 0..1 is at most that, and 1e-4, at which samples end.
+        contribution: contribution of the removed Gaussians, as a fraction 0..1 of the light of an opaque image. The
+            mean error of colours 0..1 is at most this plus 1e-4, the transmittance at which samples end.
     """
 
     kept: Tensor
@@ -177,8 +177,9 @@ def prune_for_panel(
         assume("cone: nothing of the scene shows on the panel, so that nothing is left out of it")
         gone = torch.zeros_like(gone)
     whole = 3 * display.panel.width_px * display.panel.height_px
-    counts = (int(part.sum()) for part in (unseen, cut & ~unseen, floating, unfounded))
-    return PanelPruning(~gone, *counts, float(weights[gone].sum()) / whole)
+    parts = {"unseen": unseen, "faint": cut & ~unseen, "floating": floating, "unfounded": unfounded}
+    counts = {name: int(part.sum()) for name, part in parts.items()}
+    return PanelPruning(~gone, contribution=float(weights[gone].sum()) / whole, **counts)
 
 
 def photo_visibility(gaussians: Gaussians, images: PosedImages, antialiased: bool = False) -> Tensor:

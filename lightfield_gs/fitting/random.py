@@ -68,8 +68,8 @@ def normals(
 def dropout(rates: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
     """Return factors of the opacities in a step: 0 for the Gaussians that it leaves out, 1 / (1 - rate) for the others.
 
-    With few photographs some Gaussians explain only one of them, and stand in the way of images between them. Each step
-    draws another random part, so that no Gaussian can hide behind others, and all get gradients. See Park et al.,
+    With few photographs some Gaussians explain only one photograph, and block the views between photographs. Each step
+    draws another random subset, so that no Gaussian can hide behind others, and all get gradients. See Park et al.,
     "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025; csrc/math/fit/random.h.
 
     It is off by default, since the gain depends on the scene more than on the number of photographs. Measured were 0.2

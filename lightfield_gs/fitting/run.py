@@ -37,7 +37,7 @@ class RunOptions:
         stop_early: end the fit once three evaluations in a row were no better.
         tensorboard: write scalars in the folder.
         progress: print lines and a bar.
-        stop: is called between steps; True ends the fit.
+        stop: function called between steps; True ends the fit.
     """
 
     folder: Path | None = None
@@ -88,7 +88,7 @@ class Run:
             identity: of the fit, for checkpoints.
             options: of the run.
             progress: shows how far the fit is.
-            angles: of the held-out photographs, if they are scored by angle as well.
+            angles: scores of the held-out photographs by angle, if asked for.
         """
         self.angles = angles
         self.trainer, self.held_out, self.options, self._progress = trainer, held_out, options, progress
@@ -200,7 +200,7 @@ class Run:
     def _is_no_better(self) -> bool:
         """Return whether stop_early ends the fit.
 
-        Evaluations at other steps, of a fit that was stopped there, do not count: it ends where it would have without.
+        Evaluations at other steps, where a fit was stopped, do not count: the fit ends as if it had not been stopped.
         """
         scores = [row["psnr_db"] for row in self.history if row["step"] % self._evaluate_every == 0]
         if not self.options.stop_early or len(scores) <= _PATIENCE:

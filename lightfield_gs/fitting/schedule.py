@@ -1,4 +1,4 @@
-"""What changes from step to step, for all steps of a fit at once, in tensors of its device."""
+"""The values that change from step to step, for all steps of a fit, as tensors on its device."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """The training loop of a fit: its steps, and the changes between them: degree of harmonics, density, order in memory.
 
-The calls of a step are the same on every device. Everything that changes from step to step is read from tensors by the
-number of the step, which is a tensor too. So a step on CUDA waits for nothing, and a CUDA graph can repeat it. Only the
-device knows the number of (tile, Gaussian) intersections of an image. A step with more than its capacity changes
-nothing, nor do the steps after it, until the host has looked and raised the capacity.
+The calls of a step are the same on every device. All values that change from step to step are read from tensors by the
+number of the step, also a tensor. So a step on CUDA waits for nothing, and a CUDA graph can repeat it. Only the device
+knows the number of (tile, Gaussian) intersections of an image. A step with more than its capacity changes nothing, nor
+do the steps after it, until the host has looked and raised the capacity.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Trainer:
         Args:
             state: the first Gaussians.
             images: the training photographs.
-            settings: of the fit; batch_size counts the photographs of all processes.
+            settings: settings of the fit; batch_size counts the photographs of all processes.
             group: the processes that fit together.
             photo_weights: of the photographs, see Schedule.make; None: 1.
 
@@ -146,7 +146,7 @@ class Trainer:
             self._end_segment()
 
     def _segment_end(self, until: int) -> int:
-        """Return the next step after which something else is due, or `until` if that comes first."""
+        """Return the next step after which other work is due, or `until` if it comes first."""
         return next((step for step in range(self.done + 1, until) if self._something_due(step)), until)
 
     def _something_due(self, step: int) -> bool:
@@ -219,7 +219,7 @@ class Trainer:
     def _look(self, begun: int) -> None:
         """Wait for the device; learn how many of `begun` steps are done, and raise the capacity if they need more.
 
-        Steps beyond the capacity count all their Gaussians as skipped, which is taken back.
+        Steps beyond the capacity count all their Gaussians as skipped; this is subtracted.
         """
         counters, before = self.counters, self.done
         numbers = torch.cat([counters.step, counters.intersections, counters.overflow])

@@ -62,7 +62,7 @@ class ViewpointFit:
     """The agreement of one viewpoint with the lens that was found.
 
     Attributes:
-        name: Of the viewpoint.
+        name: Name of the viewpoint.
         offset_views: Mean of the seen less the expected view.
         spread_views: Standard deviation of the same over the panel, in views.
         corners_px: [4, 2], of the panel in the photographs.
@@ -184,7 +184,7 @@ def _check_turned(viewpoints: Sequence[Viewpoint], measured: Sequence[Fringes], 
     }
     best = min(found, key=found.__getitem__)
     least = max(found[best], _CONSTANTS.least_misfit)
-    # Where photographs are of unlike exposure, or one is blurred, all fit badly, and some turn by chance less
+    # With different exposures, or with a blurred photograph, all turns fit badly, and one fits less badly by chance
     good = (2 * math.pi * most_spread_views(start) / start.views) ** 2 / 2
     if misfit > (_CONSTANTS.much_worse if least < good else _CONSTANTS.surely_worse) * least:
         raise InputError(

@@ -104,7 +104,7 @@ def focus_on_scene(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
     """Return the rig with its zero plane in the subject, or where nothing is in the middle, amid the scene.
 
     Args:
-        rig: With the centre camera, at the panel's resolution.
+        rig: A rig with the centre camera, at the panel's resolution.
         gaussians: One set.
         panel: The panel.
 
@@ -177,7 +177,7 @@ def fit_rig(rig: Rig, extent: Sequence[float], panel: Panel) -> Rig:
     """Return the rig with focal length, principal point and zero plane that show the content of this extent.
 
     Args:
-        rig: With the camera's pose.
+        rig: A rig with the camera's pose.
         extent: As content_extent returns it.
         panel: The panel.
 
@@ -234,11 +234,11 @@ def _fraction_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
 
 def _camera_in_front(rig: Rig, gaussians: Gaussians, panel: Panel, turn: np.ndarray, factor: float) -> Rig:
     """Return the rig with this rotation, at a factor of the camera's usual distance from the content."""
-    axes = torch.from_numpy(turn).to(gaussians.means)
+    axes, field_of_view = torch.from_numpy(turn).to(gaussians.means), _field_of_view_rad(panel)
     bounds = content_bounds(gaussians, axes).cpu().double().numpy()
     width, height, depth = bounds[:, 1] - bounds[:, 0]
     height = max(height, width * panel.height_px / panel.width_px, 1e-6)
-    distance = factor * height / _CONSTANTS.fill / 2 / math.tan(_field_of_view_rad(panel) / 2)
+    distance = factor * height / _CONSTANTS.fill / 2 / math.tan(field_of_view / 2)
     matrix = np.eye(4)
     matrix[:3, :3] = turn
     # The front of the content, not its middle, must fit, and it must stay clear of the near plane.

@@ -28,8 +28,8 @@ class LensChange:
     The phase in the middle of the panel stays, unless centre or phase change.
 
     Attributes:
-        pitch_percent: Of the lenses per inch.
-        slope_percent: Of the slope, with the lenses per inch across the axis kept, as if the sheet of lenses were
+        pitch_percent: Percent of the lenses per inch.
+        slope_percent: Percent of the slope. The lenses per inch across the axis stay, as if the sheet of lenses were
             turned.
         centre: Lens widths.
         line_number: Sub-pixels.

@@ -67,7 +67,7 @@ class Look:
         Args:
             rig: The rig to change.
             panel: Its panel.
-            gaussians: In the rig's coordinates; needed where the focus is a point of the picture.
+            gaussians: Scene in the rig's coordinates; needed if the focus is a point of the picture.
 
         Raises:
             InputError: An argument is invalid, or nothing is to be seen at the focus.

@@ -73,7 +73,7 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
         data: A calibration, whose values may be plain or {"value": v}; or mappings and lists of any kind that hold
             some.
         where: Name of the file, for messages.
-        serial: Of the calibration or of the display, where there are several.
+        serial: Serial number of the calibration or of the display, if there are several.
 
     Raises:
         InputError: There is no such calibration; the message names the file and the key.
@@ -127,8 +127,8 @@ def _choose(found: list[_Calibration], where: str, serial: str | None) -> _Calib
 def replace_values(data: Any, where: str, serial: str | None, values: dict[str, float]) -> Any:
     """Return a copy of `data` with other values in the calibration that find_calibration finds, all else as it was.
 
-    Values keep their form: plain or {"value": v}, numbers or strings, JSON within strings. Where the same calibration
-    comes several times, all are changed.
+    Values keep their form: plain or {"value": v}, numbers or strings, JSON within strings. If the same calibration
+    occurs several times, all occurrences are changed.
 
     Args:
         data: See find_calibration.

@@ -145,7 +145,7 @@ class Panel:
                 f"got {len(self.subpixel_cells)}"
             )
 
-    # Where panels come from
+    # Sources of panels
 
     @staticmethod
     def load(source: str | Path, *, serial: str | None = None) -> Panel:

@@ -123,8 +123,8 @@ class QuiltLayout:
         return replace(panel, width_px=width, height_px=height), rig
 
 
-# What Looking Glass renders for its displays, by the names that owners know them by; all may be overridden. The sizes
-# of the 16 and 65 inch leave one or two pixels over that belong to no tile.
+# Looking Glass' quilts for its displays, by the displays' usual names; all values may be overridden. The sizes of the
+# 16 and 65 inch leave one or two pixels over that belong to no tile.
 QUILT_PRESETS = {
     "portrait": QuiltLayout(8, 6, 0.75, 3360, 3360),
     "go": QuiltLayout(11, 6, 0.5625, 4092, 4092),
@@ -144,7 +144,7 @@ def panel_quilt(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayo
     """Return a quilt with the views of a panel, as square as the number of views allows.
 
     Each tile has the panel's size, reduced where the quilt would be wider or higher than 8192 pixels. A quilt has
-    columns x rows views. A prime number of views allows only narrow strips, 1 x N. Where such tiles have less than half
+    columns x rows views. A prime number of views allows only narrow strips, 1 x N. If such tiles have less than half
     the resolution, the quilt has the next number of views that does better: displays and `weave` take quilts of any
     number and mix neighbouring views. An Assumption tells so.
 

@@ -73,7 +73,7 @@ class Psf:
         own lens.
 
         Args:
-            offsets: Of the sub-pixels from the middle of their lenses.
+            offsets: Offsets of the sub-pixels from the middle of their lenses.
             lens: Width of a lens in sub-pixels.
         """
         total = np.zeros(offsets.shape)

@@ -140,8 +140,8 @@ def check_single(gaussians: Gaussians) -> None:
 
 
 def degree_zero(gaussians: Gaussians) -> Gaussians:
-    """Return the Gaussians with the first harmonic only: depths need no colour."""
-    return replace(gaussians, sh=gaussians.sh[..., :1, :])
+    """Return the Gaussians without their graph, with the first harmonic only: depths need no colour."""
+    return replace(gaussians.detach(), sh=gaussians.sh.detach()[..., :1, :])
 
 
 def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, float]) -> float:
@@ -165,7 +165,7 @@ def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, f
         raise InputError(f"focus: expected x,y of a point of the picture, 0..1 each, got {shown(point)}")
     x, y = (real_number(f"focus: {axis}", value, 0, 1) for axis, value in zip("xy", point))
     with torch.no_grad():
-        return _surface(degree_zero(gaussians.detach()), _patch(panel, rig, x, y), f"{x:g},{y:g}")
+        return _surface(degree_zero(gaussians), _patch(panel, rig, x, y), f"{x:g},{y:g}")
 
 
 def _surface(gaussians: Gaussians, camera: Cameras, name: str) -> float:
@@ -293,7 +293,7 @@ def background_warning(fraction: float) -> str | None:
 
 def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float]) -> tuple[np.ndarray, np.ndarray]:
     """Return alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
-    gaussians = degree_zero(gaussians.detach())
+    gaussians = degree_zero(gaussians)
     small_panel, small_rig = rig.reduced(panel, _SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, places)
     with torch.no_grad():
@@ -311,7 +311,7 @@ def _between(surface: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """
     height, width = surface.shape
     places = np.clip(np.arange(width) + 0.5 + moves, 0, width)
-    # Beyond the edges of the picture the scene goes on as far as anyone looks
+    # Beyond the edges of the picture the scene continues without end
     places = np.pad(places, ((0, 0), (1, 1)), constant_values=((0, 0), (0, width)))
     there = np.pad(surface, ((0, 0), (1, 1)), mode="edge")
     rows, columns = np.nonzero(there[:, :-1] & there[:, 1:])

@@ -222,8 +222,8 @@ def read_depth(
     """Read view-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
     Args:
-        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), an EXR with a depth channel, a .npy [H, W], or a .npz with
-            one array. Axes of length 1 are dropped.
+        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), an EXR with a depth channel, a .npy [H, W] or a .npz. Axes
+            of length 1 are dropped.
         kind: The meaning of the numbers v: "distance", v = z / scale; "ray", the same along the pixel's ray; or
             "disparity" (inverse distance), v = scale / z. NaN, negative numbers, the distance 0 and infinite
             disparities are no measurement.
@@ -235,8 +235,8 @@ def read_depth(
         invalid: The meaning of infinite distances, of numbers for the sky (1e10, 65504, 65535) and of the disparity 0:
             "far" or "hole". A "far" pixel is at twice the largest measured distance, or with limits at the far limit; a
             "hole" is not measured.
-        rays: Of a "ray", see `ray_lengths`: the lengths [H, W] of the rays up to z = 1, for a map of this height and
-            width.
+        rays: For kind "ray", a function such as `ray_lengths`: the lengths [H, W] of rays up to z = 1, by a map's
+            height and width.
 
     Raises:
         InputError: No depth map, numbers out of range, or whole numbers without a scale; the message names the file.

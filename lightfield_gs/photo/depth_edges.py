@@ -196,8 +196,8 @@ def _measure_surfaces(
 def coverage_to_opacity(alpha: Tensor, spread_px: float, most: float) -> Tensor:
     """Return the opacity of Gaussians, one per pixel, that together cover a fraction of the light.
 
-    Where all have the opacity o, light passes the product of 1 - o exp(-d^2 / 2 spread^2) over the pixels at distances
-    d; this is solved for o.
+    With one opacity o, light passes the product of 1 - o exp(-d^2 / 2 spread^2) over the pixels at distances d. This is
+    solved for o.
 
     Args:
         alpha: Coverage, 0..1.

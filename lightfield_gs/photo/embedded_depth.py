@@ -26,7 +26,7 @@ _NAMESPACES = {
     "http://ns.google.com/photos/dd/1.0/depthmap/": "Dynamic Depth",
 }
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
-# In the boxes of HEIC and AVIF, in the XMP of an auxiliary JPEG, and in the trailer of Samsung's files
+# Names in the boxes of HEIC and AVIF, in the XMP of an auxiliary JPEG, and in the trailer of Samsung's files
 _HEIF_DEPTH = (b"urn:mpeg:hevc:2015:auxid:2", b"urn:mpeg:mpegB:cicp:systems:auxiliary:depth")
 _APPLE_DEPTH = re.compile(rb"AuxiliaryImageType(=\"|>)(disparity|depth)", re.IGNORECASE)
 _SAMSUNG_DEPTH = b"DualShot_DepthMap"

@@ -59,7 +59,7 @@ class Hidden(NamedTuple):
     linked: list[Tensor]
 
 
-# The surface behind each pixel from one side: column of its last visible pixel, int64 [H, W], -1 where there is none;
+# The surface behind each pixel from one side. Column of its last visible pixel, int64 [H, W], -1 where there is none;
 # and the pixels to it, [H, W]
 _Run = tuple[Tensor, Tensor]
 
@@ -68,7 +68,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     """Find the surfaces behind others, for cameras to the left and to the right of the photo's.
 
     A far surface continues along the row behind a near one. It ends where a camera at the end of a cone of 60 degrees
-    sees no more of it, at most after a quarter of the width. It keeps its slope from before the edge. Its colours are a
+    sees no more, at most after a quarter of the width. It keeps its slope from before the edge. Its colours are a
     membrane, held at the visible pixels: a solution of Poisson's equation. So planes and linear gradients continue
     unchanged between visible pixels on both sides.
 
@@ -154,7 +154,7 @@ def _continue_disparity(
     """Return the hidden disparity [H, W] and its steps along columns and rows; the photo's elsewhere."""
     steps = [_slope(disparity, depth, dim, focal_px[1 - dim]) for dim in (0, 1)]
     rows, columns = covered.nonzero().unbind(1)
-    # Of the pixels that cover something: weight, weighted disparity, and weighted steps
+    # Sums over the covering pixels: weight, weighted disparity, and weighted steps
     sums = depth.new_zeros(4, len(rows))
     for sign, run in zip((1, -1), runs):
         source, distance = (part[rows, columns] for part in run)

@@ -132,8 +132,8 @@ def upsample(values: Tensor, photo: Tensor, value_range: float) -> Tensor:
 def resize_to_photo(z: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """Return a depth map at its photo's size, float32 [H, W], NaN where nothing was measured.
 
-    A smaller map is brought to the photo's edges as `upsample` does. Of a larger one each pixel takes the depth at its
-    middle, so that none lies between near and far.
+    A smaller map is brought to the photo's edges as `upsample` does. From a larger map each pixel takes the depth at
+    its middle, so that no depth lies between near and far.
 
     Args:
         z: Distances [h, w], scene units.
@@ -155,7 +155,7 @@ class _Voters:
         colours = interpolate(photo.movedim(2, 0)[None], size=self.small, mode="area")[0]
         trust = step / (step + _range(values, 1))
         stacked = torch.cat([values[None], colours, trust[None]])
-        # Beyond the border nobody votes: the trust there is 0
+        # Beyond the border there are no votes: the trust there is 0
         self.padded = pad(stacked, (_C.radius_px,) * 4)
         reach = torch.arange(-_C.radius_px, _C.radius_px + 1, device=values.device)
         self.down, self.right = (part.ravel() for part in torch.meshgrid(reach, reach, indexing="ij"))

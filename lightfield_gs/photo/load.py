@@ -64,7 +64,7 @@ def turn_with_photo(
     The map is turned like the photo only where just the size before fits it. Where both sizes fit, `choice` decides.
 
     Args:
-        name: Of the map's file.
+        name: Name of the map's file.
         values: [H, W, ...].
         own_orientation: The Exif orientation of the map's file: with one, or a photo without one, nothing is turned.
         photo: Height and width of the upright photo.
@@ -198,7 +198,7 @@ def cut_out_photo(
     """Cut the object out of a picture.
 
     Args:
-        path: Of the picture, for messages.
+        path: Path of the picture, for messages.
         picture: As read_picture returns it.
         mask: See load_photo.
         remove_background: See load_photo.

@@ -356,8 +356,7 @@ def _dilate(mask: np.ndarray, reach: int) -> np.ndarray:
 def _measure_loss(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
     """Return PlainCut.faded and PlainCut.holes.
 
-    Of a white body before white everything goes, or all but its outline: its shades then count as faded, the rest as
-    holes.
+    A white body before white is lost, except perhaps its outline: its shades then count as faded, the rest as holes.
 
     Args:
         outside: The background, bool [H, W].

@@ -69,7 +69,7 @@ def render_scene(
 ) -> _Images:
     """Render one scene, whose five fields [N, ...] have no leading B.
 
-    On CUDA this spares the nodes of autograd and the call of an operator that a leading B would take.
+    On CUDA this saves the nodes of autograd and the call of an operator for a leading B.
 
     Args:
         fields: means, quaternions, scales, opacities and sh.

@@ -95,8 +95,8 @@ class RenderSize(NamedTuple):
     """The images of a render, and the sizes of its buffers.
 
     Attributes:
-        images: How many images there are.
-        width: Of all images, pixels.
+        images: Number of images.
+        width: Width of all images, pixels.
         height: Likewise.
         direct: Whether the image is a light-field image.
         colour_order: Highest order of the polynomials for the colours of a light field over the rig; 0: one colour

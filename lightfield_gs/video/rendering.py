@@ -30,7 +30,7 @@ FrameSource = Callable[[list[int]], Iterator[tuple[int, Gaussians, Rig]]]
 
 @dataclass
 class FrameOptions:
-    """How a scene is rendered; see `encode`."""
+    """Options of rendering a scene; see `encode`."""
 
     views: Views = "integer"
     background: Colour = (1.0, 1.0, 1.0)

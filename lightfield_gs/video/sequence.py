@@ -107,7 +107,7 @@ def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) ->
 def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
     """Return the images of a folder in order, and the depth maps that lie beside them by their names.
 
-    There is a map for each image, or none at all. Raises InputError where only some images have one.
+    Either every image has a map, or no image has one. Raises InputError where only some images have one.
     """
     files = _files(folder, _MAPS)
     beside = depth_maps_beside(path.name for path in files)

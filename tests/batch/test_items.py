@@ -1,4 +1,4 @@
-"""What a batch takes for items."""
+"""The items of a batch."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""What a batch did is never lost, and never mixed with what another does at the same time."""
+"""The record of a batch is never lost, and never mixed with a batch that runs at the same time."""
 
 import json
 

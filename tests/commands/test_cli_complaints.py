@@ -1,4 +1,4 @@
-"""What the command line refuses: one line for every complaint, nothing half-written and no input written over."""
+"""Refusals of the command line: one line for every complaint, nothing half-written and no input overwritten."""
 
 import re
 

@@ -15,7 +15,7 @@ from lightfield_gs.panels.rig import Rig
 
 
 def notes(capsys, line: str) -> list[str]:
-    """What a command says on stderr that does its work."""
+    """Return the notes on stderr of a command that succeeds."""
     code = cli.main(line.split())
     output = capsys.readouterr()
     assert code == 0, output.err

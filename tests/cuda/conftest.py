@@ -15,7 +15,7 @@ def emulated(request, tmp_path_factory) -> str:
 
 @pytest.fixture(scope="module")
 def drawn(request, emulated, tmp_path_factory) -> Iterator[Drawings]:
-    """What the test's file names in DRAWN, by the emulated module."""
+    """Return the drawings that the test's file names in DRAWN, by the emulated module."""
     drawings = Drawings(emulated, tmp_path_factory.mktemp("drawn"), request.module.DRAWN)
     yield drawings
     drawings.end()

@@ -1,4 +1,4 @@
-"""What fitting and training run, of the CUDA stages compiled for the CPU: gradients, and steps of a fit."""
+"""The CUDA stages of fitting and training, compiled for the CPU: gradients, and steps of a fit."""
 
 from __future__ import annotations
 

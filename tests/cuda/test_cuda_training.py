@@ -26,7 +26,7 @@ def _config(folder, name, **changes):
 
 
 def _trained(folder, name, **changes) -> list[dict]:
-    """What the log says of each step of a run in this process."""
+    """Return the log's rows of the steps of a run in this process."""
     assert train(_config(folder, name, **changes)) == folder / name / "model.safetensors"
     return [json.loads(line) for line in losses(folder / name)]
 

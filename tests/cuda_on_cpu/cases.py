@@ -1,4 +1,4 @@
-"""What is drawn by both the CPU's stages and the CUDA stages compiled for the CPU."""
+"""Scenes and frames for the CPU's stages and the CUDA stages compiled for the CPU."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def harmonic_piece() -> dict[str, object]:
 
 
 def work_bytes(gaussians: int, degree: int, order: int, intersections: int) -> int:
-    """What the work buffer of a frame takes, before the default 8K panel."""
+    """Return the bytes of a frame's work buffer for the default 8K panel."""
     panel = Panel.load(DEFAULT_PANEL)
     job = DirectRender(
         cases.scene_of(degree).fields().values(),

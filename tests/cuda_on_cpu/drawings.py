@@ -1,4 +1,4 @@
-"""What the CUDA stages, compiled for the CPU, draw for the tests: the module they are in, and processes that draw."""
+"""Drawings of the CUDA stages compiled for the CPU, for the tests: their module, and processes that draw."""
 
 from __future__ import annotations
 

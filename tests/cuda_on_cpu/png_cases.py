@@ -42,7 +42,7 @@ IMAGES = {
 
 
 def compressed(name: str, device: str = "cpu") -> dict[str, object]:
-    """What the device makes of an image."""
+    """Return the device's PNG stream of an image."""
     out, facts = deflate(torch.from_numpy(IMAGES[name]).to(device))
     image = compressed_image(IMAGES[name].shape, out, facts.cpu().numpy())
     stream = bytearray(b"".join(bytes(part) for part in image.stream))

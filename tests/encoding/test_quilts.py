@@ -93,7 +93,7 @@ def test_between_two_views_each_has_the_share_of_its_nearness(interpolation, pla
 
 
 def ramp(width, height, count=12):
-    """Views whose red says how far right a place is, in shares of the view."""
+    """Views whose red is the position from the left, as a fraction of the view."""
     views = np.zeros((count, height, width, 3), np.float32)
     views[..., :] = ((np.arange(width) + 0.5) / width)[:, None]
     return views
@@ -141,7 +141,7 @@ def test_views_are_woven_in_groups_as_at_once(monkeypatch):
 @pytest.mark.parametrize("place", ["integer", "continuous"])
 @pytest.mark.parametrize("interpolation", ["linear", "nearest"])
 def test_torch_weaves_as_native_code_does(place, interpolation):
-    """What CUDA tensors are woven with, here on the CPU."""
+    """The weaving of CUDA tensors, here on the CPU."""
     for count, dtype, width in ((7, np.uint8, 0.0), (30, np.float32, 3.3), (12, np.uint16, 2.0)):
         views = noise(count, 34, 50, 3) if dtype == np.uint8 else noise(count, 34, 50, 3, dtype=np.uint16)
         views = (views / 65535).astype(np.float32) if dtype == np.float32 else views
@@ -156,7 +156,7 @@ def test_torch_weaves_as_native_code_does(place, interpolation):
 @pytest.mark.parametrize("place", ["integer", "continuous"])
 @pytest.mark.parametrize(("count", "width"), [(12, 2.0), (24, 1.0), (60, 2.7), (5, 4.0)])
 def test_the_view_filter_is_the_mean_over_a_box_of_views(count, width, place):
-    """Plain views of which one is bright: the share of the box that lies nearest to it."""
+    """Plain views, one of them bright: its weight is the fraction of the box nearest to it."""
     bright, box = count // 3, max(width * count / PANEL.views, 1.0)
     views = np.zeros((count, 4, 4, 3), np.float32)
     views[bright] = 1

@@ -80,7 +80,7 @@ def blackened(folder: Path, photographs: Sequence[str]) -> Path:
 
 
 def test_masks_that_are_grey_all_over_count(tmp_path):
-    """What is not black anywhere counts less where it is grey, and not fully."""
+    """In a mask without black, grey pixels count less than fully."""
     folder = write_capture(tmp_path / "c", masked=True)
     for path in (folder / "masks").iterdir():
         Image.fromarray(np.maximum(np.asarray(Image.open(path)), 51)).save(path)

@@ -172,7 +172,7 @@ STRANGE = (
 
 
 def entries() -> dict:
-    """What the library offers, each with arguments that it takes."""
+    """The functions of the library, each with valid arguments."""
     place = dict(gaussians=scene(), panel=PANEL, rig=RIG)
     cameras = dict(
         world_to_camera=torch.eye(4)[None].repeat(4, 1, 1),

@@ -1,4 +1,4 @@
-"""What a build says of itself."""
+"""The information on a build."""
 
 import re
 import shutil

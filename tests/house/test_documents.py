@@ -167,7 +167,7 @@ def _run_module(module: str, words: list[str]) -> None:
 
 
 def _run_make(target: str, *settings: str) -> None:
-    """That make knows the target; of the demos what they run once all is installed. The suite does not run itself."""
+    """Assert that make knows the target, and run the demos' commands. The suite does not run itself."""
     plan = subprocess.run(["make", "-n", target, *settings], cwd=ROOT, capture_output=True, text=True)
     assert plan.returncode == 0, plan.stderr
     if target in ("demo", "demo-fit"):

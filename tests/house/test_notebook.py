@@ -37,7 +37,7 @@ def run(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def numbers(pattern: str, shown: str) -> list[float]:
-    """What stands in the groups of all places where the pattern is found."""
+    """Return the groups of all matches of the pattern."""
     found = re.findall(pattern, shown)
     return [float(value) for groups in found for value in ([groups] if isinstance(groups, str) else groups)]
 

@@ -52,7 +52,7 @@ def bare(wheel, tmp_path_factory) -> Path:
 
 
 def run(bare: Path, *words: object) -> str:
-    """What a program of the bare environment prints, with nothing else on PATH."""
+    """Return the output of a program of the bare environment, with nothing else on PATH."""
     environment = {"PATH": str(bare), "HOME": str(bare.parent), "OMP_NUM_THREADS": "1"}
     assert not any(
         shutil.which(name, path=str(bare)) for name in ("cc", "c++", "gcc", "g++", "clang", "cmake", "ninja")

@@ -126,7 +126,7 @@ def command_others(device: torch.device) -> Found:
 
 
 def _untimed(rows: Any) -> Any:
-    """What `bench` writes; of times, bytes and the machine only the keys."""
+    """Return the file of `bench`; of times, bytes and the machine only the keys."""
     if isinstance(rows, list):
         return [_untimed(row) for row in rows]
     if not isinstance(rows, dict):
@@ -224,7 +224,7 @@ def training(device: torch.device) -> Found:
 
 
 def _tensors(name: str, value: Any) -> Found:
-    """What a checkpoint holds, tensor by tensor."""
+    """Return the contents of a checkpoint, tensor by tensor."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _tensors(f"{name}/{key}", part)

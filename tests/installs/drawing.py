@@ -27,7 +27,7 @@ def _outputs(device: torch.device) -> list[str]:
 
 
 def _known(stats: dict[str, Any]) -> dict[str, Any]:
-    """What encode tells of its work, without times and sizes of memory, whose keys are kept."""
+    """Return the stats of encode; of times and sizes of memory only the keys."""
     kept = {key: value for key, value in stats.items() if key != "stages_ms" and "bytes" not in key}
     return {"keys": sorted(stats), "stages": sorted(stats["stages_ms"]), **kept}
 
@@ -153,7 +153,7 @@ def gradients_of_encode(device: torch.device) -> Found:
 
 
 def _gradients(words: str, gaussians: Gaussians, colour: Tensor, draw: Callable[[], Tensor]) -> Found:
-    """What `draw` gives, and the gradients of its sum by weights that differ from pixel to pixel."""
+    """Return the result of `draw`, and gradients of its sum with weights that differ from pixel to pixel."""
     leaves = {**gaussians.fields(), "background": colour}
     for leaf in leaves.values():
         leaf.requires_grad_()

@@ -199,7 +199,7 @@ def network(device: torch.device) -> Found:
 
 @case
 def refusals(device: torch.device) -> Found:
-    """What the library says to what makes no sense."""
+    """The library's errors for senseless arguments."""
     of, gaussians = panel(), scene(5, device=device)
     bad = scene(5, device=device)
     bad.scales[2] = -1

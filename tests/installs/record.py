@@ -1,4 +1,4 @@
-"""What a case found, as arrays and text that can be compared with what another install found."""
+"""The results of a case, as arrays and text that can be compared between installs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def fields_of(what: str, gaussians: Any) -> Iterator[tuple[str, Any]]:
 
 
 def refusal(call: Callable[[], Any]) -> str:
-    """What a call complains of."""
+    """Return the error of a call."""
     try:
         call()
     except ValueError as error:  # InputError is one
@@ -74,7 +74,7 @@ def refusal(call: Callable[[], Any]) -> str:
 
 
 def without_times(text: str) -> str:
-    """What a command prints, without what it took, and without the stage that is left out where it took nothing."""
+    """Return a command's output, without times, and without a stage that is left out where it took none."""
     return _SECONDS.sub("# s", text).replace(" image # s,", "")
 
 

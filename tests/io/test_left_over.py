@@ -1,4 +1,4 @@
-"""What processes that were killed leave half-written, and what they are writing."""
+"""Half-written files of killed processes, and files of running ones."""
 
 import signal
 import subprocess

@@ -64,7 +64,7 @@ def _mask(index: int, scale: int = 255) -> np.ndarray:
     "name", ["masks/{stem}.png", "masks/{stem}.png.png", "masks/transforms/{stem}.PNG", "m/{stem}.png"]
 )
 def test_masks_are_used(tmp_path, name):
-    """Those that the file names, or else those in masks/; of values 0 and 1 too, and as stored like the images."""
+    """Masks that the file names, else masks in masks/, also with values 0 and 1, as stored like the images."""
     pictures = _write_set(tmp_path / "a", 6)
     exif = Image.Exif()
     exif[ORIENTATION] = 6

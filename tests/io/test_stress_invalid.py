@@ -249,7 +249,7 @@ JUNK = st.one_of(
 
 
 def outcome(call, arguments):
-    """What a call returns, or None where it refuses in one line."""
+    """Return the result of a call, or None where it refuses in one line."""
     try:
         return call(**arguments)
     except InputError as error:

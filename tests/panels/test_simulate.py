@@ -1,4 +1,4 @@
-"""What an eye sees: the view that the geometry of the lens demands, from every place."""
+"""An eye sees, at every position, the view that the geometry of the lens demands."""
 
 import math
 

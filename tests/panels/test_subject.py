@@ -153,7 +153,7 @@ def test_a_photo_keeps_its_whole_view_however_wide():
 
 @pytest.mark.parametrize("width", [640, 648, 1021])
 def test_some_of_a_photos_many_gaussians_show_how_far_all_reach(width):
-    """Those of a grid, seen on a slanted ellipse of it."""
+    """Cameras of a grid that lie on a slanted ellipse."""
     rows, columns = torch.meshgrid(torch.linspace(-1, 1, 640), torch.linspace(-1, 1, width), indexing="ij")
     x, y = 0.4 * columns.flatten(), 0.3 * rows.flatten()
     z = 1.3 + 0.2 * x

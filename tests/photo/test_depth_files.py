@@ -1,4 +1,4 @@
-"""What files of depth maps hold: pictures, channels of an EXR, arrays; and what is no depth map."""
+"""Files of depth maps: pictures, channels of an EXR, arrays; and files that are no depth map."""
 
 import zipfile
 

@@ -1,4 +1,4 @@
-"""What a photo with depths hides, its soft outlines, and what is made up around it: against closed forms."""
+"""The hidden parts of a photo with depths, its soft outlines, and invented pixels around it: against closed forms."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is taken of photos as people have them: the object and not the dust, maps as they lie."""
+"""Photos as people have them: the object is cut out and dust is not, maps are read as stored."""
 
 import numpy as np
 import pytest

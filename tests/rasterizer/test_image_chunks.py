@@ -30,7 +30,7 @@ def peak_bytes(draw) -> int:
 
 
 def assert_equal(a: RenderedImages, b: RenderedImages) -> None:
-    """That both have the same fields, of the same bits."""
+    """Assert that both have the same fields, with the same bits."""
     for name, first, second in zip(a._fields, a, b):
         assert (first is None) == (second is None), name
         assert first is None or torch.equal(first, second), name

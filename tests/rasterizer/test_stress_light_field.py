@@ -60,7 +60,7 @@ def test_the_other_methods_are_near_the_oracle(name, method, device):
 
 @cache
 def given_up(name, quality):
-    """What a quality states as its bound for every sub-pixel of a case."""
+    """Return the bound that a quality states for every sub-pixel of a case."""
     scene, shown, fan, *_ = oracle(name)
     with one_thread():
         cut = quality.opacity_cut * reached(scene, shown, fan)

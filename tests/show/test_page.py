@@ -1,4 +1,4 @@
-"""What the page of `view` draws and serves, without a browser."""
+"""The page of `view`: its drawing and its server, without a browser."""
 
 import http.client
 import io

@@ -1,4 +1,4 @@
-"""What is object in pictures without alpha: by their background, which is decided once for all views of an object."""
+"""The object in pictures without alpha, by the background, which is found once for all views."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_outlines_are_parted_into_object_and_background(tmp_path):
 
 
 def test_clipped_highlight_is_no_hole(tmp_path):
-    """What fades to the background's colour inside the object is bright, what has a sharp edge is open."""
+    """A part that fades to the background's colour is bright; a part with a sharp edge is open."""
     distance = np.hypot(*(np.mgrid[:SIDE, :SIDE] + 0.5 - 48))
     shaded = np.clip(270 - 3 * distance, 0, 255).astype(np.uint8)[..., None].repeat(3, 2)
     picture = _painted(255, (_disc(48, 48, 40), shaded))

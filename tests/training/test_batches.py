@@ -1,4 +1,4 @@
-"""What a training step sees: sampling, crops, cameras, augmentation."""
+"""The batch of a training step: sampling, crops, cameras, augmentation."""
 
 from pathlib import Path
 

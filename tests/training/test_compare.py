@@ -184,7 +184,7 @@ def test_an_arm_goes_on_where_it_broke_off(folder, monkeypatch):
 
 
 def _report(psnr_db: float, ssim: float, *of_objects: float) -> dict:
-    """What score_folder might return: 10 dB more for the source, a decibel less from bin to bin."""
+    """A plausible result of score_folder: 10 dB more for the source, a decibel less from bin to bin."""
 
     def row(psnr_db: float) -> dict:
         return {

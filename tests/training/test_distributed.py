@@ -29,7 +29,7 @@ TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two C
 
 
 def config_of(small_set: Path, name: str, device: str, **changes) -> Path:
-    """That of a run of four steps, which is the same by one process and by two."""
+    """The network after four steps, the same by one process and by two."""
     validation = {"validation": str(small_set / "set"), "validate_every": 2, "validation_objects": 1}
     # Roughness is a ratio of sums within an example.
     common = STEPS | validation | {"device": device, "loss": {"roughness": 0.02}, "checkpoint_every": 100}

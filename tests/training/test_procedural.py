@@ -189,7 +189,7 @@ def _photographs() -> Photographs:
 
 @pytest.mark.parametrize("photographs", [None, _photographs()], ids=["regular", "clothed"])
 def test_unseen_surfels_make_no_difference(monkeypatch, photographs):
-    """What is left out faces away from all cameras, or lies in another part."""
+    """Surfels that are left out face away from all cameras, or lie in another part."""
     plan = _plan(4, (48, 48), photographs=photographs)
     expected, surfels = draw_pictures(plan)[0], procedural._surfels(plan)
     kept = procedural._visible(surfels, plan)

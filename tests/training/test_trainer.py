@@ -1,4 +1,4 @@
-"""What a step does to which weights: the schedule, the average, and where a network starts from."""
+"""The weights after a step: the schedule, the average, and the start of a network."""
 
 from itertools import islice
 

@@ -88,7 +88,7 @@ def test_two_numbers_are_row_and_column():
 
 
 def camera(x: float, y: float = 0.0, size: int = 40) -> np.ndarray:
-    """What a camera sees at (x, y): soft blobs of which each has a depth of its own, so that it moves by itself."""
+    """The view of a camera at (x, y): soft blobs, each with its own depth and motion."""
     rng = np.random.default_rng(3)
     rows, columns = np.mgrid[:size, :size]
     image = np.full((size, size, 3), 40.0)

@@ -71,7 +71,7 @@ def premultiplied(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def read_border(rgb: np.ndarray, lossy: bool) -> Border:
-    """What find_background looks at of a view [H,W,3]."""
+    """Return the pixels of a view [H,W,3] that find_background examines."""
     return Border(rgb[_at_border(rgb)], rgb[[0, 0, -1, -1], [0, -1, 0, -1]], lossy)
 
 
@@ -190,7 +190,7 @@ def _holes(off: np.ndarray, outside: np.ndarray, side: int) -> np.ndarray:
 
 
 def _opened(flags: np.ndarray) -> np.ndarray:
-    """Flags [H,W] without what is thinner than 3 pixels; beyond the edges each goes on."""
+    """Remove parts of flags [H,W] thinner than 3 pixels; flags continue beyond the edges."""
     padded = np.pad(flags, 1, mode="edge")
     return _grown(~_grown(~padded, 1), 1)[1:-1, 1:-1]
 

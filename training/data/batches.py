@@ -47,7 +47,7 @@ def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) ->
     plan = on_device(plan, views.device)
     made = []
     if len(plan.rectangles):
-        # What else the plan has must not be compiled for
+        # Other parts of the plan must not be compiled for
         stored = dataclasses.replace(plan, procedural=None, meshes=None, photo=None)
         made.append((*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds))
     if plan.procedural is not None:

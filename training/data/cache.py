@@ -69,7 +69,7 @@ class CachedSet:
     pixels: np.ndarray
 
     def __str__(self) -> str:
-        """How many objects there are, and what they were cut out by."""
+        """Describe the set: the number of objects, and how they were cut out."""
         ways = Counter(views.cutout for views in self.objects)
         return f"{self.root}: " + ", ".join(f"{count} objects {way}" for way, count in ways.most_common())
 

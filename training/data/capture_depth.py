@@ -61,7 +61,7 @@ def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> 
 
 
 def _medians(z: torch.Tensor) -> torch.Tensor:
-    """The median of what is not NaN in the window around each pixel [H, W]; NaN where half of the window is."""
+    """Return the median of the numbers around each pixel [H, W]; NaN where half of the window is NaN."""
     reach = _WINDOW_PX // 2
     windows = torch.nn.functional.pad(z[None, None], [reach] * 4, mode="replicate")[0, 0]
     windows = windows.unfold(0, _WINDOW_PX, 1).unfold(1, _WINDOW_PX, 1).flatten(2)

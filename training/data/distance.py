@@ -1,4 +1,4 @@
-"""How far the cameras of a set stand from what they look at, and where the network expects that to be."""
+"""The distance of a set's cameras from their object, and the distance that the network expects."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def at_object_distance(path: Path, views: ObjectImages) -> ObjectImages:
 
 
 def distance_doubt(camera_to_world: np.ndarray) -> str | None:
-    """What to do about cameras [V,4,4] that stand elsewhere than the network expects, as they may in SRN layout."""
+    """Return the remedy for cameras [V,4,4] at another distance than the network expects, as in some SRN data."""
     if len(camera_to_world) < 2:
         return None
     distance = object_depths(camera_to_world).mean()

@@ -18,7 +18,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_folder, check_new_folder
 from training.command import with_line_errors
 
-# Of skimage/data in scikit-image 0.26: what its docstrings say of each.
+# From skimage/data in scikit-image 0.26, with the sources in its docstrings.
 _OF_SCIKIT_IMAGE = {
     "astronaut.png": "public domain (NASA)",
     "brick.png": "CC0 (CC0Textures, Bricks25)",

@@ -1,4 +1,4 @@
-"""Training images as premultiplied RGBA of the object: what is object is decided once for all its views."""
+"""Training images as premultiplied RGBA of the object, which is found in the same way in all views."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _stored(views: ObjectImages, path: Path) -> np.ndarray:
 
 
 def _way_out(views: ObjectImages, path: Path, pixels: np.ndarray) -> str:
-    """What to do about an image of another size than its camera."""
+    """Return the remedy for an image of another size than its camera."""
     orientation = read_info(path).orientation
     if pixels.shape[:2] != (views.width_px, views.height_px):
         return ": give the camera of the images as they are stored, or resize them"

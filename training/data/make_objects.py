@@ -71,7 +71,7 @@ def _begin(photographs: Path | None) -> None:
 
 
 def _drawn_here(pool: ProcessPoolExecutor, root: Path, count: int, seed: int) -> Iterator[None]:
-    """Draws on the GPU, a few objects at once, while other processes write what was drawn before."""
+    """Draw on the GPU, a few objects at once, while other processes write earlier pictures."""
     written = []
     for first in range(0, count, _ON_GPU):
         numbers = list(range(first, min(count, first + _ON_GPU)))

@@ -1,4 +1,4 @@
-"""What photographs have and renders lack: soft focus, noise, and outlines as automatic cut-outs leave them.
+"""Faults of photographs that renders lack: soft focus, noise, and the outlines of automatic cut-outs.
 
 Only input pictures get them. Targets stay clean, so that the network learns to put such pictures right.
 """
@@ -35,7 +35,7 @@ class PhotoPlan:
 
 
 def draw_faults(rng: np.random.Generator, count: int, blur_px: float, noise: float, outline_px: float) -> PhotoPlan:
-    """Faults up to the given ones; each spares half of the pictures."""
+    """Draw random faults up to the given limits; each leaves half of the pictures as they are."""
     u = rng.random((count, 8))
     strength = np.maximum(0, 2 * u[:, :3] - 1) * (blur_px, noise, outline_px)
     outline = strength[:, 2] * np.where(u[:, 3] < 0.5, -1, 1) * u[:, 4]

@@ -1,4 +1,4 @@
-"""What a training batch is to show, in numbers: which views, cropped where, seen by which cameras, varied how.
+"""The plan of a training batch, in numbers: its views, their crops, cameras and variations.
 
 A plan is made on the host and takes kilobytes; the images follow from it on the device (training/data/batches.py).
 """
@@ -286,7 +286,7 @@ class BatchPlanner:
         return cameras
 
     def _faults(self, step: int, count: int, order: np.ndarray) -> PhotoPlan | None:
-        """The faults of those examples of a step that `order` has, in that order."""
+        """Return the faults of the examples `order` of a step, in that order."""
         limits = (self.augmentation.blur_px, self.augmentation.noise, self.augmentation.outline_px)
         if not any(limits):
             return None

@@ -24,7 +24,7 @@ from training.data.textures import SKIN, worn
 from training.data.transfer import on_device
 from training.rendering import render_views
 
-# Standard deviation of a surfel in cells: with its neighbours it leaves less than 2 % of what is behind.
+# Standard deviation of a surfel in cells: with its neighbours less than 2 % of the surfaces behind shows.
 _SPREAD, _OPACITY = 0.7, 0.98
 _SUPERSAMPLING = 2
 _OBJECTS_AT_ONCE = 32  # enough work for a GPU to keep up with the host; some 150 MB each for a moment, at 256 px
@@ -190,7 +190,7 @@ def _visible(surfels: dict[str, Tensor], plan: ProceduralPlan, compiled: bool = 
 
 
 def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor, Tensor]:
-    """Colours [B,N,3] without light, two of a part mixed by its pattern or those of its skin, and gloss [B,N]."""
+    """Return colours [B,N,3] without light, and gloss [B,N]; a part has two colours in a pattern, or a skin."""
     look = named(_gathered(plan.looks, surfels["part"]), LOOK)
     colours = pattern_colours(look, surfels["local"], surfels["normal"])
     if plan.photographs is not None:

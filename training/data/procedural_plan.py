@@ -124,7 +124,7 @@ def _groups(u: Numbers) -> dict[str, np.ndarray]:
     bend = np.where((kind == 2) & (u(GROUPS) < 0.4), u.between(-0.6, 0.6, GROUPS), 0)
     tilted = (u(GROUPS) < 0.3) & ~first
     turns = np.where(tilted[..., None], u.between(-0.5, 0.5, GROUPS, 2), 0)
-    basis = np.swapaxes(np.eye(3)[order], -1, -2)  # columns: the local axes in those of the object
+    basis = np.swapaxes(np.eye(3)[order], -1, -2)  # columns: the local axes in the object's axes
     basis = rotation(0, turns[..., 0]) @ rotation(2, turns[..., 1]) @ basis
     reach = local.copy()
     reach[..., :2] *= (1 + np.abs(wave) + np.abs(taper) / 2)[..., None]
@@ -208,13 +208,13 @@ def _parts(u: Numbers, further: Numbers | None) -> dict[str, np.ndarray]:
 
 
 def _tessellated(parts: dict[str, np.ndarray], surfels: int) -> tuple[np.ndarray, Tensor, Tensor]:
-    """Adds what CELLS has beyond the placement: cells about as large on all parts, not more than `surfels` in all.
+    """Add the numbers of CELLS beyond the placement: cells of about one size on all parts, at most `surfels` in all.
 
     Returns ends, profiles and sections of the plan.
     """
     numbers = {name: torch.from_numpy(parts[name]) for name in SHAPE}
     profile, section = (length.numpy() * parts["exists"] for length in lengths(numbers))
-    # Cells of side 1/n: sum of (n profile + 1)(n section + 1) = surfels bounds what rounding up makes of it.
+    # Cells of side 1/n: sum of (n profile + 1)(n section + 1) = surfels bounds the number after rounding up.
     area, border = (profile * section).sum(1), (profile + section).sum(1)
     n = (np.sqrt(border**2 + 4 * area * (surfels - _PARTS)) - border) / (2 * area)
     rows, columns = (np.ceil(n[:, None] * length).astype(np.int64) for length in (profile, section))
@@ -248,7 +248,7 @@ def _curve(points: Callable[[dict[str, Tensor], Tensor], Tensor], parts: dict[st
 
 def draw_looks(u: Numbers) -> np.ndarray:
     """Return looks [B,GROUPS,F] in the order of LOOK, of one palette; waves are per half length of a part."""
-    palette = u(5, 3) ** 0.7  # about as bright as what people make
+    palette = u(5, 3) ** 0.7  # about as bright as man-made things
     grey = palette.mean(-1, keepdims=True)
     palette = np.clip(grey + (palette - grey) * u.between(0, 1.6, 1, 1), 0.02, 0.98)
     base, second = (np.take_along_axis(palette, np.floor(5 * u(GROUPS, 1)).astype(int), 1) for _ in range(2))
@@ -304,7 +304,7 @@ def draw_objects(
     source = rotation(2, roll) @ rotation(0, tilt) @ rotation(1, u.between(-np.pi, np.pi, 1))  # [B,1,3,3]
     parts["matrix"] = (source @ parts["matrix"]).reshape(*parts["exists"].shape, 9)
     parts["centre"] = (source @ parts["centre"][..., None])[..., 0] + (0, 0, DISTANCE)
-    # What lies far away is in nobody's way.
+    # Distant parts cover nothing.
     parts["centre"] = np.where(parts["exists"][..., None], parts["centre"], 1e3)
     surfels = min(_SURFELS_PER_PX * max(sizes) ** 2, _MOST_SURFELS)
     ends, profiles, sections = _tessellated(parts, surfels)

@@ -82,7 +82,7 @@ def _write_model(folder: Path, model: ColmapModel, sizes: dict[str, tuple[int, i
 
 
 def _camera_line(number: int, camera: ColmapCamera, size: tuple[int, int]) -> str:
-    """A camera for photographs of another size; those of one focal length keep one, by the mean ratio of the axes."""
+    """Scale a camera to photographs of another size; one focal length stays one, by the mean ratio of the axes."""
     ratio = np.array(size) / (camera.width_px, camera.height_px)
     focal = camera.intrinsics[:2] * ratio
     if COLMAP_MODELS[camera.model].focal_lengths == 1:

@@ -1,4 +1,4 @@
-"""What makes the parts of random objects less regular: lobed sections, turned profiles, and relief of their surfaces.
+"""Irregularities of the parts of random objects: lobed sections, turned profiles, and relief of their surfaces.
 
 Lobes and profiles only take away, so that a part stays in the box that it had. Relief is a sum of waves along the
 normal: the point p + h(p) n, the tangents t + n (grad h . t), in which the bending of n itself is left out.

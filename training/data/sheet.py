@@ -1,4 +1,4 @@
-"""A contact sheet: the views of objects with what training leaves out under a tint."""
+"""A contact sheet: the views of objects, with a tint over the parts that training leaves out."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Sheet:
         self._seen += 1
 
     def write(self, path: Path) -> str:
-        """Writes the PNG, complete or not at all; returns what it shows, for people."""
+        """Write the PNG, complete or not at all; return a description for people."""
         height = max((picture.height for _, pictures in self._rows for picture in pictures), default=0)
         row_px = height + _TITLE_PX + _GAP_PX
         sheet = Image.new("RGB", (_GAP_PX + _VIEWS * (_THUMB_PX + _GAP_PX), max(1, row_px * len(self._rows))), _PAPER)

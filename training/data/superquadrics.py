@@ -1,4 +1,4 @@
-"""Tapered, waisted and bent superquadrics, solid or with a hole: points of their surfaces, and what lies inside them.
+"""Tapered, waisted and bent superquadrics, solid or with a hole: points of their surfaces, and tests for the inside.
 
 Superquadrics: Barr, "Superquadrics and angle-preserving transformations" (1981); his global deformations (1984). A part
 turns a profile, |r|^p + |z|^p = 1, about its z axis along a section, |x|^q + |y|^q = 1. With p = q = 2 it is a ball,
@@ -74,7 +74,7 @@ def _superellipse(place: Tensor, across: Tensor, up: Tensor, exponent: Tensor) -
 
 
 def _profile(part: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """Half sides of the rectangle for the profile, and the length of what it covers: of a solid half its border."""
+    """Return half sides of the profile's rectangle, and the length of its border (of a solid half of it)."""
     width = part["half"][..., :2].mean(-1) * (1 - part["hole"])
     across, up = _sides(width, part["half"][..., 2], part["profile"])
     return across, up, 4 * (across + up) * torch.where(part["hole"] > 0, 1.0, 0.5)

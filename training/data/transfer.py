@@ -14,7 +14,7 @@ _ALIGNMENT = 64  # bytes, more than any kernel asks for
 
 
 def on_device(record: Record, device: torch.device) -> Record:
-    """A dataclass with its tensors, and those of dataclasses in it, on a device; other values stay what they are.
+    """Move the tensors of a dataclass, and of dataclasses in it, to a device; other values stay.
 
     All go in one copy, which the host does not wait for.
     """

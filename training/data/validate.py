@@ -59,7 +59,7 @@ class Examined:
         return f"{number} of {len(self.views.image_paths)} views"
 
     def findings(self) -> Iterator[str]:
-        """What was decided, for people; alike for objects alike."""
+        """Yield the choices made, for people; the same lines for similar objects."""
         if self.cutout is None:
             return
         yield str(self.cutout)
@@ -73,7 +73,7 @@ class Examined:
             yield _lens(self.views)
 
     def doubts(self) -> Iterator[str]:
-        """What may not be meant."""
+        """Yield findings that may be mistakes."""
         whole = self.filled.count(1)
         if whole:
             yield f"the whole picture is object in {self._count(whole)}: give alpha, masks or --background if it is not"
@@ -97,7 +97,7 @@ def _orientation(path: Path) -> int:
 
 
 def _lens(views: ObjectImages) -> str:
-    """What is done about lens distortion, by the first view."""
+    """Return the treatment of lens distortion, by the first view."""
     fx, fy, cx, cy = intrinsics = views.intrinsics[0]
     lens = views.distortion[0]
     beyond = fraction_beyond(intrinsics, lens, views.width_px, views.height_px)
@@ -182,7 +182,7 @@ class Summary:
 
 
 def _grouped(lines: dict[str, list[str]]) -> Iterator[str]:
-    """Lines that say of which objects each is true."""
+    """Return lines, each with its objects."""
     for line, names in lines.items():
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         yield f"{', '.join(names[:3])}{more}: {line}"

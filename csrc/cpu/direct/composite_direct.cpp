@@ -57,7 +57,7 @@ constexpr int64_t kLeastFitting = 3;
 constexpr int64_t kAhead = 4;     // so many splats before its turn, a splat is fetched from memory
 constexpr int64_t kLookOut = 32;  // splats drawn approximately between two searches for vectors that have stopped
 
-// What all bands of an image have in common.
+// Common to all bands of an image.
 template <class T>
 struct DirectScene {
   const DirectJob<T>& job;

@@ -164,7 +164,7 @@ int64_t FinishTile(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples
 
   // Add the background, and make bytes where they are wanted
   int64_t stopped = 0;
-  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // overwrites what was read already
+  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // overwrites numbers that were read already
   for (int64_t i = 0; i < samples; i += kLanes) {
     const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
     const auto left = hn::Load(d, &tile.transmittance[i]), c = hn::MulAdd(left, b, hn::Load(d, &tile.colour[i]));
@@ -210,7 +210,7 @@ struct CompensationSums {
     D0 = hn::Add(D0, of_D), D1 = hn::Add(D1, D_s), D2 = hn::MulAdd(D_s, s, D2);
     S0 = hn::Add(S0, of_S), S1 = hn::Add(S1, S_s), S2 = hn::MulAdd(S_s, s, S2);
   }
-  // Add the sums to the splat's gradient and to that of its compensation.
+  // Add the sums to the gradients of the splat and of its compensation.
   HWY_INLINE void Reduce(D d, Splat<hn::TFromD<D>>& splat, Compensation<hn::TFromD<D>>& compensation) const {
     auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     splat.S0 += sum(S0), splat.S1 += sum(S1), splat.S2 += sum(S2);
@@ -218,7 +218,7 @@ struct CompensationSums {
   }
 };
 
-// Add to `out` the gradient of an intersection: what the samples of this tile give to the splat. math/over-inl.h has
+// Add to `out` the gradient of an intersection, from the samples of this tile. math/over-inl.h has
 // the formula; a sample has one channel here.
 template <bool kCompensated, class T>
 void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, const IntersectionGradient<T>& out) {

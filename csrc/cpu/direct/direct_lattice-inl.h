@@ -67,7 +67,7 @@ class DirectLattice {
     for (const int32_t* id = begin; id != end; ++id)
       curvature.add(splats.splats[*id], float(double(splats.splats[*id].u0) - x0_));
 
-    // Lattices by what the one before erred
+    // Choose lattices by the errors of the one before
     const double most = kMostNodes * double(run.samples());
     for (int attempt = 0; attempt < kAttempts; ++attempt) {
       LatticePlan plan;

@@ -240,7 +240,7 @@ class ApproximateFootprint {
   T root_, lean_, cut_;
 };
 
-// Call visit with the cheapest footprint that is near enough for a splat; compensation: null, or that of the splat.
+// Call visit with the cheapest footprint that is near enough for a splat; compensation: the splat's, or null.
 template <class T, class Visit>
 void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compensation, const Quality& quality,
                     const Visit& visit) {

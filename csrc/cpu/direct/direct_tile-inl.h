@@ -1,4 +1,4 @@
-// A tile of the panel: where its samples stand, what they gather, and which of them a splat may touch. It is laid out
+// A tile of the panel: the positions and the state of its samples, and which of them a splat may touch. It is laid out
 // by LensLayout, and direct_blend-inl.h blends splats into it.
 //
 // A sample is a sub-pixel; a *cell* is a lens, and the lens column t counts the sub-pixels of a lens from its left

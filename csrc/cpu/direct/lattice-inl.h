@@ -1,6 +1,6 @@
 // A coarse lattice over a part of the panel. LatticeNodes draws the light field at its nodes, all three channels at
 // once. LatticeErrors holds the errors of interpolation between them. LatticeRow interpolates, a row at a time. A plan
-// says where the nodes are (math/lattice_plan.h), direct_lattice-inl.h decides what is drawn from a lattice.
+// says where the nodes are (math/lattice_plan.h), direct_lattice-inl.h decides which tiles are drawn from a lattice.
 
 #if defined(LFGS_CPU_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LATTICE_INL_H_
@@ -72,7 +72,7 @@ class LatticeNodes {
   }
 
   // Blend a splat whose centre is (u, v) from the plan's origin. colours: [order + 1, kColourStride], or on a circle;
-  // compensation: null, or that of a compensated splat.
+  // compensation: the splat's, or null.
   HWY_NOINLINE void add(const Splat<float>& splat, const Compensation<float>* compensation, float u, float v,
                         const float* colours, int order, const Quality& quality, const float* background) {
     int first, last;

@@ -18,7 +18,7 @@
 #ifndef LFGS_COMPOSITE_IMAGES_ONCE
 #define LFGS_COMPOSITE_IMAGES_ONCE
 namespace lfgs {
-// Inputs of both directions; the backward pass also reads what the forward wrote.
+// Inputs of both directions; the backward pass also reads the output of the forward pass.
 template <class T>
 struct ImagesJob {
   Splats<T> splats;
@@ -40,7 +40,7 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// One tile of 16 x 16 pixels: what its samples gather, a vector per patch.
+// One tile of 16 x 16 pixels: the state of its samples, a vector per patch.
 template <class T>
 struct ImageTile {
   using D = Tag<T>;
@@ -112,8 +112,7 @@ void ForwardSplat(ImageTile<T>& tile, const ImageSplat<T>& s) {
   });
 }
 
-// Add to `out` the gradient of an intersection: what the pixels of this tile give to the splat. math/over-inl.h has
-// the formula.
+// Add to `out` the gradient of an intersection, from the pixels of this tile. math/over-inl.h has the formula.
 template <bool kAbsolute, class T>
 void BackwardSplat(ImageTile<T>& tile, const ImageSplat<T>& s, const Splat<T>& splat,
                    const IntersectionGradient<T>& out) {

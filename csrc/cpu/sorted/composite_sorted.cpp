@@ -44,7 +44,7 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Some sub-pixels of one view and tile, and what they gather. Codes that only fill a block up repeat the sub-pixel
+// Some sub-pixels of one view and tile, and their state. Codes that only fill a block up repeat the sub-pixel
 // before, and are not stored.
 template <class T>
 struct SubpixelBatch {

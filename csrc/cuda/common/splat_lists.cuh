@@ -67,14 +67,14 @@ struct Block {
   __device__ static bool any(bool value) { return __syncthreads_or(value); }
 };
 
-// What a team has in shared memory.
+// The shared memory of a team.
 struct Memory {
   uint64_t* keys;     // [kEach * kSize]
   unsigned* buckets;  // [kEach * kSize]
   unsigned* warps;    // [2 * kWarps], for a block only
 };
 
-// What lists are sorted by: depth, which is positive, then number.
+// The sort key: depth, which is positive, then number.
 struct Keys {
   const uint32_t* depths;
   __device__ uint64_t operator()(uint32_t id) const { return uint64_t(depths[id]) << 32 | id; }
@@ -141,7 +141,7 @@ __device__ inline void sort_in_pieces(uint32_t* ids, unsigned count, const Keys&
 
 __device__ inline float to_depth(uint64_t key) { return __uint_as_float(unsigned(key >> 32)); }
 
-// Given the least and the largest depth of each thread, finds those of the team.
+// Reduce the least and the largest depth of each thread to those of the team.
 template <class Team>
 __device__ void find_extent(float& nearest, float& farthest, const Memory& memory) {
   for (int step = 16; step > 0; step /= 2) {

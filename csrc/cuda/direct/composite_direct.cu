@@ -33,7 +33,7 @@ struct Sample {
   int channel;
 };
 
-// The tile of this block, the pixels of this warp, and those of this lane (one below the other, 2 rows apart).
+// The tile of this block, the pixels of this warp, and the pixels of this lane (one below the other, 2 rows apart).
 struct ThreadSamples {
   int64_t x0, y0;
   int left, top, column, row;
@@ -80,7 +80,7 @@ __device__ inline CirclePoint<float> circle_point(const float* colour, const Sam
   return {__ldg(colour + kPlaceTerm * kColourStride + 3), __ldg(colour + kDistanceTerm * kColourStride + 3), sample.s};
 }
 
-// Colour of a splat at a sample: the polynomial of its channel, or what is on its circle, clamped at zero.
+// Colour of a splat at a sample: the polynomial of its channel or the colour on its circle, clamped at zero.
 __device__ inline float colour_at(const float* colour, int order, const Sample& sample) {
   if (order == kCircleOrder) {
     auto term = [&](int m) { return __ldg(colour + m * kColourStride + sample.channel); };
@@ -178,7 +178,7 @@ __global__ void __launch_bounds__(kThreads)
     }
   }
 
-  // Add what is left for the background, and store
+  // Add the background by the light that is left, and store
   for (int r = 0; r < kRows; ++r)
     for (int k = 0; k < 3 && mine.inside(image, r); ++k) {
       const Sample& sample = samples[r][k];
@@ -229,7 +229,7 @@ __global__ void __launch_bounds__(kThreads)
     }
     __syncthreads();
 
-    // Splat by splat: what each lane's samples say of it, then the sums over the warp
+    // Splat by splat: the gradients of each lane's samples, then the sums over the warp
     for (int k = 0; k < count; ++k) {
       const Splat<float>& s = staged[k];
       float* out = partial[warp][k];
@@ -265,7 +265,7 @@ __global__ void __launch_bounds__(kThreads)
           sample.colour += weight * v;
           const float g_alpha = over_backward<false>(alpha, before, v, total[r][c] - sample.colour);
 
-          // From alpha to the exponent, and to what the exponent is made of
+          // From alpha to the exponent, and to the terms of the exponent
           const float gp = power < float(kLog2MaxAlpha) ? g_alpha * alpha * float(kLn2) : 0.f;
           const float e = dx * inverse_S, gx = -2 * gp * e, gS = gp * e * e;
           sums[kPowerSum] += gp, sums[kPowerDySum] += gp * dy, sums[kPowerDy2Sum] += gp * dy * dy;
@@ -315,7 +315,7 @@ __global__ void __launch_bounds__(kThreads)
     }
   }
 
-  // The gradient of the background: what every sample lets through
+  // The gradient of the background: the light that every sample lets through
   __syncthreads();
   for (int c = 0; c < 3; ++c) {
     float behind = 0;

@@ -98,7 +98,7 @@ struct PendingMoments {
   }
 };
 
-// The first kernel's work on a sample whose moments are complete. Return what it adds to the loss.
+// The first kernel's work on a sample whose moments are complete. Return its part of the loss.
 __device__ float write_derivatives(const PhotoLoss<float>& job, const SsimMoments<float>& moments, int64_t sample) {
   const Ssim<float> ssim = compute_ssim(moments);
   const float w = job.weight_at(sample), y = job.photo_at(sample);

@@ -29,7 +29,7 @@ __device__ int lanes_per_splat(const DirectFrame& frame) {
 }
 
 // Call visit(first, last) for the runs of tiles that a splat may touch. In every row of tiles there is a run for each
-// group of lens columns; this lane takes every `lanes`-th run, from number `lane` on. What it passes are numbers of
+// group of lens columns; this lane takes every `lanes`-th run, from number `lane` on. It passes numbers of
 // lists, and lists of neighbouring tiles in the run are `groups` numbers apart.
 template <class Visit>
 __device__ void for_each_run(const Splat<float>& s, const DirectFrame& frame, int lane, int lanes, const Visit& visit) {
@@ -44,7 +44,7 @@ __device__ void for_each_run(const Splat<float>& s, const DirectFrame& frame, in
     float centre = 0, half = 1;
     if (by_lens) group_offsets(frame.optics.lens_columns, group, centre, half);
 
-    // What the splat sweeps out in these rows, seen from the group's offsets, and which tiles that is
+    // The area of the splat in these rows, seen from the group's offsets, and its tiles
     const float top = float(row) * height;
     const Strip strip(s, top + 0.5f, top + height - 0.5f, tiling.shear);
     if (strip.range < 0) continue;
@@ -64,7 +64,7 @@ enum class Pass { kCount, kFill };
 // The lanes that have an intersection of the same list at the same time. Successive splats often lie side by side, as
 // in the sheet of a photo, and bin waits for additions to the ends of lists. So these lanes combine their additions.
 struct Together {
-  unsigned lanes, before;  // a bit each; before: those of smaller number than this one
+  unsigned lanes, before;  // a bit each; before: the lanes before this one
   int first;
 
   __device__ explicit Together(int list) {

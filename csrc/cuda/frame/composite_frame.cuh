@@ -25,7 +25,7 @@ struct Lists {
   __device__ uint2 range(int64_t number) const { return ranges ? ranges[number] : make_uint2(0, drawn); }
 };
 
-// How many tiles the kernel chosen has to draw, those that a lattice refused or all; and the number of the i-th.
+// How many tiles the chosen kernel draws, all or the tiles that a lattice refused, and the number of the i-th.
 __device__ inline unsigned tiles_to_draw(const DirectFrame& frame, const Tiling& tiling) {
   return frame.state->lattices ? frame.state->refused_tiles : unsigned(tiling.across * tiling.down);
 }

@@ -156,7 +156,7 @@ size_t DirectFrame::place(void* work) {
   Parts parts{static_cast<char*>(work)};
   const int64_t n = splats.count;
 
-  // What project clears comes first, side by side
+  // The arrays that project clears come first, side by side
   parts.take(state, 1), parts.take(ranges, 2 * most_lists());
   cleared_bytes = parts.used;
 

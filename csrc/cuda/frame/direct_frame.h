@@ -31,7 +31,7 @@ struct KernelChoice {
       needs_exact;  // limits of shape errors, see ShapeLimits; needs_exact < 0: every splat needs the exact formulas
 };
 
-// What one frame found out: written on the device, read by the host when it likes. The first four numbers come from
+// The results of one frame: written on the device, read by the host when it likes. The first four numbers come from
 // bin, the next from the project before that, the rest from project and composite. Project clears all, or all but
 // the first five.
 struct FrameState {
@@ -42,8 +42,8 @@ struct FrameState {
   unsigned long_lists;     // number of lists of more than kShortList splats
   unsigned bent_colours;   // number of splats whose colours vary too much for kLensColumn
   unsigned colour_error;   // bits of a float: a bound of the error of colour polynomials
-  KernelChoice choice;     // what draws the frame
-  KernelChoice by_pixels;  // what draws it if kLensColumn must not
+  KernelChoice choice;     // the kernel of the frame
+  KernelChoice by_pixels;  // the kernel if kLensColumn must not draw it
   float curved;            // fraction of the splats whose error is beyond `straight`
   int lattices;            // whether any are laid
   unsigned next_tile[5];   // next piece of work of each composite kernel, see WorkQueue
@@ -73,7 +73,7 @@ struct LensColumns {
   float reach;      // largest |v|
   float widest;     // largest half range of offsets
   float most_bend;  // where no s2 is larger, no splat needs the exact formulas for its shape; see kLeastBend
-  LFGS_HD int columns() const { return groups * per_group; }  // lens columns, and what fills the last group
+  LFGS_HD int columns() const { return groups * per_group; }  // lens columns, and the filling of the last group
 };
 
 // The lens as kernels use it, in float; scene/lens.h has it in double.
@@ -113,7 +113,7 @@ struct DirectFrame {
   int sh_degree = 0;
   int64_t capacity = 0;         // the most intersections that the lists hold
   float colour_error = 0;       // error allowed of colours that are interpolated over the rig
-  float left_out = 0;           // error allowed of what is left out of colour polynomials
+  float left_out = 0;           // error allowed by the terms left out of colour polynomials
   float lens_column_error = 0;  // error allowed of colours that are parabolas within a lens column; 0: not looked at
   float cut = 0, stop = 0;      // of Quality: log2 of the opacity cut, transmittance at which a sample may end
   float sample_cut = 0;         // log2 of the alpha from which a splat that reaches a patch counts at a sample
@@ -137,7 +137,7 @@ struct DirectFrame {
   // With compensation: log2 of the compensation there, and its slope and bend in v as halves
   float* lens_column_compensations = nullptr;  // [N, columns, 2]
   Lattice* lattices = nullptr;                 // [tiles], where any are laid: see composite_lattice.cu
-  uint32_t* refused = nullptr;                 // [tiles, without groups]: those that lattices left, in any order
+  uint32_t* refused = nullptr;                 // [tiles, without groups]: the tiles that lattices left, in any order
 
   DirectFrame() = default;
   // shared_memory: bytes of it that a block may take at most; 0: what the device has. Throws Error when the sizes do
@@ -156,14 +156,14 @@ struct DirectFrame {
 
 // The stages, in this order. gaussians must have the count and degree that the frame was made for; colours have an
 // order above 0 where sh_degree is above 0. keep_lists says that bin and order will not follow, since only colours have
-// changed since they last did. Otherwise bin must follow once, since project has cleared what it counts with.
+// changed since they last did. Otherwise bin must follow once, since project has cleared its counters.
 void frame_project(const DirectFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
 void frame_bin(const DirectFrame& frame, Stream stream);  // then state->intersections is known
 void frame_order(const DirectFrame& frame, Stream stream);
 void frame_composite(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 
 // Parts of frame_composite. The lattice goes first, if the quality allows one. Then both others are launched, and the
-// one that the frame chose draws what the lattice refused, or all tiles.
+// one that the frame chose draws the tiles that the lattice refused, or all tiles.
 void composite_lattice(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_pixel(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_lens_column(const DirectFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
@@ -175,7 +175,7 @@ LensColumnLayout lens_column_layout(const Lens& lens, int64_t shared_memory);
 constexpr int kMostLatticePlanes = 16;
 constexpr int kMostNodes = 640;  // of a tile: a tenth of its sub-pixels
 
-// A plane of nodes. What is seen at one of its nodes is seen on the next plane `aside` nodes on. `first` is the index
+// A plane of nodes. A point at one of its nodes is `aside` nodes further on the next plane. `first` is the index
 // of its first node, such that a node and the one `aside` nodes on in the next plane are stride() apart.
 struct LatticePlane {
   float aside;

@@ -1,4 +1,4 @@
-// How a frame chooses the kernel that composites it: what each would cost and err, averaged over the splats. project
+// How a frame chooses the kernel that composites it: the cost and error of each, averaged over the splats. project
 // adds up the sums in FrameState, and the last of its blocks reads them and writes the choice there.
 //
 // A kernel evaluates r = S^(-1/2) as a polynomial in s. If r has the relative error e, the error of alpha is below 0.74
@@ -247,7 +247,7 @@ __device__ inline void choose_kernel(const DirectFrame& frame) {
           ? tasks * (lens_column_each * intersections(across, 15, narrowing * 7 / 6) + 360) / rate
           : INFINITY;
 
-  // Write the choice, and what it would be without the lens column kernel, see settle_kernel()
+  // Write the choice, and the choice without the lens column kernel, see settle_kernel()
   const ShapeLimits limits = shape_limits(exact ? kLevels - 1 : level);
   static_assert(int(FrameKernel::kLensColumn) == int(FrameKernel::kCount) - 1);
   for (const bool without : {false, true}) {

@@ -23,7 +23,7 @@ __device__ inline float camera_offset(const LensOptics& lens, uint64_t phase) {
   return fmaf(float(part), 1.f / 4294967296.f, float(unsigned(product >> 32)));
 }
 
-// What the phase of a sub-pixel has beyond that of its stripe, on a panel with cells.
+// The phase of a sub-pixel minus the phase of its stripe, on a panel with cells.
 __device__ inline uint64_t cell_phase(const LensOptics& lens, int row, int subpixel) {
   return lens.cells.phases[row % kCellPeriod][(subpixel % kRowPeriod + kRowPeriod) % kRowPeriod];
 }

@@ -1,4 +1,4 @@
-// How r = S^(-1/2) of a splat varies along the rig, as a series, and what of it kernels may leave out.
+// r = S^(-1/2) of a splat along the rig, as a series, and the terms of it that kernels may leave out.
 #pragma once
 
 #include "cuda/common/blend.cuh"

@@ -1,4 +1,4 @@
-// What a splat sweeps out over a range of offsets: bounds with which lists are filled and splats are culled. They err
+// The area of a splat over a range of offsets: bounds with which lists are filled and splats are culled. They err
 // on the wide side, so that nothing that shows is left out.
 #pragma once
 
@@ -22,7 +22,7 @@ struct Span {
 // The part of a splat in the rows whose centres are y_low .. y_high. With a shear, places are x + shear * y instead of
 // x.
 struct Strip {
-  float dy, dh;  // middle and half height of those of the rows that it reaches, counted from its centre
+  float dy, dh;  // middle and half height of the rows that it reaches, counted from its centre
   float range;   // exponent that is left along x there; below zero: it does not reach these rows
   // The line of its centres: `base` is x at dy, seen from the middle of the rig; `slope` is by row, `sweep` by offset.
   // `turn` is the largest slope by offset in the rows
@@ -41,7 +41,8 @@ struct Strip {
     slope += shear, base = fmaf(shear, s.v0 + dy, base);
   }
 
-  // What it may touch, seen from the offsets centre -+ half. S is convex in s, so it is largest at one of the ends.
+  // The span that it may touch, seen from the offsets centre -+ half. S is convex in s, so it is largest at one of the
+  // ends.
   __device__ Span at(const Splat<float>& s, float centre, float half) const {
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), dS = fmaf(2 * centre, s.S2, s.S1);
     const float tilt = fmaf(centre, s.c1, slope);

@@ -119,7 +119,7 @@ __global__ void __launch_bounds__(kThreads)
     }
   }
 
-  // Add what is left for the background, and store
+  // Add the background by the light that is left, and store
   if (!pixel.inside) return;
   const float left = remaining(transmittance, rest);
   const float* behind = background + 3 * pixel.image;

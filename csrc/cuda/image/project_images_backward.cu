@@ -4,8 +4,8 @@
 // camera over its Gaussians. Splats and colours are computed once more, so that nothing of the forward has to be kept
 // for this.
 //
-// Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
-// moves those of its 32 Gaussians together, through shared memory.
+// Harmonics are four fifths of the bytes read and written. A thread's own lie far from its neighbours', so each warp
+// moves the harmonics of its 32 Gaussians together, through shared memory.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
@@ -21,7 +21,7 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128, kWarps = kThreads / 32, kCameraNumbers = 12;
 
-// What sum_intersections() wrote, for all splats.
+// The output of sum_intersections(), for all splats.
 struct AllSums {
   const float* sums;
   bool absolute;  // whether there are absolute gradients

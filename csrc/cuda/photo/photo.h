@@ -13,7 +13,7 @@ namespace lfgs::cuda {
 void surface(const Surface& job, Stream stream);
 void sheet(const Sheet& job, Stream stream);
 
-constexpr int kFoundNumbers = 5;  // what find_object keeps
+constexpr int kFoundNumbers = 5;  // the numbers that find_object keeps
 
 struct Photo {
   int64_t height = 0, width = 0;
@@ -29,7 +29,7 @@ struct Photo {
 void find_object(const Photo& photo, Stream stream);
 
 // Write [4, size_px, size_px], premultiplied, of the square round the box: zero beyond the photo's edges, by the
-// antialiased bilinear filter. narrow: [height, size_px, 4], for what is resized along rows.
+// antialiased bilinear filter. narrow: [height, size_px, 4], for the photo resized along rows.
 void crop_object(const Photo& photo, int size_px, float* narrow, float* out, Stream stream);
 
 }  // namespace lfgs::cuda

@@ -200,7 +200,7 @@ __device__ unsigned bit_count(const Segment& segment, const uint32_t (&codes)[kD
   return bits;
 }
 
-// The sum of what the threads before this one have. sums: one for each warp.
+// The sum of the values of the threads before this one. sums: one for each warp.
 template <class T>
 __device__ T sum_before(T value, T* sums) {
   const int lane = threadIdx.x % 32, warp = threadIdx.x / 32;

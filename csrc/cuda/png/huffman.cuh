@@ -10,7 +10,7 @@ namespace lfgs::cuda {
 constexpr int kMostCodeBits = 15;  // RFC 1951, 3.2.7
 constexpr int kEndOfBlock = 256;
 
-// What one block of threads, more than there are symbols, needs to make the codes.
+// The shared memory in which one block, of more threads than symbols, makes the codes.
 struct CodeTable {
   uint32_t counts[kDeflateSymbols];
   int sorted[kDeflateSymbols];  // the symbols that stand there, from the rarest on
@@ -45,7 +45,7 @@ __device__ inline void join_nodes(CodeTable& table) {
 // fewer bits, which gets a bit more. The sum of 2^-length is 1 before and after.
 __device__ inline void limit_lengths(CodeTable& table) {
   for (int& count : table.of_length) count = 0;
-  int left = -(1 << kMostCodeBits);  // what the sum is above 1, in units of the longest code
+  int left = -(1 << kMostCodeBits);  // the sum minus 1, in units of the longest code
   for (int leaf = 0; leaf < table.used; ++leaf) {
     const int length = min(int(table.depths[leaf]), kMostCodeBits);
     ++table.of_length[length], left += 1 << (kMostCodeBits - length);

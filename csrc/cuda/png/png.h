@@ -14,7 +14,7 @@ namespace lfgs::cuda {
 
 constexpr int kDeflateSymbols = 286;  // bytes, the end of the block and lengths of repetitions (RFC 1951, 3.2.5)
 
-// What becomes of an image: the host reads it to know where the stream ends.
+// Facts of a compressed image; the host reads them to know where the stream ends.
 struct DeflateFacts {
   unsigned long long bits;  // of the stream
   uint32_t adler;           // Adler-32 of the filtered rows

@@ -133,7 +133,7 @@ __device__ int list_intersections(const Batch& batch, int count, const Box& box,
 
 // The light that a sub-pixel has taken, and where it goes on. It takes splats whose power is at least `least`. That is
 // the opacity cut while the sample is open. Afterwards it takes none, since the next splat would leave less than the
-// limit of transmittance. What is left is for the background.
+// limit of transmittance. The light that is left goes to the background.
 struct Light {
   static constexpr float kClosed = 1e30f;
   float value = 0, transmittance = 1, least = kClosed;
@@ -155,7 +155,7 @@ struct Light {
   }
 };
 
-// What a thread draws at a time.
+// The sub-pixels that a thread draws at a time.
 struct Drawing {
   Sample samples[kEach];
   Light lights[kEach];
@@ -227,7 +227,7 @@ __global__ void __launch_bounds__(kThreads, kResident)
     }
     __syncthreads();  // before the splats are staged again for the next sub-pixels
 
-    // Add what is left for the background, and store
+    // Add the background by the light that is left, and store
     for (int k = 0; k < kEach; ++k) {
       const Sample& s = mine.samples[k];
       if (!s.some) continue;

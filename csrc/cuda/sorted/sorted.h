@@ -14,7 +14,7 @@
 
 namespace lfgs::cuda {
 
-// What count found out.
+// The results of count.
 struct SortedState {
   unsigned long long intersections;  // (list, splat) intersections
   unsigned long_lists;               // lists of more than kShortList splats
@@ -55,7 +55,7 @@ void project_sorted(const SortedChunk& chunk, const Gaussians<const float>& gaus
 void count_sorted(const SortedChunk& chunk, Stream stream);  // then state->intersections is known
 void fill_sorted(const SortedChunk& chunk, Stream stream);
 void order_sorted(const SortedChunk& chunk, Stream stream);
-// Write the sub-pixels of the views to out8, or where that is null to out. The lists are those of the chunk's views.
+// Write the sub-pixels of the views to out8, or where that is null to out. The lists are of the chunk's views.
 void composite_sorted(const SortedChunk& chunk, const SubpixelLists& lists, const float* background, float* out,
                       uint8_t* out8, Stream stream);
 

@@ -35,7 +35,7 @@ __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts
   counts[i] = count;
 }
 
-// The count of the i-th splat; where there are indices, that of the i-th splat in their order.
+// The count of the i-th splat, or with indices of the i-th splat in their order.
 struct Count {
   const uint32_t *counts, *indices;
   __device__ int64_t operator()(int64_t i) const { return counts[indices ? indices[i] : i]; }
@@ -204,7 +204,7 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
       splats, image, indices, ends, intersections, intersection_ranges);
   check_launch("bin_fill");
 
-  // Sort them by tile, and find the tiles' ranges. The bits of kNoTile are those of no tile
+  // Sort them by tile, and find the tiles' ranges. No tile has the bits of kNoTile
   if (intersections.count == 0) return;
   count_up(intersections.count, intersections.indices, cudaStream_t(stream));
   const int tile_bits = std::max(1, int(std::bit_width(uint64_t(intersections.total ? all_tiles : all_tiles - 1))));

@@ -10,7 +10,7 @@ namespace lfgs::cuda {
 __device__ inline Shape<double> widened(const Shape<float>& s) { return {s.mean, s.quaternion, s.scale, s.opacity}; }
 
 // Project a splat and find its compensation. It is in double, since the area of a splat that is long and thinner than
-// a pixel has few digits left in float. (Without compensation that does not matter: only the blur is seen of it.)
+// a pixel has few digits left in float. (Without compensation that does not matter, since only the blur shows.)
 __device__ inline Splat<float> compensated_splat(const Camera<double>& camera, const Shape<float>& shape,
                                                  Compensation<float>& out) {
   const Shape<double> wide = widened(shape);

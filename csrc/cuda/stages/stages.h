@@ -96,7 +96,7 @@ void composite_direct(const Splats<float>& splats, const Image& image, const int
 // The numbers of an intersection are, for ordinary images, the first kImageFootprintSums of FootprintSum, then the
 // gradients of depth, r, g and b. With absolute gradients, the sums of |gradient| of u0 and of v0 over the samples
 // follow (Ye et al., "AbsGS", 2024). For a panel they are all of FootprintSum, the gradients of r, g, b for each power
-// of s, and with compensation those of D.
+// of s, and with compensation the gradients of D.
 constexpr int kDepthSum = kImageFootprintSums, kColourSum = kDepthSum + 1, kImageSums = kColourSum + 3;
 constexpr int kAbsoluteSum = kImageSums, kAbsoluteImageSums = kAbsoluteSum + 2;
 constexpr int kDirectSums = kDirectFootprintSums;
@@ -113,8 +113,8 @@ void sum_intersections(int64_t splats, const IntersectionRange* intersection_ran
                        const float* intersection_gradients, float* sums, Stream stream);
 // From the sums of all splats. All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the
 // splats' places, u0 and v0 in pixels. With `absolute` it is [I, N, 4], with the absolute gradients behind.
-// camera_partials [I, camera_blocks(N), 12], or null, receives those of the rows of [R|t], which the caller sums over
-// the blocks.
+// camera_partials [I, camera_blocks(N), 12], or null, receives gradients of the rows of [R|t], which the caller sums
+// over the blocks.
 int64_t camera_blocks(int64_t gaussians);
 void project_images_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
                              const Gaussians<float>& out, float* screen, bool absolute, float* camera_partials,

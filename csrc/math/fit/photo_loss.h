@@ -54,8 +54,8 @@ LFGS_HD Ssim<R> compute_ssim(const SsimMoments<R>& m) {
           -value * inverse_variances, 2 * luminance * inverse_variances};
 }
 
-// d(loss)/dx of one sample, without the factors of the mean: the derivatives by the moments, blurred, times those of
-// the moments by x.
+// d(loss)/dx of one sample, without the factors of the mean: the blurred derivatives by the moments, times the
+// derivatives of the moments by x.
 template <class R>
 LFGS_HD R ssim_gradient(R by_x, R by_xx, R by_xy, R x, R y) {
   return by_x + 2 * x * by_xx + y * by_xy;

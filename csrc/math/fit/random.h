@@ -27,7 +27,7 @@ LFGS_HD Words4 philox4x32(Words4 counter, uint32_t key0, uint32_t key1) {
   return c;
 }
 
-// What random numbers are drawn for: those of different purposes or steps have nothing to do with each other.
+// The purpose and step of random numbers. Streams of different purposes or steps are independent.
 struct RandomStream {
   uint64_t seed;
   uint32_t step, purpose;

@@ -93,7 +93,7 @@ struct Parameters {
   T* sh = nullptr;           // [N, K, 3]
 };
 
-// What one step needs: a row of the table of a run.
+// The inputs of one step: a row of the table of a run.
 template <class T>
 struct StepNumbers {
   T means, log_scales, quaternions, logits, sh_dc, sh_rest;  // rates
@@ -108,9 +108,9 @@ constexpr int kStepColumns = sizeof(StepNumbers<float>) / sizeof(float);
 // is_usable() refuses nothing changes, and they are counted. So are all, where `step` is not a row of the table.
 template <class T>
 struct Update {
-  Gaussians<const T> gradients;  // of what is drawn; its count and degree are those of all parameters
+  Gaussians<const T> gradients;  // of the drawn Gaussians; count and degree as of all parameters
   Parameters<T> parameters, first, second;
-  T* scales = nullptr;                    // [N, 3] exp(log_scales): what the gradients were taken at; written anew
+  T* scales = nullptr;                    // [N, 3] exp(log_scales), at which the gradients were taken; written anew
   T* opacities = nullptr;                 // [N] sigmoid(logits), likewise
   const uint8_t* seen = nullptr;          // [N] whom the regularisers are for, or null for all
   const StepNumbers<T>* table = nullptr;  // [rows]
@@ -130,7 +130,7 @@ template <class R>
 struct Step {
   StepNumbers<R> numbers;
   AdamStep<R> adam;
-  R opacity_push, scale_push;  // what the regularisers add to the gradient of an opacity, of a scale
+  R opacity_push, scale_push;  // added by the regularisers to the gradient of an opacity, of a scale
   RandomStream noise;
 
   LFGS_HD explicit Step(const Update<R>& job)

@@ -1,4 +1,4 @@
-// The sheet of texels over what a photo shows, a texel at a time: along which surface it lies, and what it looks like.
+// The sheet of texels over the object of a photo, a texel at a time: its position on the surface, and its look.
 // lightfield_gs/models/detail.py and upsample.py say why, differentiably. There are two passes over all texels, since
 // each needs its neighbours. The first finds the surface and blurs along rows; the second does the rest.
 #pragma once
@@ -20,7 +20,7 @@ struct SheetLook {
   float blur;                             // the deviation by which drawing blurs the photo
   float opacity, most_opaque;             // of a texel that is covered, and the most that one may have
   float most_of_sheet;                    // the opacity of the sheet where the photo's is 1
-  float sharper_colour, sharper_outline;  // how much of what blur takes is put back
+  float sharper_colour, sharper_outline;  // the part of the loss by blur that is put back
   float haze, object;                     // opacities of the photo: nothing up to the first, all from the second on
   float same_surface, steepest;           // footprints of depth between pixels of one surface, and from texel to texel
 };
@@ -102,8 +102,8 @@ LFGS_HD glm::vec4 covering_texel(const Sheet& sheet, int64_t texel) {
   return {glm::clamp(glm::vec3(photo[0], photo[step], photo[2 * step]), 0.f, alpha), alpha};
 }
 
-// The optical depth of the sheet over that of a whole object: what overlaps adds up as such. Where the photo shows the
-// object in part it is less yet, for what spreads beyond the outline cannot be taken back there.
+// The optical depth of the sheet over the optical depth of a whole object: overlapping texels add it up. Where the
+// photo shows the object in part it is less yet, for what spreads beyond the outline cannot be taken back there.
 LFGS_HD float thickness_at(const SheetLook& look, float alpha) {
   if (alpha == 0 || alpha == 1) return alpha;  // most of a photo, and logarithms are slow
   return alpha * std::log1p(-look.most_of_sheet * alpha) / std::log1p(-look.most_of_sheet);
@@ -120,7 +120,7 @@ struct SoftTexel {
   }
 };
 
-// The first pass: `weight` gives those of Blur.
+// The first pass. `weight` gives the weights of Blur.
 template <class Weight>
 LFGS_HD void prepare_texel(const Sheet& sheet, int reach, const Weight& weight, int64_t row, int64_t column) {
   const int64_t columns = sheet.columns(), texel = row * columns + column;
@@ -174,7 +174,7 @@ struct TexelGaussian {
 // are the direction of descent, the level direction and the normal. Along the first, texels lie farther apart.
 LFGS_HD void lay_along(float across, float down, const glm::vec3& ray, TexelGaussian& texel) {
   const glm::vec3 tangent_x = glm::vec3(1, 0, 0) + across * ray, tangent_y = glm::vec3(0, 1, 0) + down * ray;
-  const float right = across < 0 ? across - 1e-4f : across + 1e-4f;  // what is level all over descends to the right
+  const float right = across < 0 ? across - 1e-4f : across + 1e-4f;  // a level surface descends to the right
   const float length = std::sqrt(right * right + down * down);
   const glm::vec3 descent = std::abs(right) / length * tangent_x + (across < 0 ? -down : down) / length * tangent_y;
   const float stretch = std::sqrt(glm::dot(descent, descent));

@@ -15,7 +15,7 @@
 
 namespace lfgs {
 
-// What lightfield_gs/models/detail.py decides; lengths in pixels or footprints.
+// The choices of lightfield_gs/models/detail.py; lengths in pixels or footprints.
 struct SurfaceLook {
   float averaged;  // the deviation of the blur
   float softness;  // depth over which the cloud before the sheet fades
@@ -50,7 +50,7 @@ LFGS_HD float projected_area(const Gaussians<float>& cloud, int64_t i, float foc
   const float *p = cloud.means + 3 * i, *q = cloud.quaternions + 4 * i, *s = cloud.scales + 3 * i;
   const glm::vec4 turn(q[0], q[1], q[2], q[3]);
   const glm::mat3 axes = rotation_matrix(turn / std::sqrt(glm::dot(turn, turn)));
-  // What a standard deviation along each axis changes of the slopes x / z and y / z
+  // The change of the slopes x / z and y / z by a standard deviation along each axis
   glm::vec3 across, down;
   for (int k = 0; k < 3; ++k) {
     across[k] = s[k] * (axes[k].x - p[0] / p[2] * axes[k].z);
@@ -106,7 +106,7 @@ LFGS_HD void look_through(const Surface& job, int64_t pixel) {
 
 LFGS_HD float logistic(float x) { return 1 / (1 + std::exp(-x)); }
 
-// From what is seen on average, in set 0: the surface of a pixel, and the opacities of its Gaussians.
+// Write the surface of a pixel and the opacities of its Gaussians, from the visible average in set 0.
 LFGS_HD void finish_surface(const Surface& job, int64_t pixel) {
   const float seen = job.plane(0, job.seen_planes() - 1)[pixel], footprint = 1 / job.intrinsics[0];
   const float disparity = job.plane(0, 0)[pixel] / seen;

@@ -33,7 +33,7 @@ from lightfield_gs.io.captures.point_files import find_points, no_points
 
 _SAME_POSE = 1e-6  # tolerance of two equal poses; of translations, relative to their length
 _MODELS = ("sparse/0", "sparse", "")
-# Where nerfstudio's and Inria's scripts keep their input, and where programs export COLMAP's files
+# Input folders of nerfstudio's and Inria's scripts, and folders of exported COLMAP files
 _INNER_MODELS = ("colmap/sparse/0", "distorted/sparse/0", "colmap/sparse", "distorted/sparse", "colmap/0", "colmap")
 _IMAGES = ("images", "input", "images_2", "images_4", "images_8", "")
 # Code pages of Windows, the likeliest first: western, Japanese, Chinese, Korean, central European, Cyrillic, Greek,
@@ -67,8 +67,8 @@ def is_model(folder: Path) -> bool:
 def read_model(folder: Path) -> ColmapModel:
     """Read the model in a folder.
 
-    Where frames and rigs have other poses than images, theirs are taken, with a note. Without a file of points the
-    model has none.
+    If frames and rigs have other poses than images, the poses of frames and rigs are taken, with a note. Without a file
+    of points the model has none.
 
     Raises:
         InputError: names the file.

@@ -61,7 +61,7 @@ class PhotoFiles:
         """Find files of these names in other folders than the names have: all names of a folder in one other folder.
 
         That folder shares the most last parts with the names' folder; of several, it has the most of its names, and
-        then is the outermost. Where two are alike, or a file has two names, none is found. Folders of masks, depth
+        then is the outermost. If two files are alike, or a file has two names, none is found. Folders of masks, depth
         maps and the like, whose files have the same names, are left out.
         """
         here, groups = _by_folder(list(self.paths)), _by_folder(names)
@@ -129,7 +129,7 @@ def find_photographs(
 ) -> FoundPhotographs:
     """Find photographs in the first folder that has them all, or else in the folder that has the most.
 
-    Where a folder has none by their whole names, they are looked for by the last parts. Other names and missing files
+    If a folder has no photographs by their whole names, the search uses the last parts. Other names and missing files
     are noted.
 
     Args:

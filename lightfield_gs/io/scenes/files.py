@@ -146,8 +146,8 @@ WRITTEN_SUFFIXES = (".ply", *(suffix for format in FORMATS if format.write for s
 def is_scene_path(path: Path) -> bool:
     """Tell whether a path is a scene, by its name, the contents of a folder, or the first bytes of the file.
 
-    Scenes are files of these formats, which may be packed by gzip, and folders of a trainer. Of a SOG it is the folder,
-    its meta.json, or a lod-meta.json.
+    Scenes are files of these formats, which may be packed by gzip, and folders of a trainer. A SOG is given by its
+    folder, its meta.json, or a lod-meta.json.
     """
     return (
         path.suffix.lower() in SUFFIXES

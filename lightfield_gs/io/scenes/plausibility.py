@@ -172,7 +172,7 @@ def sample_median(values: np.ndarray) -> np.ndarray | None:
 def typical_size(scales: np.ndarray) -> float:
     """Return the median of the middle standard deviations of scales [N, 3]; infinity for points.
 
-    Beside points nothing is large.
+    Next to points any Gaussian would count as large.
     """
     size = _median_of_medians(np.sort(scales[:: max(1, len(scales) // _SAMPLE)], 1)[:, 1:2])
     return size if size > _NO_SIZE else math.inf

@@ -66,7 +66,8 @@ _TENSORS = ("features_", "scaling", "rotation", "scales", "quats", "opacities", 
 _REST_COUNTS = (0, 9, 24, 45, 72)  # 3 ((degree + 1)^2 - 1), degree 0..4
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
 _ROWS_AT_ONCE = 2048  # they and their conversions fit the cache: eleven times as quick
-# Of the typical Gaussian's size: where rounding to float32 moves centres by more, they are given from an origin
+# Fraction of the typical Gaussian's size: if rounding to float32 moves centres by more, they become relative to an
+# origin
 _ORIGIN_STEP = 1e-3
 _CHUNK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")

@@ -2,7 +2,7 @@
 // device. Read the splats and the sorted lists of the frame. Write the image where a lattice is good enough, and the
 // numbers of all other tiles into DirectFrame::refused.
 //
-// The tiles and lists are those of the kernel that the frame chose. First a warp lays a coarse lattice in (x, y, view)
+// It uses the tiles and lists of the kernel that the frame chose. First a warp lays a coarse lattice in (x, y, view)
 // through every section of a tile (see lattice_tile.cuh). Where that pays, a block draws the nodes, all channels at
 // once, and the middles of cells. Where the middles show that interpolation is as good as asked for, the block
 // interpolates the tile's sub-pixels. Tiles that are refused are left to the kernel chosen. Some rows of tiles go
@@ -51,7 +51,7 @@ __device__ void stage(const List& list, unsigned begin, int count, const Lattice
 }
 
 // Blend the staged splats from `first` to before `end` at a point. `seen` has the colour of the point so far, and in w
-// its transmittance. The splat at which a point ends takes what light is left.
+// its transmittance. The splat at which a point ends takes the light that is left.
 __device__ void add_staged(const Staged& staged, int first, int end, int half_planes, const Point& point, float stop,
                            float4& seen) {
   const float4* shape = staged.shapes + first * half_planes + point.half_plane;
@@ -279,7 +279,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   const Lattice* laid = frame.lattices + int64_t(tile.number) * tile.sections;
   const Lists lists(frame);
 
-  // Read what is far away, all at once
+  // Read distant memory all at once
   const int planes = laid->planes;
   const uint2 range = section_range(lists, tile, 0);
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
@@ -307,7 +307,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     tried = memory.verdict == kWorth, good &= tried;
   }
 
-  // Say what became of the tile, then draw it
+  // Write the outcome of the tile, then draw it
   if (first) {
     if (!good && planes >= kUntried) refuse(frame, tile.number);
     if (good) atomicAdd(&state.lattice_tiles, 1u);

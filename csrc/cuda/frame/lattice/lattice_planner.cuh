@@ -1,4 +1,4 @@
-// How a warp lays a lattice through a section of a tile. The arithmetic is that of math/lattice_plan.h, with the
+// How a warp lays a lattice through a section of a tile. The arithmetic is in math/lattice_plan.h, with the
 // splats, then the bins, then the planes shared out among the lanes.
 #pragma once
 

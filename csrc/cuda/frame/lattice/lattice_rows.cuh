@@ -97,7 +97,7 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
     const int word = n % kWords, channel = word % 3, pixel = word + word / 3, first = tile_first + 4 * word;
     if (first >= width) continue;
 
-    // What the four have in every row: the place along x, and the phase from the first sub-pixel of the row on
+    // Common to the four in every row: the place along x, and the phase from the first sub-pixel of the row on
     const float x = float(tile_first / 3 + pixel) + 0.5f - tile.origin().x - nodes.x0;
     const unsigned here = fixed(nodes.within(x * nodes.per_x)), next = fixed(nodes.within((x + 1) * nodes.per_x));
     unsigned along[4], phase_on[4];

@@ -33,9 +33,9 @@ struct Staged {
   float4 shapes[kShapes];  // a splat's colour and 1 / S on the planes and half-way between: [splats, 2 planes - 1]
 };
 
-// What a sub-pixel sees: an offset between two planes of a lattice. `aside`: how many nodes aside it lies on the first
-// plane. The word below holds the storage index of that plane (16 bits) and the part of the way to the next plane (a
-// half, above).
+// The position of a sub-pixel in a lattice: an offset between two planes of a lattice. `aside`: how many nodes aside it
+// lies on the first plane. The word below holds the storage index of that plane (16 bits) and the part of the way to
+// the next plane (a half, above).
 struct alignas(8) Seen {
   float aside;
   unsigned first_and_part;
@@ -116,7 +116,7 @@ struct Interpolated {
 constexpr int kMostBetween = Interpolated::kRowBytes / sizeof(Between);
 static_assert(kMostBetween >= 3 * kMostNodes / 2);
 
-// What a block keeps in shared memory.
+// The shared memory of a block.
 struct Memory {
   Corners corners[3][kChannelNodes];  // of the cell that begins at each node: by section, plane, row and node
   union {
@@ -231,7 +231,8 @@ struct NodePosition {
   }
 };
 
-// Interpolate colours between the nodes of a section. What is read again and again is copied here, to be in registers.
+// Interpolate colours between the nodes of a section. Numbers that are read again and again are copied here, to be in
+// registers.
 struct Nodes {
   const Corners* corners;
   int across, down, plane_stride;

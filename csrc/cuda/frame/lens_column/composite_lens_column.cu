@@ -8,9 +8,9 @@
 // Both A and d are inner products of *features* of the sample (1, x, y, v, x v ...) with *coefficients* of the splat. d
 // has 16 of them, and A has 8. They are in half precision, large coefficients as the sum of two halves; the tensor
 // cores multiply them and add in float. Colours are inner products, too: each sample has features that are not zero
-// only for its own channel. A splat's colour enters as the difference to that of the splat before. An intersection is a
-// splat that may touch the task's samples. It is *exact* where S varies too much within the lens column for the
-// polynomial. Then S^(-1/2) is evaluated sample by sample.
+// only for its own channel. A splat's colour enters as the difference to the colour of the splat before. An
+// intersection is a splat that may touch the task's samples. It is *exact* where S varies too much within the lens
+// column for the polynomial. Then S^(-1/2) is evaluated sample by sample.
 //
 // A block draws a tile of 16 lenses x 32 rows with 8 warps. The lens columns of a tile come in groups, each with a list
 // of splats. A pass draws a whole group or half of one, by the size of shared memory, see BlockLayout. Every lane of a
@@ -214,7 +214,7 @@ bool suits_lens_columns(const Lens& lens) {
 
 }  // namespace
 
-// Ask what the kernels were compiled for, since a device may run PTX made for an older one without tensor cores.
+// Ask for the kernels' architecture, since a device may run PTX made for an older one without tensor cores.
 LensColumnLayout lens_column_layout(const Lens& lens, int64_t shared_memory) {
   int device = 0, limit = 0;
   cudaFuncAttributes built{};
@@ -224,7 +224,7 @@ LensColumnLayout lens_column_layout(const Lens& lens, int64_t shared_memory) {
         "composite_lens_column: shared memory");
   const int64_t most = shared_memory ? std::min(shared_memory, int64_t(limit)) : limit;
   if (built.ptxVersion < 80 || most < kCompactBytes || !suits_lens_columns(lens)) return LensColumnLayout::kNone;
-  // A multiprocessor has what the largest block may take and what the system takes for that
+  // A multiprocessor has the memory of the largest block, and the system's memory for that block
   const int64_t full = int64_t(block_bytes<BlockLayout<true, false>>(float(lens.line_number)));
   return 2 * (full + kReservedBytes) <= most + kReservedBytes ? LensColumnLayout::kFull : LensColumnLayout::kCompact;
 }

@@ -1,5 +1,5 @@
-// What the tensor cores multiply for a warp's task (lens_column_task.cuh): features of the samples with coefficients of
-// the intersections. composite_lens_column.cu has the formulas.
+// The operands of the tensor cores for a warp's task (lens_column_task.cuh): features of the samples with coefficients
+// of the intersections. composite_lens_column.cu has the formulas.
 #pragma once
 
 #include "cuda/frame/lens_column/lens_column_patch.cuh"
@@ -136,7 +136,7 @@ struct Features : Patch<Layout> {
     }
   }
 
-  // What the colours of intersections are multiplied by. Each sample takes the colour of one place of its pixel, so all
+  // The factors of the colours of intersections. Each sample takes the colour of one place of its pixel, so all
   // other features are zero. In each quad, lanes 0 to 2 have the features for value, slope and bend at that place. Lane
   // 3 has those for the fine steps of all three slopes, see slope_and_bend().
   __device__ void colour_features_at(int lens_column, const unsigned (&A)[kFragments][2],

@@ -30,7 +30,7 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 //   staged splats and their patches 31.5, 5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
 // A task with a list of one batch was counted in warp instructions (sheet:512 at 40 degrees). It takes 1460 for 52
 // intersections: 380 to set up and join, 170 for each 32 operands, and 104 for each batch of products. So a list that
-// is cut in two costs a third more, and the batch is what must not be small. The compact layout holds no splats, only
+// is cut in two costs a third more, and the batch must not be small. The compact layout holds no splats, only
 // their numbers, and every task reads its intersections from the cache. It draws half a group of lens columns at a
 // time, a *pass*. Where a list is one batch, it is staged once for both passes.
 template <bool Harmonics_, bool Compact_>
@@ -45,10 +45,10 @@ struct BlockLayout {
 };
 // When a lane looks for intersections it looks at so many splats of a batch at once.
 constexpr int kAhead = 2;
-// What the system takes for each block, and what a block may take where two stand on 100 KB.
+// The shared memory that the system takes for each block, and the most that a block may take where two fit 100 KB.
 constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedBytes;
 
-// What a warp keeps in shared memory. The state of samples is the largest part, 512 bytes for each lens_column.
+// The shared memory of a warp. The state of samples is the largest part, 512 bytes for each lens_column.
 template <class Layout>
 struct WarpMemory {
   static constexpr bool kHarmonics = Layout::kHarmonics;
@@ -70,7 +70,7 @@ struct WarpMemory {
   float x_first;  // x of lens column -1/2, the left edge of the first, in the middle row
 };
 
-// What a block keeps in shared memory. In the full layout the bytes of the tile follow behind it: kTileRows x
+// The shared memory of a block. In the full layout the bytes of the tile follow behind it: kTileRows x
 // lens_row_bytes().
 template <class Layout>
 struct Memory {
@@ -80,7 +80,7 @@ struct Memory {
   float4 splat[3][Layout::kCompact ? 1 : kBatch];
   float4 colour[Layout::kHoldsColours ? kBatch + 1 : 1];
   uint32_t id[Layout::kCompact ? kBatch : 1];
-  // What they touch, see patches_touched(); nothing, from behind the last to a multiple of kLooked
+  // The patches that they touch, see patches_touched(); nothing, from behind the last to a multiple of kLooked
   static constexpr int kLooked = 32 * kAhead;
   uint32_t touched[kWarpsDown][(kBatch + kLooked - 1) / kLooked * kLooked];
   WarpMemory<Layout> warps[kWarps];

@@ -21,7 +21,7 @@ struct Task : Features<Layout, Compensated> {
   using Base::colour_features_at, Base::complete, Base::features, Base::pick, Base::take_compensation;
   using Base::view_bits;
 
-  // Where the block holds colours: that of staged splat i, the same for all cameras. Number kBatch is black.
+  // Where the block holds colours: the colour of staged splat i, the same for all cameras. Number kBatch is black.
   __device__ Colour colour(int i) const {
     Colour out;
     const float4 c = memory.colour[Layout::kHoldsColours ? i : 0];
@@ -110,7 +110,7 @@ struct Task : Features<Layout, Compensated> {
       if constexpr (Compensated) special = special || __any_sync(~0u, valid && not_fitted(compensation));
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
 
-      // Store them, the colour as the difference to that of the intersection before
+      // Store them, the colour as the difference to the colour of the intersection before
       if constexpr (!Layout::kHoldsColours) {
         if (!Harmonics) {
           c = by_place(frame.optics, c);
@@ -282,7 +282,7 @@ struct Task : Features<Layout, Compensated> {
     }
   }
 
-  // Join the four quarters, nearest first, and put them behind what the samples hold. The lanes of a quad exchange
+  // Join the four quarters, nearest first, and blend them behind the samples' state. The lanes of a quad exchange
   // their sums in two steps, first pairs of quarters, then the two halves. Each ends with two of the 8 samples.
   __device__ void join(int t, const float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const bool odd = lane & 1, upper = lane & 2;
@@ -301,7 +301,7 @@ struct Task : Features<Layout, Compensated> {
       colour[i] = over(odd, own_c, c, own_T, T), transmittance[i] = own_T * T;
     }
 
-    // The front half of the intersections and the back one, and both behind what was drawn before
+    // Join the front half of the intersections and the back half, and blend both behind the earlier ones
 #pragma unroll
     for (int i = 0; i < kHalves; ++i) {
       const int away = kHalves + i;

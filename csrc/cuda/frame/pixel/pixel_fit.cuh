@@ -14,7 +14,7 @@
 namespace lfgs::cuda {
 
 constexpr int kPatchWidth = 16;
-constexpr float kFaint = -3;          // log2 of an opacity that is little more than what cuts leave out
+constexpr float kFaint = -3;          // log2 of an opacity that is little more than the cuts
 constexpr float kMostHalfSweep = 24;  // the most that d may change over half the rig: such halves have steps of 2^-6
 constexpr float kMostHalfColour = 2;  // sums of brighter colours have too few digits in half precision
 constexpr float kStraightColour = 2.5e-4f;  // coefficient of s^2 that is left out; on average a quarter is the error
@@ -24,8 +24,8 @@ constexpr float kSmallEdge = 3e-3f;         // slope with which a colour may rea
 // line in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-// What a kernel is compiled for. Compensated: splats have compensations. Cells: the panel may have cells, which take
-// registers that other panels do not have to spare.
+// The options that a kernel is compiled for. Compensated: splats have compensations. Cells: the panel may have cells,
+// which take registers that other panels do not have to spare.
 template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Compensated_ = false>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
@@ -45,13 +45,13 @@ struct ColourFit {
   float4 value, slope, bend;
 };
 
-// What a warp keeps in shared memory.
+// The shared memory of a warp.
 template <bool Harmonics>
 struct Staged {
   float4 fit[4][32];  // of 32 intersections, see shape_polynomial() and put_halves()
   float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // steps of the colours in s and s^2; see SlopesInFit
   ColourFit colour;  // of the last intersection so far; zero if that was exact
-  uint32_t ids[64];  // the intersections that wait: fewer than 32, plus those of one cull
+  uint32_t ids[64];  // the intersections that wait: fewer than 32, plus the intersections of one cull
 };
 
 // With compensation also its slope and bend, see compensation_fit(); its value is in the fit.
@@ -133,7 +133,7 @@ __device__ bool fit_colour(const DirectFrame& frame, uint32_t id, ColourFit& fit
   const float order = c0.w;
   const float4 c3 = order >= 3 ? powers[3] : none, c4 = order >= 4 ? powers[4] : none;
 
-  // Whether it needs a bend, and whether what is left out after that is small enough
+  // Whether it needs a bend, and whether the terms left out then are small enough
   const float most = fmaxf(kStraightColour, frame.left_out), beyond = largest(c3) + largest(c4);
   const bool bent = largest(c2) + beyond > most;
   bool good = (!bent || (Bends && beyond <= most)) && order <= kMostOrder;
