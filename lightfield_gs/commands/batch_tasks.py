@@ -111,6 +111,13 @@ class EncodeTask:
     status: str = "done"
     encoding: Encoding | None = None
 
+    def __post_init__(self) -> None:
+        self.folder = Path(os.path.abspath(self.batch.output))
+        self.output = self.folder / self.item.name
+        self.given = self.batch.given | {"device": self.worker.device, "threads": self.worker.threads}
+        # Whether an unfinished output of an earlier run belongs to other options or inputs
+        self.is_fresh = self.known is not None and (self.known.is_other or bool(self.known.inputs))
+
     def read(self) -> bool:
         """Read the input, unless it is unchanged since the item was done."""
         if self._is_kept():
@@ -143,26 +150,6 @@ class EncodeTask:
         """Return the files and folders that the item reads, its input first."""
         return list(self.encode_options(self.item.input).inputs())
 
-    @property
-    def folder(self) -> Path:
-        """The folder of the batch, absolute."""
-        return Path(os.path.abspath(self.batch.output))
-
-    @property
-    def output(self) -> Path:
-        """The image or video."""
-        return self.folder / self.item.name
-
-    @property
-    def is_fresh(self) -> bool:
-        """Whether an unfinished output of an earlier run belongs to other options or inputs."""
-        return self.known is not None and (self.known.is_other or bool(self.known.inputs))
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """The options of all items and of the process."""
-        return self.batch.given | {"device": self.worker.device, "threads": self.worker.threads}
-
     def encode_options(self, source: str | Path) -> EncodeOptions:
         """Return the options of `encode` for the file that becomes the image."""
         words = [*self.item.words, "-o", str(self.output), "--", str(source)]
@@ -186,8 +173,8 @@ class EncodeTask:
         self.inputs = {str(path): facts(str(path)) for path in files if path == source or Path(str(path)).exists()}
         if self.known is None or not self.known.outputs:
             return False
-        now, before = ([held["sha256"] for held in each.values()] for each in (self.inputs, self.known.inputs))
-        if now != before:
+        new, old = ([held["sha256"] for held in each.values()] for each in (self.inputs, self.known.inputs))
+        if new != old:
             return False
         self.status, self.outputs = "kept", self.known.outputs
         return True
@@ -196,10 +183,9 @@ class EncodeTask:
 class FitTask(EncodeTask):
     """Fits a capture, which gives the scene NAME.ply, and encodes that."""
 
-    @property
-    def scene(self) -> Path:
-        """The scene."""
-        return self.output.with_suffix(".ply")
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.scene = self.output.with_suffix(".ply")
 
     @cached_property
     def fit_options(self) -> FitOptions:

@@ -112,13 +112,10 @@ def encode(
         if method == "sorted":
             refuse_gradients("method 'sorted'")
         refuse_with_gradients(
-            quality=not quality.is_exact,
-            threads=threads is not None,
-            stats=stats is not None,
-            out=out is not None,
-            view_filter=method == "classic" and view_filter > 0,
+            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
         )
         if method == "classic":
+            refuse_with_gradients(view_filter=view_filter > 0)
             return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
         numbers = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter).numbers()
         return torch.ops.lightfield_gs.render_direct(*fields, colour, *numbers, antialiased)
@@ -131,18 +128,8 @@ def encode(
             image = job.draw(as_bytes, quality, counters, threads, out)
     elif method == "classic":
         aperture = view_aperture(panel, cast(Rig, rig), view_filter)
-        image = encode_classic(
-            gaussians,
-            panel,
-            cast(Rig, rig),
-            continuous,
-            colour,
-            DTYPES[output],
-            threads,
-            counters,
-            antialiased,
-            aperture,
-        )
+        options = DTYPES[output], threads, counters, antialiased, aperture
+        image = encode_classic(gaussians, panel, cast(Rig, rig), continuous, colour, *options)
     else:
         with counters.stage("plan"):
             seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)

@@ -154,11 +154,7 @@ def fit(
     )
     if device not in DEVICES:
         raise InputError(f"device: expected {', '.join(DEVICES)}, got {shown(device)}")
-    if test_names is not None and not is_row(test_names):
-        raise InputError(f"test_names: expected names of photographs, got {shown(test_names)}")
-    expect("capture", capture, str, Path, Capture)
-    read = capture if isinstance(capture, Capture) else read_capture(capture)
-    train, test = read.split(test_every, None if test_names is None else list(test_names))
+    read, train, test = _read_photographs(capture, test_every, test_names)
     cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     with join_group(choose_device(device)) as (group, own):
         run, normalization, display = _prepare(
@@ -173,6 +169,17 @@ def fit(
     return FitResult(
         scene, chosen, trainer.done, run.scores, run.history, run.stopped, display, run.angles, pruning, window_scores
     )
+
+
+def _read_photographs(
+    capture: str | Path | Capture, test_every: TestEvery, test_names: Sequence[str] | None
+) -> tuple[Capture, list[int], list[int]]:
+    """Return the capture, and the indices of the photographs to fit to and to hold out; see fit."""
+    if test_names is not None and not is_row(test_names):
+        raise InputError(f"test_names: expected names of photographs, got {shown(test_names)}")
+    expect("capture", capture, str, Path, Capture)
+    read = capture if isinstance(capture, Capture) else read_capture(capture)
+    return read, *read.split(test_every, None if test_names is None else list(test_names))
 
 
 def make_settings(**values: Any) -> FitSettings:

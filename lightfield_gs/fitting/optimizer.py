@@ -112,9 +112,10 @@ class GaussianState:
 
     def map(self, change: Callable[[Tensor], Tensor]) -> GaussianState:
         """Return a state with `change` of every tensor, moments too: other Gaussians, or another order."""
-        groups = (self.values, self.first, self.second, (self.scales, self.opacities))
-        *raw, drawn = ([change(tensor).contiguous() for tensor in group] for group in groups)
-        return GaussianState(*(RawParameters(*tensors) for tensors in raw), *drawn)
+        groups = ((self.scales, self.opacities), self.values, self.first, self.second)
+        (scales, opacities), *raw = ([change(tensor).contiguous() for tensor in group] for group in groups)
+        values, first, second = (RawParameters(*tensors) for tensors in raw)
+        return GaussianState(values, first, second, scales, opacities)
 
     def refresh(self) -> None:
         """Compute scales and opacities again, after log_scales or logits were set."""

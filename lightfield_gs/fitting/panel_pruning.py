@@ -177,8 +177,9 @@ def prune_for_panel(
         assume("cone: nothing of the scene shows on the panel, so that nothing is left out of it")
         gone = torch.zeros_like(gone)
     whole = 3 * display.panel.width_px * display.panel.height_px
-    counts = (int(part.sum()) for part in (unseen, cut & ~unseen, floating, unfounded))
-    return PanelPruning(~gone, *counts, float(weights[gone].sum()) / whole)
+    parts = {"unseen": unseen, "faint": cut & ~unseen, "floating": floating, "unfounded": unfounded}
+    counts = {name: int(part.sum()) for name, part in parts.items()}
+    return PanelPruning(~gone, contribution=float(weights[gone].sum()) / whole, **counts)
 
 
 def photo_visibility(gaussians: Gaussians, images: PosedImages, antialiased: bool = False) -> Tensor:

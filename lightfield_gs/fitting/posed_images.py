@@ -217,8 +217,8 @@ class PosedImages:
             tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, self.intrinsics, self.limits)
         )
         fields = [tensor[None] for tensor in gaussians.fields().values()]
-        views = (background[None], poses, intrinsics, limits, width, height, antialiased)
-        return ImageRender.from_arguments(ImageArguments(*fields, *views), capacity=capacity)
+        views = (background[None], poses, intrinsics, limits, width, height, antialiased, None)
+        return ImageRender.from_arguments(ImageArguments._make((*fields, *views)), capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
         """Return [H,W] float32, the weights 0..1 of a photograph's pixels."""

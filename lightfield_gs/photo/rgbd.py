@@ -194,16 +194,11 @@ def _surface_gaussians(
         rim = max_filter(edges(depth, focal), 1)  # the pixels with another surface beside them, and their neighbours
         limit = torch.where(rim[rows, columns], _C.steepest_rim, torch.inf)
         across, down = (torch.minimum(torch.maximum(slope, -limit), limit) for slope in (across, down))
-    rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
+    slope_x, slope_y = (columns + 0.5 - centre[0]) / focal[0], (rows + 0.5 - centre[1]) / focal[1]
+    rays = torch.stack([slope_x, slope_y, torch.ones_like(slope_x)], 1)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
     return _flat_gaussians(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
-
-
-def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:
-    """Return directions [M, 3] through points of the image, pixels from its corner; z is 1."""
-    x, y = (columns - centre[0]) / focal[0], (rows - centre[1]) / focal[1]
-    return torch.stack([x, y, torch.ones_like(x)], 1)
 
 
 def _flat_gaussians(

@@ -213,7 +213,8 @@ class QuiltMovie:
             raise InputError(f"{movie.path}: span= takes none of its {movie.count} frames")
         self.fps = None if movie.fps is None else movie.fps / span.step
         self.description = f"a movie of {len(self.numbers)} quilts of {self.layout.columns} x {self.layout.rows} views"
-        self.colours, self._movie, self._order = colours, movie, order
+        self.colours, self._movie = colours, movie
+        self._order: dict[str, Any] = order
 
     def frames(self) -> Iterator[QuiltViews]:
         """Yield the views of each frame; note frames that are missing at the end. Raises InputError."""

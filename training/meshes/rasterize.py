@@ -1,13 +1,12 @@
 """The triangle that each sample of many views sees: a z-buffer of torch operations.
 
 Triangles become rows of samples, and rows become fragments, by repeat_interleave. A row holds exactly the samples whose
-centres lie in the triangle, half open to the right and below, so that triangles with a common edge neither overlap nor
-part. All fragments meet in one scatter_reduce: the nearest has the largest 1/z, whose bits are the high half of an
-integer. The low half names the triangle, so that the first is seen of equally near ones, in whatever order they come.
+centres lie in the triangle, half open to the right and below. So triangles with a common edge neither overlap nor part.
+All fragments meet in one scatter_reduce: the nearest has the largest 1/z, whose bits are the high half of an integer.
+The low half names the triangle, so that the first is seen of equally near ones, in whatever order they come.
 
-Floor: a fragment moves 8 bytes of address, 8 of key and 16 of the atomic maximum; eager operations move about 300. A
-view of 128 px with 2x2 samples has about 80,000 fragments (26,000 samples with three layers), 24 MB or 10 us of an
-H100's memory. The host waits twice for each chunk: for the number of rows, and for the number of fragments.
+Floor: a fragment moves 8 bytes of address, 8 of key and 16 of the atomic maximum; the operations one by one move 300.
+The host waits twice for each chunk: for the number of rows, and for the number of fragments.
 """
 
 from __future__ import annotations

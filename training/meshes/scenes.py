@@ -28,7 +28,7 @@ SCENE_NUMBERS, OBJECT_NUMBERS = 64, 320  # uniform numbers that a scene and each
 _VIEWS_NUMBERS = 2  # of each target
 _HALF_LENGTH = 0.3  # of an object, for the waves of its pattern
 _UPRIGHT = np.diag([1.0, -1.0, -1.0])  # from axes with y up, z backwards to those with y down, z forward
-KEY = slice(LIGHT["ambient"], LIGHT["ambient"] + LIGHT["key"])  # columns of the direction to the first light
+KEY = slice(LIGHT["ambient"], LIGHT["ambient"] + LIGHT["key"])  # columns of the direction to the key light
 _STANDARD = {"ambient": 0.45, "key": ((0.35, 0.8, 0.5), 0.55), "fill": ((-0.6, 0.3, -0.4), 0.2)}
 
 
@@ -44,7 +44,7 @@ class MeshOptions:
         random_light: fraction of the scenes, 0..1, under a random light; others have that of the project's sets.
         patterned: fraction of the objects, 0..1, in random colours and solid patterns.
         photographed: fraction of the objects, 0..1, that wear pieces of the run's photographs, where there are some.
-        shadows: fraction of the scenes, 0..1, whose first light throws soft shadows.
+        shadows: fraction of the scenes, 0..1, whose key light throws soft shadows.
     """
 
     folder: str = ""
@@ -237,7 +237,7 @@ class _Drawn:
         return np.concatenate([focal[..., None], focal[..., None], size_px / 2 - middle * focal[..., None]], -1)
 
     def shadows(self) -> Shadows | None:
-        """Return the first lights of the scenes with shadows; None: there are none."""
+        """Return the key lights of the scenes with shadows; None: there are none."""
         exists = self._exists & self._shadowed[:, None]
         if not exists.any():
             return None

@@ -5,7 +5,7 @@ multiplied as sRGB values, as in the project's other sets. `shade` is one functi
 torch.compile can make a few kernels of it for any number of samples.
 
 Floor: a covered sample reads about 350 bytes (corners, attributes, texels, look) and writes 12. The operations one by
-one move about 4,500: a view of 128 px, of some 26,000 covered samples, takes an H100 some 55 us, compiled about 6.
+one move about 4,500. training/meshes/render.py has the sum over all stages.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from training.data.procedural_plan import GROUPS, LOOK
 from training.data.superquadrics import named
 from training.data.textures import SKIN, worn
 
-# Numbers of the light in a view, in the camera's axes: of what comes from all round; directions to two lights (unit)
-# and their colours; the direction of highlights, and their exponent.
+# Numbers of the light in a view. ambient: colour of the light from all round. key, fill: unit directions to two lights
+# in the camera's axes, with their colours. half, exponent: direction of the key light's highlights, and their exponent.
 LIGHT = {"ambient": 3, "key": 3, "key_colour": 3, "fill": 3, "fill_colour": 3, "half": 3, "exponent": 1}
 # How an object's own colours change. weight: of own colours, else those of the look. order: the channel that each
 # channel shows. gain, gamma: colour = gain * own^gamma.
@@ -43,8 +43,8 @@ class Surfaces:
         attributes, positions, material_of, rectangles, base_colours, texels: As in ResidentMeshes.
         look, own, patterns, skins: First row of each draw's look, and the tables of Looks; None: own colours.
         pieces: Pieces of Photographs; None: no object wears any.
-        shadow_maps: [Q,SHADOW_PX,SHADOW_PX], of each texel how near the nearest surface is to the first light, as
-            Projected.points say it of an orthographic camera; None: no shadows.
+        shadow_maps: [Q,SHADOW_PX,SHADOW_PX], nearness of the first surface in the key light, 0 for none. It is
+            the third number of Projected.points for an orthographic camera. None: no shadows.
         to_light: [N,3,4], the axes of each view's camera to those of this camera.
         shadow: int64 [N], the map of each view; -1: none.
     """
@@ -208,7 +208,7 @@ def _dressed(
 
 
 def _unshadowed(surfaces: Surfaces, view: Tensor, position: Tensor) -> Tensor:
-    """Return the fraction of the first light that reaches places [S,3] in the axes of the cameras, 0..1.
+    """Return the fraction of the key light that reaches places [S,3] in the axes of the cameras, 0..1.
 
     It is the mean over a square of three texels (percentage-closer filtering; Reeves et al. 1987).
     """

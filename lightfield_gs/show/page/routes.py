@@ -12,7 +12,7 @@ from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -249,7 +249,7 @@ def _native(stage: Stage, controls: Controls, path: Path) -> None:
     """Write the native picture with the panel and the rig, as `encode` does: `simulate` and `show` read it."""
     image, _ = stage.native(controls)
     drawn = stage.drawn_as
-    encoding = {"method": "direct", "views": "integer", "background": list(drawn["background"])}
+    encoding: dict[str, Any] = {"method": "direct", "views": "integer", "background": list(drawn["background"])}
     encoding |= {"quality": controls.quality, **({"antialiased": True} if drawn["antialiased"] else {})}
     encoding |= {"view_filter": drawn["view_filter"]} if drawn["view_filter"] else {}
     made_by = {"panel": stage.panel.to_dict(), "rig": stage.rig_of_file(controls).to_dict(), "encoding": encoding}
