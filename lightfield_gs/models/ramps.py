@@ -26,14 +26,15 @@ from lightfield_gs import _core
 # by this fraction: eyes side by side do not see between surfaces one above the other
 _STEEP, _SLOPE, _DOWN = 12.0, 1.5, 0.4
 _APART = 6.0  # footprints between surfaces near a snapped ramp, for cleaning
-_SNAPS, _CLEANS = 2, 3  # passes
+_SNAPS, _CLEANS = 3, 4  # passes
 # Pixels of the network's grid: half the length of a ramp, reach of cleaning beyond a ramp, and distance over which
 # surfaces are apart
 _REACH_PX, _AROUND_PX, _SPREAD_PX = 2.0, 1.5, 1.0
 _SIMILAR = 0.1  # difference of colours of one surface, standard deviation
 _THERE = 0.3  # least opacity of the object
 _BIG = 1e6  # footprints
-_MOST = 16  # a pass of the differentiable path snaps at most one texel in so many
+# A pass of the differentiable path snaps one texel in _PART at most, but _FEW in any case: its shapes are static
+_PART, _FEW = 16, 4096
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,8 @@ def _median(depth: Tensor, colour: Tensor, counts: Tensor, wanted: Tensor, windo
     ]
     down, right = torch.tensor(offsets, device=depth.device).unbind(1)
     distance = (down.square() + right.square()).to(depth.dtype)
-    chosen = wanted.flatten(1).to(depth.dtype).topk(max(1, height * width // _MOST)).indices
+    most = min(height * width, max(_FEW, height * width // _PART))
+    chosen = wanted.flatten(1).to(depth.dtype).topk(most).indices
     rows, columns = chosen[..., None] // width + down, chosen[..., None] % width + right
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     index = (rows.clamp(0, height - 1) * width + columns.clamp(0, width - 1)).flatten(1)
