@@ -122,12 +122,7 @@ def sheet_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[SheetS
 def surface_look() -> _core.SurfaceLook:
     """Return the constants of the native stage of sheet_surface."""
     return _core.SurfaceLook(
-        averaged=_AVERAGED,
-        softness=_SOFTNESS,
-        solid=_SOLID,
-        most_solid=_MOST_SOLID,
-        shrunk=_SHRUNK,
-        back=_BACK,
+        averaged=_AVERAGED, softness=_SOFTNESS, solid=_SOLID, most_solid=_MOST_SOLID, shrunk=_SHRUNK, back=_BACK
     )
 
 
@@ -207,9 +202,7 @@ def _solid(cloud: Gaussians, thickness: Tensor, layers: int, footprint: Tensor) 
     first = cloud.means.shape[1] // layers
     farther = (1 + _BACK * footprint[:, :, 0]).expand(-1, cloud.means.shape[1] - first, 1)
     farther = torch.cat([torch.ones_like(cloud.means[:, :first, :1]), farther], 1)
-    return replace(
-        cloud, means=cloud.means * farther, scales=cloud.scales * farther * _SHRUNK, opacities=opacities
-    )
+    return replace(cloud, means=cloud.means * farther, scales=cloud.scales * farther * _SHRUNK, opacities=opacities)
 
 
 def _faded(cloud: Gaussians, disparity: Tensor, cover: Tensor, layers: int, footprint: Tensor) -> Tensor:

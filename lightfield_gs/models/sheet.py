@@ -87,12 +87,7 @@ def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int
 
 
 def lay_texels(
-    surface: SheetSurface,
-    mask: Tensor,
-    fine: Tensor,
-    intrinsics: Tensor,
-    level: DetailLevel,
-    gaussians: Gaussians,
+    surface: SheetSurface, mask: Tensor, fine: Tensor, intrinsics: Tensor, level: DetailLevel, gaussians: Gaussians
 ) -> None:
     """Write the texels over a surface to the first H' * W' Gaussians; see lay_sheet.
 
