@@ -253,10 +253,24 @@ def test_packs_are_read_as_their_own_reader_reads_them(shared_dir):
         if theirs["col"] is not None:
             np.testing.assert_allclose(meshes.colours[vertices] / 255, theirs["col"][:, :3], atol=1e-6)
         if theirs["tex"] is not None:
-            first, stride = meshes.rectangles[materials.start, :2]
+            textured = meshes.rectangles[materials]
+            first, stride = textured[textured[:, 4] > 0][0, :2]
             height, width = theirs["tex"].shape[:2]
             assert stride == width
             np.testing.assert_array_equal(meshes.texels[first : first + height * width], theirs["tex"].reshape(-1, 4))
+
+
+def test_materials_without_a_texture_take_no_texel(tmp_path):
+    """Of a folder with a texture in another pack, or with none: every texel that is looked up exists."""
+    texture = np.full((3, 3, 4), 9, np.uint8)
+    for number, held_back in enumerate(([cube()], [_square((0, 0, 3, 3), texture, 1.0)])):
+        write_packs(tmp_path / str(number), {"train": [cube(), *held_back, cube()]})
+        meshes = read_meshes(tmp_path / str(number))
+        first, stride, x, y, width, height = meshes.rectangles.T
+        assert (first[width == 0] == 0).all() and (stride[width == 0] == 0).all()
+        assert (first + (y + np.maximum(height - 1, 0)) * stride + x + np.maximum(width - 1, 0)).max() < len(
+            meshes.texels
+        )
 
 
 def test_train_and_val_share_no_object(shared_dir):
