@@ -20,6 +20,7 @@ from training.data.batches import Batch, make_batch
 from training.data.plan import Augmentation, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.data.textures import SKIN, Photographs
 from training.data.transfer import packed
 from training.distributed import Team
 from training.loop import make_planner, plans
@@ -377,6 +378,24 @@ def test_examples_show_scenes_in_the_cone_framed_as_photos_are(packs):
     forward = batch.world_to_camera[:, :, 2, :3]
     azimuth = torch.rad2deg(torch.atan2(forward[..., 0], forward[..., 2])).abs()
     assert (azimuth[:, 0] < 1e-3).all() and 15 < azimuth.max() < 40
+
+
+def test_objects_wear_photographs(packs):
+    """A photograph of one blue gives all objects shades of its blue."""
+    blue = Photographs(torch.tensor([30, 60, 220], dtype=torch.uint8).expand(1, 8, 8, 3).contiguous())
+    options = MeshOptions(str(packs), patterned=0.0, photographed=1.0, random_light=0.0)
+    scenes = MeshScenes(ResidentMeshes(read_meshes(packs)), options, CONE_DEG, blue)
+    sampler = ViewSampler([], *CONE_DEG, targets=1, seed=0)
+    planner = BatchPlanner(ResidentViews([]), sampler, Augmentation(), meshes=scenes)
+    plan = planner.plan(0, 0, 6, 24)
+    looks = plan.meshes.sources.looks
+    untouched = dict(tint=torch.zeros(1), order=torch.arange(3.0), gamma=torch.ones(1))
+    starts = dict(zip(SKIN, np.cumsum([0, *SKIN.values()])))
+    for name, values in untouched.items():
+        looks.skins[:, starts[name] : starts[name] + SKIN[name]] = values
+    for red, _, shade, alpha in zip(*make_batch(plan, planner.views).source.transpose(0, 1)):
+        inside = alpha == 1
+        torch.testing.assert_close(red[inside] / shade[inside], torch.full((int(inside.sum()),), 30 / 220))
 
 
 def test_objects_of_a_scene_lie_apart_in_a_unit_box(packs):

@@ -280,8 +280,10 @@ class _Drawn:
         skins[..., -1] = worn[:, None]
         owns = np.broadcast_to(np.concatenate([table[name] for name in OWN], 1)[:, None], (len(kind), GROUPS, 8))
         first = (GROUPS * (np.cumsum(chosen) - 1)).reshape(self._exists.shape)
-        owns, looks, skins = (values[chosen].reshape(-1, values.shape[-1]) for values in (owns, looks, skins))
-        return first, _floats(owns), _floats(looks), _floats(skins)
+        own_rows, patterns, skin_rows = (
+            _floats(values[chosen].reshape(-1, values.shape[-1])) for values in (owns, looks, skins)
+        )
+        return first, own_rows, patterns, skin_rows
 
 
 def _placed(

@@ -230,7 +230,7 @@ def _dressed(
     if dressing.pieces is not None:
         skin = dressing.skins[row]
         skinned = worn(skin, dressing.pieces, local, own_normal, pattern["base"], pattern["second"])
-        other = torch.lerp(other, skinned, named(skin, SKIN)["share"][:, None])
+        other = torch.lerp(other, skinned, named(skin, SKIN)["weight"][:, None])
     return torch.lerp(other, colour, own["weight"][:, None]).clamp(0, 1), pattern["gloss"]
 
 
