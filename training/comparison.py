@@ -42,6 +42,7 @@ class Comparison:
         doubt: Set where the cameras stand elsewhere than the network expects.
         azimuths_deg: [V], from the source.
         truth, rendered, card: [V,3,H,W] on white, 0..1.
+        truth_alpha, rendered_alpha: [V,H,W], 0..1.
     """
 
     name: str
@@ -51,6 +52,8 @@ class Comparison:
     truth: Tensor
     rendered: Tensor
     card: Tensor
+    truth_alpha: Tensor
+    rendered_alpha: Tensor
 
 
 def azimuths_from_source(camera_to_world: np.ndarray, source: int = 0) -> np.ndarray:
@@ -170,14 +173,23 @@ def compare_object(
     cameras = torch.from_numpy(cameras).float().to(device)
     intrinsics = torch.from_numpy(views.intrinsics * scale).float().to(device)
     white = torch.ones(1, len(frames), 3, device=device)
-    images, _ = render_views(
+    images, alphas = render_views(
         gaussians, cameras[None], supersampling * intrinsics[None], supersampling * width, supersampling * height, white
     )
     images = F.interpolate(images[0].clamp(0, 1), size=(height, width), mode="area")
+    alphas = F.interpolate(alphas[0][:, None], size=(height, width), mode="area")[:, 0]
     truth = F.interpolate(frames, size=(height, width), mode="area")
     card = render_card(truth[source], intrinsics[source], OBJECT_DISTANCE, cameras, intrinsics)
     return Comparison(
-        views.name, source, distance_doubt(views.camera_to_world), azimuths, _on_white(truth), images, _on_white(card)
+        views.name,
+        source,
+        distance_doubt(views.camera_to_world),
+        azimuths,
+        _on_white(truth),
+        images,
+        _on_white(card),
+        truth[:, 3],
+        alphas,
     )
 
 

@@ -32,6 +32,7 @@ _COLUMNS = [
     for shown in ("", "copy_", "card_")
     for name, digits in (("psnr_db", 2), ("ssim", 3), ("gradient_psnr_db", 2))
 ]
+_FRACTIONS = ("holes", "ghosts")
 
 
 def _table(report: dict[str, Any]) -> str:
@@ -39,11 +40,13 @@ def _table(report: dict[str, Any]) -> str:
     from training.evaluation import labelled
 
     titles = [f"{shown}{title}" for shown in ("", "copy ", "card ") for title in ("PSNR dB", "SSIM", "sharp dB")]
-    lines = ["   ".join(["angle   views", *titles])]
+    percents = [f"{name} %" for name in _FRACTIONS]
+    lines = ["   ".join(["angle   views", *titles, *percents])]
     for label, row in labelled(report):
         scores = [
             f"{row[f'{shown}{name}']:{len(title)}.{digits}f}" for (shown, name, digits), title in zip(_COLUMNS, titles)
         ]
+        scores += [f"{100 * row[name]:{len(title)}.2f}" for name, title in zip(_FRACTIONS, percents)]
         lines.append("   ".join([f"{label:<7} {row['views']:>5}", *scores]))
     return "\n".join(lines)
 

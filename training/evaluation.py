@@ -3,7 +3,8 @@
 Protocol: the source is view 0 by default, cropped to the object from the stored image. All views are rendered into
 their full frames at size_px on white, and clamped to 0..1. Each is compared with the stored image, averaged down to
 that size. PSNR, SSIM and the PSNR of gradients are means over images; the latter tells soft pictures from sharp ones.
-The source view has scores of its own. Two floors need no network:
+The source view has scores of its own. Holes and ghosts are fractions of the object's pixels where the prediction is
+translucent and where it is beside the object (training/coverage.py). Two floors need no network:
 
 - copy: the source image itself, in place of every other view;
 - card: the source image as a flat card at OBJECT_DISTANCE, the depth of the object's middle.
@@ -30,13 +31,14 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.reference.metrics import gradient_psnr_db, psnr_db, ssim
 from training.comparison import SIZE_PX, Comparison, Source, compare_object, save_comparison
+from training.coverage import holes_and_ghosts
 from training.data.background import Choice
 from training.data.objects import find_objects, object_folder
 from training.ranges import MOST
 
 BIN_DEG = 5
 _SCORES = {"psnr_db": psnr_db, "ssim": ssim, "gradient_psnr_db": gradient_psnr_db}
-_METRICS = tuple(f"{shown}{name}" for shown in ("", "copy_", "card_") for name in _SCORES)
+_METRICS = (*(f"{shown}{name}" for shown in ("", "copy_", "card_") for name in _SCORES), "holes", "ghosts")
 
 
 def _scores(comparison: Comparison) -> Iterator[tuple[int | None, dict[str, float]]]:
@@ -48,6 +50,7 @@ def _scores(comparison: Comparison) -> Iterator[tuple[int | None, dict[str, floa
         for images in (comparison.rendered, copies, comparison.card)
         for score in _SCORES.values()
     ]
+    columns += [part.tolist() for part in holes_and_ghosts(comparison.rendered_alpha, comparison.truth_alpha)]
     for index, (azimuth, *values) in enumerate(zip(comparison.azimuths_deg, *columns)):
         angle = None if index == comparison.source else round(abs(azimuth) / BIN_DEG) * BIN_DEG
         yield angle, dict(zip(_METRICS, values))

@@ -83,7 +83,8 @@ class RenderOptions:
     Attributes:
         antialiased: None: as the scene's file says that it was trained.
         view_filter: width of the box over which views are averaged, in views of the panel.
-        background: red, green and blue, 0..1. None: the background that the scene was fitted before, else white.
+        background: red, green and blue, 0..1. None: light or dark for a photo of one object; for a scene the background
+            that it was fitted before, else white.
     """
 
     antialiased: bool | None = False

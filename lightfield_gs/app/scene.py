@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -191,6 +191,9 @@ def build_scene(
         gaussians, file = source.gaussians.to(device), source
         watch.lap("load")
     settings, messages = settle_render(render, options.input, file)
+    if isinstance(source, ReadPhoto) and render.background is None:
+        settings, chosen = _photo_background(settings, source)
+        messages += chosen
     return LoadedScene(options.input, gaussians, settings, file, photo, messages)
 
 
@@ -232,6 +235,20 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
                 f"background: {format_rgb(fitted.background)}, which the scene was fitted before (--background)"
             )
     return RenderSettings(background, antialiased, options.view_filter), messages
+
+
+def _photo_background(settings: RenderSettings, source: ReadPhoto) -> tuple[RenderSettings, list[str]]:
+    """Return the settings with the background that a cut-out object stands out from, and a line on it."""
+    from lightfield_gs.photo.background import LIGHT, choose_background
+
+    found = choose_background(source.photo.pixels)
+    if found is None:
+        return settings, []
+    background, alike = found
+    kind = "light" if background == LIGHT else "dark"
+    fractions = ", ".join(f"{alike[one]:.0%} of its outline is like {format_rgb(one)}" for one in alike)
+    words = f"background: {kind}, {format_rgb(background)}; {fractions} (another: --background)"
+    return replace(settings, background=background), [words]
 
 
 def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:

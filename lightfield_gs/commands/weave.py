@@ -103,7 +103,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the panel has, 2 as many)",
     )
     _add_framing(add)
-    add("--background", type=background, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each (default 0,0,0)")
+    add(
+        "--background",
+        type=background,
+        default=(0.0, 0.0, 0.0),
+        metavar="COLOUR",
+        help="R,G,B in 0..1, a name, or #rrggbb (default 0,0,0)",
+    )
     add("--device", choices=DEVICES, default="auto", help="device of the interlacing (default auto)")
     add(
         "--compression",

@@ -29,8 +29,8 @@ from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_VIEWS, _MOST_NUMBERED = 4096, (1 << 31) - 1  # of a chunk: views; splats, and lists
-# Bytes of a chunk: for a splat (footprint 32, colour 16, depth 4), for an intersection, for a list of intersections,
-# and for the gaps between the parts with the state
+# Bytes of a chunk: for a splat (footprint 32, colour 16, depth 4), an intersection, a list of intersections, and the
+# gaps between parts
 _SPLAT_BYTES, _INTERSECTION_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
 _STATE = struct.Struct("<Q4xI")  # SortedState: intersections, the long lists, and splats drawn
 

@@ -81,9 +81,7 @@ class SortedPlan:
         self.hidden = int(totals.sum()) < 3 * self.width_px * self.height_px
         self.shown = totals.nonzero().squeeze(1).numpy()
         self.starts = torch.zeros(len(self.shown) * self.tiles + 1, dtype=torch.int64)  # of the lists in the codes
-        for place, view in enumerate(
-            self.shown.tolist()
-        ):  # a view at a time, without another array as large as `counts`
+        for place, view in enumerate(self.shown.tolist()):  # without another array as large as `counts`
             padded = (counts[view] + (BLOCK - 1)).div_(BLOCK, rounding_mode="floor").mul_(BLOCK).to(torch.int64)
             lists = slice(place * self.tiles + 1, (place + 1) * self.tiles + 1)
             self.starts[lists] = padded.cumsum_(0).add_(self.starts[lists.start - 1])

@@ -34,7 +34,7 @@ _LEAST_SPREAD_DEG = 3.0  # of axes; below it their intersection is too uncertain
 _IN_FRONT = 0.9  # the fraction of cameras that must have the intersection before them
 _FEWEST = 3  # least number of cameras, and a tenth of the least number of points, to estimate a depth
 
-# The direction (x, y) of down in a stored photograph: by the quarter turns clockwise that make it upright, and by Exif
+# The direction (x, y) of down in a stored photograph, by the clockwise quarter turns to upright, and by Exif
 # orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.
 _DOWN = ((0, 1), (1, 0), (0, -1), (-1, 0))
 _STORED_DOWN = {2: _DOWN[0], 3: _DOWN[2], 4: _DOWN[2], 5: _DOWN[1], 6: _DOWN[1], 7: _DOWN[3], 8: _DOWN[3]}

@@ -107,7 +107,7 @@ def refine_mcmc(state: GaussianState, settings: FitSettings, step: int) -> Gauss
     Args:
         state: the Gaussians; changed in place.
         settings: of the fit.
-        step: how many steps are done; with settings.seed it decides all random numbers.
+        step: number of steps done; with settings.seed it determines all random numbers.
 
     Returns:
         The same state, or a larger one where Gaussians were added.
@@ -225,7 +225,7 @@ def refine_adaptive(
         state: the Gaussians.
         statistics: their gradients.
         settings: of the fit.
-        step: how many steps are done; with settings.seed it decides all random numbers.
+        step: number of steps done; with settings.seed it determines all random numbers.
 
     Returns:
         A new state, or the same where nothing changes.

@@ -222,8 +222,8 @@ def read_depth(
     """Read view-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
     Args:
-        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), an EXR with a depth channel, a .npy [H, W], or a .npz with
-            one array. Axes of length 1 are dropped.
+        path: A grey image (PNG of 8 or 16 bits, EXR, TIFF), an EXR with a depth channel, a .npy [H, W] or a .npz. Axes
+            of length 1 are dropped.
         kind: The meaning of the numbers v: "distance", v = z / scale; "ray", the same along the pixel's ray; or
             "disparity" (inverse distance), v = scale / z. NaN, negative numbers, the distance 0 and infinite
             disparities are no measurement.

@@ -59,7 +59,7 @@ class Hidden(NamedTuple):
     linked: list[Tensor]
 
 
-# The surface behind each pixel from one side: column of its last visible pixel, int64 [H, W], -1 where there is none;
+# The surface behind each pixel from one side. Column of its last visible pixel, int64 [H, W], -1 where there is none;
 # and the pixels to it, [H, W]
 _Run = tuple[Tensor, Tensor]
 
@@ -68,7 +68,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     """Find the surfaces behind others, for cameras to the left and to the right of the photo's.
 
     A far surface continues along the row behind a near one. It ends where a camera at the end of a cone of 60 degrees
-    sees no more of it, at most after a quarter of the width. It keeps its slope from before the edge. Its colours are a
+    sees no more, at most after a quarter of the width. It keeps its slope from before the edge. Its colours are a
     membrane, held at the visible pixels: a solution of Poisson's equation. So planes and linear gradients continue
     unchanged between visible pixels on both sides.
 

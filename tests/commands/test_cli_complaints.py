@@ -51,7 +51,7 @@ from lightfield_gs.panels.panel import Panel
         ("encode s.ply -o o.png --views all", "invalid choice"),
         ("encode s.ply -o o.png --background 1,2,3", "0..1"),
         ("encode s.ply -o o.png --background -1,0,0", "0..1"),
-        ("encode s.ply -o o.png --background red", "3 numbers"),
+        ("encode s.ply -o o.png --background redd", "3 numbers"),
         ("encode s.ply -o o.png --background nan,0,0", "3 numbers"),
         ("encode s.ply -o o.png --bit-depth 12", "invalid choice"),
         ("encode s.ply -o o.png --bit-depth 32", "bits"),

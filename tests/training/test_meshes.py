@@ -20,6 +20,7 @@ from training.data.batches import Batch, make_batch
 from training.data.plan import Augmentation, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.data.transfer import packed
 from training.distributed import Team
 from training.loop import make_planner, plans
 from training.meshes.pack import Meshes, ResidentMeshes, read_meshes
@@ -184,7 +185,7 @@ def test_pictures_have_depth_normals_and_numbers_of_objects(tmp_path):
     torch.testing.assert_close(pictures.normals[0, :, 16, 16], torch.tensor([0.0, 0.0, -1.0]))
 
 
-def test_the_first_light_throws_shadows(tmp_path):
+def test_the_key_light_throws_shadows(tmp_path):
     """A small square before a wall, lit from the right: its shadow lies to the left on the wall, soft at the rim."""
     white = np.full((1, 1, 4), 255, np.uint8)
     meshes = _resident(tmp_path, _square((0, 0, 0, 0), white, 1.0))
@@ -202,7 +203,7 @@ def test_the_first_light_throws_shadows(tmp_path):
     intrinsics = torch.tensor([[83.2, 83.2, 32.0, 32.0]])  # 64 px a unit on the wall
     scene = Scene(draws, cameras, intrinsics, light, 64, None, from_camera, torch.zeros(1, dtype=torch.int64))
     row = render_images(meshes, scene, maps)[0, 0, 32]
-    # On the wall, 0.25 scene units of light's way before it: from 0.1 - 0.15 - 0.1 to 0.1 - 0.15 + 0.1 of its middle
+    # 0.2 before the wall, it throws its shadow 0.15 to the left: to -0.05, 0.1 to either side
     lit, dark = 0.3 + 0.5 * 0.8, 0.3
     torch.testing.assert_close(row[12:21], torch.full((9,), lit))
     torch.testing.assert_close(row[24:31], torch.full((7,), dark))
@@ -252,10 +253,24 @@ def test_packs_are_read_as_their_own_reader_reads_them(shared_dir):
         if theirs["col"] is not None:
             np.testing.assert_allclose(meshes.colours[vertices] / 255, theirs["col"][:, :3], atol=1e-6)
         if theirs["tex"] is not None:
-            first, stride = meshes.rectangles[materials.start, :2]
+            textured = meshes.rectangles[materials]
+            first, stride = textured[textured[:, 4] > 0][0, :2]
             height, width = theirs["tex"].shape[:2]
             assert stride == width
             np.testing.assert_array_equal(meshes.texels[first : first + height * width], theirs["tex"].reshape(-1, 4))
+
+
+def test_materials_without_a_texture_take_no_texel(tmp_path):
+    """Of a folder with a texture in another pack, or with none: every texel that is looked up exists."""
+    texture = np.full((3, 3, 4), 9, np.uint8)
+    for number, held_back in enumerate(([cube()], [_square((0, 0, 3, 3), texture, 1.0)])):
+        write_packs(tmp_path / str(number), {"train": [cube(), *held_back, cube()]})
+        meshes = read_meshes(tmp_path / str(number))
+        first, stride, x, y, width, height = meshes.rectangles.T
+        assert (first[width == 0] == 0).all() and (stride[width == 0] == 0).all()
+        assert (first + (y + np.maximum(height - 1, 0)) * stride + x + np.maximum(width - 1, 0)).max() < len(
+            meshes.texels
+        )
 
 
 def test_train_and_val_share_no_object(shared_dir):
@@ -337,6 +352,14 @@ def test_examples_depend_on_seed_step_and_number_alone(packs):
     for number in range(2):
         for one, other in zip(_example(half, number), _example(whole, 2 + number)):
             torch.testing.assert_close(one, other)
+
+
+def test_plans_go_to_a_device_in_one_piece(packs):
+    planner = _planner(packs, shadows=1.0)
+    plan = planner.plan(1, 0, 3, 16)
+    there = make_batch(packed(plan, torch.device("cpu")), planner.views)
+    for one, other in zip(vars(there).values(), vars(make_batch(plan, planner.views)).values()):
+        assert torch.equal(one, other)
 
 
 def test_examples_show_scenes_in_the_cone_framed_as_photos_are(packs):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from lightfield_gs.base.errors import InputError
 
 INDEX = "index.csv"
 SUPPORTS = 128  # points that stand for the outline of an object: its box is found to about 1 %
+_CONSIDERED = 2048  # of an object's vertices when these are searched for
 _GREY_LEVELS = 8  # a single material whose channels differ less has no colour of its own
 _OFFSETS = ("vert_off", "tri_off", "mat_off", "uv_off", "col_off", "tex_off")
 _ARRAYS = ("pos", "nrm", "uv", "uv_lo", "uv_ext", "col", "idx", "mat_tris", "mat_rgba", "mat_rect", "mat_cut", "tex_id")
@@ -41,8 +43,8 @@ class Meshes:
         corners: int32 [T,3], vertex numbers within the object.
         material_of: int32 [T], material numbers within the object.
         base_colours: float32 [M,3], 0..1.
-        rectangles: int32 [M,6], (offset, stride, x, y, width, height): a texture's first texel, the texels of its row,
-            and the material's rectangle in it; width 0: no texture.
+        rectangles: int32 [M,6], (offset, stride, x, y, width, height). A texture's first texel, the texels of its row,
+            and the material's rectangle in it. All 0: no texture.
         cut: bool [M], whether texels of less than half opacity are holes.
         texels: uint8 [P,4], all textures by rows.
         supports: float32 [O,3,SUPPORTS], the vertices that lie furthest in directions all round.
@@ -119,12 +121,22 @@ def read_meshes(folder: Path, split: str = "train", names: list[str] | None = No
     """
     folder = Path(folder)
     wanted = _numbers(folder / INDEX, split, names)
-    objects, texels = [], [np.zeros((1, 4), np.uint8)]
-    for file, numbers in wanted.items():
-        pack = _Pack(folder / file, sum(map(len, texels)))
-        objects += [pack.read(number) for number in numbers]
-        texels += pack.texels
-    return _joined(objects, np.concatenate(texels))
+    with ThreadPoolExecutor() as pool:
+        packs = list(pool.map(lambda file: _read_pack(folder / file, wanted[file]), wanted))
+    first = 1
+    for objects, texels in packs:
+        for one in objects:
+            one["rectangles"][:, 0] += np.where(one["rectangles"][:, 4] > 0, first, 0)
+        first += len(texels)
+    nothing = np.zeros((1, 4), np.uint8)  # for materials without a texture in a folder without any
+    return _joined([one for objects, _ in packs for one in objects], np.concatenate([nothing, *(p[1] for p in packs)]))
+
+
+def _read_pack(path: Path, numbers: list[int]) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """Return the wanted objects of a pack, and their texels [P,4], from which rectangles count."""
+    pack = _Pack(path)
+    objects = [pack.read(number) for number in numbers]
+    return objects, np.concatenate([np.zeros((0, 4), np.uint8), *pack.texels])
 
 
 def _numbers(index: Path, split: str, names: list[str] | None) -> dict[str, list[int]]:
@@ -171,7 +183,7 @@ def _unit_normals(octahedral: np.ndarray) -> np.ndarray:
 class _Pack:
     """One npz file; `texels` collects the textures of the objects that are read."""
 
-    def __init__(self, path: Path, first_texel: int) -> None:
+    def __init__(self, path: Path) -> None:
         try:
             with np.load(path) as file:
                 self._stored = {name: file[name] for name in (*_OFFSETS, *_ARRAYS, "name", "tex")}
@@ -182,7 +194,8 @@ class _Pack:
         self._normals = np.cumsum(stored["nrm"], axis=1, dtype=np.uint8).T.view(np.int8)
         self._colours = np.cumsum(stored["col"], axis=1, dtype=np.uint8).T
         self._corners = _vertex_numbers(stored["idx"]).reshape(-1, 3)
-        self._first_texel, self._places = first_texel, {}
+        self._first_texel = 0
+        self._places: dict[int, tuple[int, int]] = {}
         self.texels: list[np.ndarray] = []
 
     def _rows(self, name: str, number: int) -> slice:
@@ -211,6 +224,7 @@ class _Pack:
         rectangles = np.zeros((materials.stop - materials.start, 6), np.int32)
         if (texture := int(stored["tex_id"][number])) >= 0:
             rectangles[:, :2], rectangles[:, 2:] = self._texture(texture), stored["mat_rect"][materials]
+            rectangles[rectangles[:, 4] == 0] = 0
         base = stored["mat_rgba"][materials, :3]
         spread = int(base.max(1)[0]) - int(base.min(1)[0])
         return {
@@ -241,10 +255,15 @@ _DIRECTIONS = _directions()
 
 
 def _supports(positions: np.ndarray) -> np.ndarray:
-    """Return the vertices [SUPPORTS,3] that lie furthest in directions all round; all of them where they are few."""
+    """Return the vertices [SUPPORTS,3] that lie furthest in directions all round; all of them where they are few.
+
+    Of many vertices it considers a part, spread over the object, and those that the box touches.
+    """
     if len(positions) <= SUPPORTS:
         return positions[np.arange(SUPPORTS) % len(positions)]
-    return positions[(positions @ _DIRECTIONS.T).argmax(0)]
+    outermost = positions[np.concatenate([positions.argmin(0), positions.argmax(0)])]
+    considered = np.concatenate([outermost, positions[:: -(-len(positions) // _CONSIDERED)]])
+    return considered[(_DIRECTIONS @ considered.T).argmax(1)]
 
 
 def _joined(objects: list[dict[str, Any]], texels: np.ndarray) -> Meshes:

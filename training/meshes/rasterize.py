@@ -1,13 +1,12 @@
 """The triangle that each sample of many views sees: a z-buffer of torch operations.
 
 Triangles become rows of samples, and rows become fragments, by repeat_interleave. A row holds exactly the samples whose
-centres lie in the triangle, half open to the right and below, so that triangles with a common edge neither overlap nor
-part. All fragments meet in one scatter_reduce: the nearest has the largest 1/z, whose bits are the high half of an
-integer. The low half names the triangle, so that the first is seen of equally near ones, in whatever order they come.
+centres lie in the triangle, half open to the right and below. So triangles with a common edge neither overlap nor part.
+All fragments meet in one scatter_reduce: the nearest has the largest 1/z, whose bits are the high half of an integer.
+The low half names the triangle, so that the first is seen of equally near ones, in whatever order they come.
 
-Floor: a fragment moves 8 bytes of address, 8 of key and 16 of the atomic maximum; eager operations move about 300. A
-view of 128 px with 2x2 samples has about 80,000 fragments (26,000 samples with three layers), 24 MB or 10 us of an
-H100's memory. The host waits twice for each chunk: for the number of rows, and for the number of fragments.
+Floor: a fragment moves 8 bytes of address, 8 of key and 16 of the atomic maximum; the operations one by one move 300.
+The host waits twice for each chunk: for the number of rows, and for the number of fragments.
 """
 
 from __future__ import annotations
@@ -63,18 +62,18 @@ def list_draws(meshes: Meshes, objects: np.ndarray, view: np.ndarray, views: int
     first_vertex, first_triangle = meshes.vertices[objects], meshes.triangles[objects]
     vertices = meshes.vertices[objects + 1] - first_vertex
     triangles = meshes.triangles[objects + 1] - first_triangle
-    numbers = (
-        view,
-        first_vertex,
-        vertices,
-        first_triangle,
-        triangles,
-        meshes.materials[objects],
-        np.cumsum(vertices) - vertices,
-        np.cumsum(triangles) - triangles,
-    )
+    numbers = {
+        "view": view,
+        "first_vertex": first_vertex,
+        "vertices": vertices,
+        "first_triangle": first_triangle,
+        "triangles": triangles,
+        "first_material": meshes.materials[objects],
+        "list_vertex": np.cumsum(vertices) - vertices,
+        "list_triangle": np.cumsum(triangles) - triangles,
+    }
     return DrawList(
-        *(torch.from_numpy(values.astype(np.int64)) for values in numbers),
+        **{name: torch.from_numpy(values.astype(np.int64)) for name, values in numbers.items()},
         views=views,
         total_vertices=int(vertices.sum()),
         total_triangles=int(triangles.sum()),

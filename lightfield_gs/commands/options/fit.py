@@ -15,7 +15,6 @@ from lightfield_gs.fitting.settings import DENSITIES, MASKS, Density, Masks
 from lightfield_gs.io.captures.capture import TestEvery
 
 Add = Callable[..., argparse.Action]
-_BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
 _MOST = 10_000_000
 # Names of options, and of their settings
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
@@ -146,7 +145,7 @@ def _every_or_none(text: str) -> TestEvery:
 
 def _backdrop(text: str) -> tuple[float, ...] | None:
     """Parse "white" to (1.0, 1.0, 1.0), "random" to None, "0,0.5,1" to (0.0, 0.5, 1.0)."""
-    return _BACKGROUNDS[text] if text in _BACKGROUNDS else background(text)
+    return None if text == "random" else background(text)
 
 
 def add_capture(parser: argparse.ArgumentParser) -> None:
@@ -260,9 +259,9 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
     add(
         "--background",
         type=_backdrop,
-        default=_BACKGROUNDS["black"],
+        default=(0.0, 0.0, 0.0),
         metavar="COLOUR",
-        help="background of the scene in the fit, and later in encode: black, white, R,G,B in 0..1, or random, "
+        help="background of the scene in the fit, and later in encode: R,G,B in 0..1, a name, #rrggbb, or random, "
         "another colour at each step (default black)",
     )
     add(

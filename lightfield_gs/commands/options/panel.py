@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.parser import background, byte_size, camera_choice, numbers, threads, within
+from lightfield_gs.commands.options.parser import background_or_auto, byte_size, camera_choice, numbers, threads, within
 from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.scene.axes import UP_AXES
@@ -238,10 +238,11 @@ def add_rendering(add: Add) -> None:
     add_filters(add)
     add(
         "--background",
-        type=background,
-        metavar="R,G,B",
-        help="0..1 each (default: the background that lightfield-gs fitted the scene before, if the file states "
-        "it, else 1,1,1)",
+        type=background_or_auto,
+        metavar="COLOUR",
+        help="R,G,B in 0..1, a name as white, black or grey, #rrggbb, or auto (default). auto: for a photo of one "
+        "object white or a dark grey, whichever its outline stands out from; for a scene the background that "
+        "lightfield-gs fitted it before, if the file states it, else white",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import math
 import re
@@ -80,11 +81,31 @@ def _counted(count: int) -> str:
 
 
 def background(text: str) -> tuple[float, ...]:
-    """Parse "1,0.5,0" to (1.0, 0.5, 0.0)."""
+    """Parse "1,0.5,0", a name of CSS as "grey", or "#rrggbb" to red, green and blue in 0..1."""
+    if "," not in text:
+        return _named_colour(text)
     values = numbers(3)(text)
     if not all(0 <= value <= 1 for value in values):
         raise argparse.ArgumentTypeError(f"expected red, green and blue in 0..1, got '{text}'")
     return values
+
+
+def _named_colour(text: str) -> tuple[float, ...]:
+    """Return red, green and blue in 0..1 of a name of CSS or of hexadecimal digits after a #."""
+    from PIL import ImageColor
+
+    parts: tuple[int, ...] = ()
+    if re.fullmatch(r"#[0-9a-fA-F]{3,6}|[a-zA-Z]{3,32}", text):
+        with contextlib.suppress(ValueError):
+            parts = ImageColor.getrgb(text)
+    if len(parts) != 3:
+        raise argparse.ArgumentTypeError(f"expected 3 numbers separated by commas, a name or #rrggbb, got '{text}'")
+    return tuple(part / 255 for part in parts)
+
+
+def background_or_auto(text: str) -> tuple[float, ...] | None:
+    """Parse a background; "auto" is None."""
+    return None if text == "auto" else background(text)
 
 
 def within(low: float, high: float, unit: str = ""):
