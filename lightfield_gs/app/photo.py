@@ -137,6 +137,7 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
             picture,
             options.mask,
             remove_background=options.remove_background,
+            clean_edges=options.clean_edges is not False,
             map_orientation=options.map_orientation,
         )
     except InputError as error:
@@ -249,6 +250,7 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
         colour,
         options.mask,
         remove_background=options.remove_background,
+        clean_edges=options.clean_edges is not False,
         whole=True,
         map_orientation=options.map_orientation,
     )

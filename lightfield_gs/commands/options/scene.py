@@ -40,6 +40,11 @@ def add_scene(
     """
     add("--mask", type=Path, metavar=of_mask, help=mask)
     add("--remove-background", action="store_true", help=cutting)
+    add(
+        "--clean-edges",
+        action=argparse.BooleanOptionalAction,
+        help="take the colour of the old background out of a cut-out's edges, where they have it (default)",
+    )
     add_depth(add)
     add_detail(add)
     add(
