@@ -99,6 +99,7 @@ class PhotoOptions:
     Attributes:
         mask: file of a cut-out.
         remove_background: whether rembg cuts the object out.
+        clean_edges: whether edges of a cut-out lose the colour of the old background. None: they do.
         map_orientation: whether mask and depth map have the pixels as stored or upright.
         checkpoint: weights of the network.
         detail: factor of the photo's resolution on the object, "auto", or "none" for the network's own colours.
@@ -118,6 +119,7 @@ class PhotoOptions:
 
     mask: Path | None = None
     remove_background: bool = False
+    clean_edges: bool | None = None
     map_orientation: MapOrientation | None = None
     checkpoint: Path | None = None
     detail: str | int | None = None

@@ -104,8 +104,8 @@ def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
     kind = options.depth_kind
     if kind is None and options.depth_scale is None:
         kind = "disparity" if inside.is_inverse else "distance"
-        if inside.is_inverse and limits is not None:
-            limits = limits[::-1]  # dark is near in both formats
+        if inside.is_inverse and not inside.is_bright_near and limits is not None:
+            limits = limits[::-1]
     turn = _turn_with(options, photo, options.map_orientation or "stored")
     depth = _map_numbers(path, options, inside.numbers(path), kind, limits, photo.pixels.shape[:2], turn)
     description = f"depth inside it ({inside.name}): {depth.description}"

@@ -27,7 +27,7 @@ _DEPTH_OPTIONS: tuple[str, ...] = ("depth_kind", "depth_range", "depth_scale", "
 _DEPTH_OPTIONS += ("intrinsics", "fit")
 _NETWORK_OPTIONS = ("checkpoint", "detail", "detail_budget")
 _PHOTO_OPTIONS: tuple[str, ...] = ("mask", "remove_background", "checkpoint", "depth", "depth_model", "rgbd")
-_PHOTO_OPTIONS += ("map_orientation", "detail", "detail_budget")
+_PHOTO_OPTIONS += ("map_orientation", "detail", "detail_budget", "clean_edges")
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ _PHOTO_OF_JOB: tuple[str, ...] = (
     "fov",
     "fit",
 )
-_PHOTO_OF_JOB += ("intrinsics", "pixel_aspect", "remove_background")
+_PHOTO_OF_JOB += ("intrinsics", "pixel_aspect", "remove_background", "clean_edges")
 _LOOK_OF_JOB = ("focus", "depth_amount", "cone", "zoom", "pan")
 
 

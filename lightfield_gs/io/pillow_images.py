@@ -1,16 +1,17 @@
 """Images through Pillow: several pictures in one file, pictures in memory, and AVIF and HEIC.
 
-OpenImageIO's packages read neither AVIF nor HEIC. HEIC needs the optional package pi-heif.
+OpenImageIO's packages read neither AVIF nor HEIC. The package pi-heif reads HEIC; it lacks the encoder of pillow-heif,
+which is under the GPL.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import struct
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -45,7 +46,6 @@ _AVIF_BRANDS = (b"avif", b"avis")
 _BRANDS = (*_AVIF_BRANDS, b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2")
 _MOST_BYTES = 1 << 28
 _BRAND_BYTES = 128  # read for the brands: they hold a dozen and more
-_PACKAGES = ("pi_heif", "pillow_heif")  # one reader; the former lacks the encoder, which is under the GPL
 _ORIENTATION_TAG = 0x0112
 
 
@@ -181,11 +181,49 @@ def _register_reader(path: Path) -> str:
             f"{path} is an AVIF image, which the installed Pillow does not read: pip install -U "
             "'pillow>=11.3'; or convert it to PNG or JPEG"
         )
-    for name in _PACKAGES:
-        with contextlib.suppress(ImportError):
-            importlib.import_module(name).register_heif_opener()
-            return "HEIF"
-    raise InputError(
-        f"{path} is a HEIC image, which takes a package to read: pip install 'lightfield-gs[heif]'; or "
-        "convert it to PNG or JPEG"
-    )
+    try:
+        import pi_heif
+    except ImportError as error:
+        raise InputError(
+            f"{path} is a HEIC image, and the package that reads it could not be imported ({error}): pip install "
+            "--force-reinstall pi-heif; or convert it to PNG or JPEG"
+        ) from None
+    pi_heif.register_heif_opener()
+    return "HEIF"
+
+
+@dataclass(frozen=True)
+class HeifDepth:
+    """The depth map beside the picture of a HEIC (ISO/IEC 23008-12).
+
+    Attributes:
+        pixels: [H, W, C].
+        orientation: The Exif orientation of the pixels: 1 where they are as upright as the picture.
+        facts: Of its depth representation information (ITU-T H.265, F.14.2.3): `representation_type`, and of `z_near`,
+            `z_far`, `d_min` and `d_max` those that the file states.
+    """
+
+    pixels: np.ndarray
+    orientation: int
+    facts: dict[str, float]
+
+
+def read_heif_depth(path: Path) -> HeifDepth | None:
+    """Return the depth map in a HEIC; None without one, as in every AVIF. Raises InputError."""
+    with (
+        open_heif(path, lambda width, height: None) as image,
+        pillow_errors(f"{path}: the depth map inside it is damaged"),
+    ):
+        for depth in image.info.get("depth_images", ()):
+            if not 0 < depth.size[0] * depth.size[1] <= _MOST_PIXELS:
+                continue
+            pixels = np.array(depth.to_pillow())
+            # Both are turned alike (ISO/IEC 23000-22, 7.3.5); where only the photo is, Exif says how
+            is_stored = (pixels.shape[0] > pixels.shape[1]) != (image.height > image.width)
+            stored = image.info.get("original_orientation") or 1
+            return HeifDepth(
+                pixels.reshape(*pixels.shape[:2], -1),
+                stored if is_stored and stored >= 5 else 1,
+                dict(depth.info["metadata"]),
+            )
+    return None

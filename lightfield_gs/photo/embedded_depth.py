@@ -2,7 +2,8 @@
 
 Sources: Depthmap Metadata (Google, 2014), whose namespace is usually GDepth, with the map in base64; Dynamic Depth 1.0
 (Google, 2019), with the map behind the picture. In both a number d of 0..1 is the distance near + d (far - near), or
-with the format RangeInverse far near / (far - d (far - near)): dark is near.
+with the format RangeInverse far near / (far - d (far - near)): dark is near. A telephone's HEIC holds disparities as an
+auxiliary picture: bright is near.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.images import read_layer
-from lightfield_gs.io.pillow_images import count_pictures, decode_picture, is_heif
+from lightfield_gs.io.images import apply_orientation, read_layer
+from lightfield_gs.io.pillow_images import HeifDepth, count_pictures, decode_picture, is_heif, read_heif_depth
 from lightfield_gs.io.xmp import jpeg_xmp
 from lightfield_gs.photo.depth import DepthNumbers, depth_channel, grey_numbers
 
@@ -30,6 +33,8 @@ _GIMAGE = "http://ns.google.com/photos/1.0/image/"
 _HEIF_DEPTH = (b"urn:mpeg:hevc:2015:auxid:2", b"urn:mpeg:mpegB:cicp:systems:auxiliary:depth")
 _APPLE_DEPTH = re.compile(rb"AuxiliaryImageType(=\"|>)(disparity|depth)", re.IGNORECASE)
 _SAMSUNG_DEPTH = b"DualShot_DepthMap"
+_UNIFORM_Z = 2  # depth representation type of a HEIC: the others are inverse distances or disparities
+_FARTHEST_RATIO = 50  # far / near of a HEIC, at most: disparities that reach 0 state no far distance
 _BOXES_BYTES, _TRAILER_BYTES = 1 << 20, 4096
 
 
@@ -39,28 +44,31 @@ class EmbeddedDepth:
 
     Attributes:
         name: Its format, for people.
-        data: A PNG or JPEG.
+        data: A PNG or JPEG, or pixels [H, W, C].
         is_inverse: Whether its numbers are linear in 1/z.
         near: Distance at one end; None where the file has no valid one.
         far: Distance at the other end; None where the file has no valid one.
         is_along_ray: See DepthNumbers.
+        is_bright_near: Whether large numbers are near.
     """
 
     name: str
-    data: bytes
+    data: bytes | np.ndarray
     is_inverse: bool
     near: float | None
     far: float | None
-    is_along_ray: bool
+    is_along_ray: bool = False
+    is_bright_near: bool = False
 
     def numbers(self, path: str | Path) -> DepthNumbers:
         """Return the numbers of the map; raise InputError."""
         name = f"{path}: the depth map inside it"
-        return replace(grey_numbers(name, decode_picture(name, self.data)), is_along_ray=self.is_along_ray)
+        pixels = decode_picture(name, self.data) if isinstance(self.data, bytes) else self.data
+        return replace(grey_numbers(name, pixels), is_along_ray=self.is_along_ray)
 
 
 def find_embedded_depth(path: str | Path) -> EmbeddedDepth | None:
-    """Return the depth map in the XMP of a photo, or behind its picture; None without a readable map.
+    """Return the depth map in a photo's XMP, behind its picture, or in a box; None without a readable map.
 
     Raises:
         InputError: The file cannot be read.
@@ -115,6 +123,9 @@ def embedded_facts(path: str | Path) -> list[tuple[str, str]]:
 @functools.lru_cache(maxsize=8)
 def _read_embedded_depth(path: Path, changed: int, size: int) -> EmbeddedDepth | None:
     """Read the depth map; changed, size: of the file, so that another file of the same name is read again."""
+    if is_heif(path):
+        found = read_heif_depth(path)
+        return None if found is None else _with_limits(found)
     xmp = jpeg_xmp(path)
     for (namespace, name), find in zip(_NAMESPACES.items(), (_decode_base64, _read_container_item)):
         if f'"{namespace}"' not in xmp:
@@ -122,14 +133,34 @@ def _read_embedded_depth(path: Path, changed: int, size: int) -> EmbeddedDepth |
         values = _properties(xmp, namespace)
         data = find(path, xmp, values)
         if data:
-            near, far = (_number(values.get(key)) for key in ("Near", "Far"))
-            if near is None or far is None or not 0 < near < far:
-                near = far = None
+            near, far = _ordered(_number(values.get("Near")), _number(values.get("Far")))
             words = f"{name} {values.get('Format') or 'without a format'}"
             is_inverse = values.get("Format", "").lower() == "rangeinverse"
             is_along_ray = values.get("MeasureType", "").lower() == "opticray"
             return EmbeddedDepth(words, data, is_inverse, near, far, is_along_ray)
     return None
+
+
+def _with_limits(depth: HeifDepth) -> EmbeddedDepth:
+    """Return the depth map of a HEIC with its limits, upright."""
+    pixels, facts = np.ascontiguousarray(apply_orientation(depth.pixels, depth.orientation)), depth.facts
+    near, far = facts.get("z_near"), facts.get("z_far")
+    if facts.get("representation_type") == _UNIFORM_Z:
+        return EmbeddedDepth("HEIC distance", pixels, False, *_ordered(near, far))
+    low, high = facts.get("d_min"), facts.get("d_max")
+    if low is not None and high is not None and low < high and high > 0:
+        least = max(low, high / _FARTHEST_RATIO)
+        if low < least and pixels.dtype.kind == "u":
+            fraction = low + pixels.astype(np.float32) / np.iinfo(pixels.dtype).max * (high - low)
+            fraction = ((fraction - least) / (high - least)).clip(0, 1)
+            pixels = np.rint(fraction * np.iinfo(np.uint16).max).astype(np.uint16)
+        near, far = round(1 / high, 6), round(1 / least, 6)
+    return EmbeddedDepth("HEIC disparity", pixels, True, *_ordered(near, far), is_bright_near=True)
+
+
+def _ordered(near: float | None, far: float | None) -> tuple[float | None, float | None]:
+    """Return the limits of a map; None for both where they are not valid."""
+    return (near, far) if near is not None and far is not None and 0 < near < far else (None, None)
 
 
 def _decode_base64(path: Path, xmp: str, values: dict[str, str]) -> bytes:

@@ -14,6 +14,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import MAP_ORIENTATIONS
 from lightfield_gs.io.images import Picture, apply_orientation, as_floats, read_picture
+from lightfield_gs.photo import foreground
 from lightfield_gs.photo.colour import check_finite, to_srgb
 from lightfield_gs.photo.image_filters import row_strips
 from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_components, plain_background_mask
@@ -92,7 +93,7 @@ def turn_with_photo(
     return apply_orientation(values, orientation) if turned else values, turned
 
 
-_INSTALL = "pip install 'lightfield-gs[rembg]'"
+_INSTALL = "pip install 'lightfield-gs[photo]'"
 # rembg's default model has changed between versions, once to weights without commercial use.
 # U^2-Net: Qin et al., "U^2-Net: Going deeper with nested U-structure for salient object detection", 2020; Apache-2.0.
 _MODEL = "u2net"
@@ -121,15 +122,17 @@ def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
         mask = rembg.remove(np.round(rgb * 255).astype(np.uint8), session=session, only_mask=True)
     except Exception as error:  # of the download, its file, or the inference: it may be anything
         raise InputError(
-            f"rembg could not remove the background: {' '.join(str(error).split())[:200]}; its model "
-            f"{_MODEL} is downloaded at first use; or give a cut-out with mask=FILE"
+            f"rembg could not remove the background: run it again with a connection, if its weights {_MODEL} (176 MB, "
+            "fetched at first use) are not on this machine; or give a cut-out with mask=FILE. It failed with: "
+            f"{' '.join(str(error).split())[:200]}"
         ) from None
     return mask.astype(np.float32) / 255
 
 
 __all__ = ["NoCutOut", "Photo", "load_photo", "cut_out_photo", "plain_background_mask"]
 _STRIP_PIXELS = 1 << 19  # of colours and alpha that are joined at a time
-_OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[rembg]')"
+_OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[photo]')"
+_BY_ALPHA = "cut out by its alpha"
 
 
 class NoCutOut(InputError):
@@ -164,6 +167,7 @@ def load_photo(
     remove_background: bool = False,
     whole: bool = False,
     map_orientation: str | None = None,
+    clean_edges: bool = True,
 ) -> np.ndarray:
     """Load a photo as float32 RGBA [H, W, 4] in 0..1, sRGB, upright, alpha straight: 1 on the object, 0 beside it.
 
@@ -177,12 +181,14 @@ def load_photo(
         remove_background: Whether the package rembg finds the object.
         whole: Whether the whole picture is the object.
         map_orientation: "stored" or "upright": the orientation of a mask whose size does not tell.
+        clean_edges: Whether partly transparent pixels lose the colour of the old background, where they have it.
 
     Raises:
         InputError: There is no cut-out, or nothing in it.
     """
     picture = read_picture(path)
     options: dict[str, Any] = dict(remove_background=remove_background, whole=whole, map_orientation=map_orientation)
+    options["clean_edges"] = clean_edges
     return cut_out_photo(path, picture, mask, **options).floats()
 
 
@@ -194,6 +200,7 @@ def cut_out_photo(
     remove_background: bool = False,
     whole: bool = False,
     map_orientation: str | None = None,
+    clean_edges: bool = True,
 ) -> Photo:
     """Cut the object out of a picture.
 
@@ -204,12 +211,14 @@ def cut_out_photo(
         remove_background: See load_photo.
         whole: See load_photo.
         map_orientation: See load_photo.
+        clean_edges: See load_photo.
 
     Raises:
         InputError: As load_photo.
     """
     expect("remove_background", remove_background, bool)
     expect("whole", whole, bool)
+    expect("clean_edges", clean_edges, bool)
     if mask is not None and remove_background:
         raise InputError("mask= and remove_background= are two ways to the same cut-out; leave out one of them")
     check_finite(picture, path)
@@ -230,7 +239,7 @@ def cut_out_photo(
     elif alpha is not None and (whole or (alpha > alpha.dtype.type(0.5 * _full_scale(alpha))).mean() < _C.covers_all):
         alpha = _as_alpha(alpha)
         empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or mask=FILE"
-        description = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
+        description = _BY_ALPHA if alpha.min() < 1 else "whole picture"
         photo.notes += [] if whole else _inversion_note(f"{path}: its alpha", alpha)
     elif whole:
         alpha, empty, description = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
@@ -242,6 +251,8 @@ def cut_out_photo(
     photo.messages.append(description if whole else description + _clear_specks(alpha))
     photo.messages += [colours.description] if colours.description else []
     photo.pixels = _join(photo.pixels, alpha)
+    if clean_edges and foreground.clean_edges(photo.pixels[..., :3], alpha, description != _BY_ALPHA):
+        photo.messages.append("edges cleaned of the old background (kept: clean_edges=False)")
     return photo
 
 
@@ -277,15 +288,15 @@ def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | Non
     if cut is None:
         if covered is None:
             raise NoCutOut(
-                f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; to show the "
-                "whole scene, give its distances with depth=FILE, or have them estimated with depth=auto (pip install "
-                "'lightfield-gs[depth]')"
+                f"{path} has no cut-out and no plain background: {_INSTALL}, which estimates its depth, to show it as "
+                "a whole scene (depth=auto); or give its distances with depth=FILE; or, to show one object, give RGBA, "
+                "a cut-out with mask=FILE, or remove_background=True"
             )
         photo.notes.append(
             f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
             f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"
         )
-        return covered, "cut out by its alpha"
+        return covered, _BY_ALPHA
     if cut.faded > _C.most_faded or cut.holes > _C.most_holes:
         raise InputError(
             f"{path}: the object is hardly different from its plain background: "

@@ -220,8 +220,8 @@ READERS = {
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
 }
 
-if features.check("avif"):  # of Pillow; HEIC needs pi-heif as well
-    READERS["heif"] = Reader(".avif", _read_image, "heif")
+if features.check("avif"):  # of Pillow
+    READERS["heif"] = Reader(".avif", lambda path: (_read_image(path), embedded_facts(path)), "heif")
 
 
 def corpus(name: str) -> list[bytes]:

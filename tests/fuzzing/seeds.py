@@ -17,6 +17,7 @@ import numpy as np
 import scene_formats
 import torch
 from capture_scene import MODELS, parameters, ring, write_model
+from heic_maker import heic
 from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
 from PIL import Image
 
@@ -204,7 +205,10 @@ def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
         folder.mkdir(parents=True, exist_ok=True)
-    if "heif" in READERS:  # and a HEIC, which Pillow does not write
+    slope = np.arange(0, 240, 15, np.uint8)[None].repeat(16, 0)
+    with_depth = heic(slope[..., None].repeat(3, 2), slope, facts={"d_min": 0.25, "d_max": 2.0})
+    (folders["heif"] / "depth.heic").write_bytes(with_depth)
+    if "heif" in READERS:  # and small.heic, of an encoder that is not at hand
         Image.linear_gradient("L").resize((16, 12)).convert("RGB").save(folders["heif"] / "small.avif", quality=50)
     _batches(folders["batch-list"], folders["batch-manifest"])
     _scenes(folders["ply"])

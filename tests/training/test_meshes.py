@@ -20,6 +20,7 @@ from training.data.batches import Batch, make_batch
 from training.data.plan import Augmentation, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.data.textures import SKIN, Photographs
 from training.data.transfer import packed
 from training.distributed import Team
 from training.loop import make_planner, plans
@@ -253,10 +254,24 @@ def test_packs_are_read_as_their_own_reader_reads_them(shared_dir):
         if theirs["col"] is not None:
             np.testing.assert_allclose(meshes.colours[vertices] / 255, theirs["col"][:, :3], atol=1e-6)
         if theirs["tex"] is not None:
-            first, stride = meshes.rectangles[materials.start, :2]
+            textured = meshes.rectangles[materials]
+            first, stride = textured[textured[:, 4] > 0][0, :2]
             height, width = theirs["tex"].shape[:2]
             assert stride == width
             np.testing.assert_array_equal(meshes.texels[first : first + height * width], theirs["tex"].reshape(-1, 4))
+
+
+def test_materials_without_a_texture_take_no_texel(tmp_path):
+    """Of a folder with a texture in another pack, or with none: every texel that is looked up exists."""
+    texture = np.full((3, 3, 4), 9, np.uint8)
+    for number, held_back in enumerate(([cube()], [_square((0, 0, 3, 3), texture, 1.0)])):
+        write_packs(tmp_path / str(number), {"train": [cube(), *held_back, cube()]})
+        meshes = read_meshes(tmp_path / str(number))
+        first, stride, x, y, width, height = meshes.rectangles.T
+        assert (first[width == 0] == 0).all() and (stride[width == 0] == 0).all()
+        assert (first + (y + np.maximum(height - 1, 0)) * stride + x + np.maximum(width - 1, 0)).max() < len(
+            meshes.texels
+        )
 
 
 def test_train_and_val_share_no_object(shared_dir):
@@ -363,6 +378,24 @@ def test_examples_show_scenes_in_the_cone_framed_as_photos_are(packs):
     forward = batch.world_to_camera[:, :, 2, :3]
     azimuth = torch.rad2deg(torch.atan2(forward[..., 0], forward[..., 2])).abs()
     assert (azimuth[:, 0] < 1e-3).all() and 15 < azimuth.max() < 40
+
+
+def test_objects_wear_photographs(packs):
+    """A photograph of one blue gives all objects shades of its blue."""
+    blue = Photographs(torch.tensor([30, 60, 220], dtype=torch.uint8).expand(1, 8, 8, 3).contiguous())
+    options = MeshOptions(str(packs), patterned=0.0, photographed=1.0, random_light=0.0)
+    scenes = MeshScenes(ResidentMeshes(read_meshes(packs)), options, CONE_DEG, blue)
+    sampler = ViewSampler([], *CONE_DEG, targets=1, seed=0)
+    planner = BatchPlanner(ResidentViews([]), sampler, Augmentation(), meshes=scenes)
+    plan = planner.plan(0, 0, 6, 24)
+    looks = plan.meshes.sources.looks
+    untouched = dict(tint=torch.zeros(1), order=torch.arange(3.0), gamma=torch.ones(1))
+    starts = dict(zip(SKIN, np.cumsum([0, *SKIN.values()])))
+    for name, values in untouched.items():
+        looks.skins[:, starts[name] : starts[name] + SKIN[name]] = values
+    for red, _, shade, alpha in zip(*make_batch(plan, planner.views).source.transpose(0, 1)):
+        inside = alpha == 1
+        torch.testing.assert_close(red[inside] / shade[inside], torch.full((int(inside.sum()),), 30 / 220))
 
 
 def test_objects_of_a_scene_lie_apart_in_a_unit_box(packs):

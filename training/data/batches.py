@@ -45,7 +45,7 @@ def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) ->
         compiled: Use a few kernels that torch.compile makes for these sizes, in place of hundreds of operations.
     """
     plan = on_device(plan, views.device)
-    made = []
+    made: list[tuple[Tensor, ...]] = []
     if len(plan.rectangles):
         # Other parts of the plan must not be compiled for
         stored = dataclasses.replace(plan, procedural=None, meshes=None, photo=None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import torch
 
@@ -17,9 +17,9 @@ def fused(function: Function, wanted: bool, dynamic: bool = False) -> Function:
     Args:
         dynamic: Make it once for all shapes, not for each set of shapes that it meets.
     """
-    return _compiled(function, dynamic) if wanted else function
+    return cast(Function, _compiled(function, dynamic)) if wanted else function
 
 
 @cache
-def _compiled(function: Function, dynamic: bool) -> Function:
+def _compiled(function: Callable, dynamic: bool) -> Callable:
     return torch.compile(function, dynamic=dynamic)

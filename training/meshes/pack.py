@@ -44,7 +44,7 @@ class Meshes:
         material_of: int32 [T], material numbers within the object.
         base_colours: float32 [M,3], 0..1.
         rectangles: int32 [M,6], (offset, stride, x, y, width, height). A texture's first texel, the texels of its row,
-            and the material's rectangle in it. Width 0: no texture.
+            and the material's rectangle in it. All 0: no texture.
         cut: bool [M], whether texels of less than half opacity are holes.
         texels: uint8 [P,4], all textures by rows.
         supports: float32 [O,3,SUPPORTS], the vertices that lie furthest in directions all round.
@@ -126,7 +126,7 @@ def read_meshes(folder: Path, split: str = "train", names: list[str] | None = No
     first = 1
     for objects, texels in packs:
         for one in objects:
-            one["rectangles"][:, 0] += first
+            one["rectangles"][:, 0] += np.where(one["rectangles"][:, 4] > 0, first, 0)
         first += len(texels)
     nothing = np.zeros((1, 4), np.uint8)  # for materials without a texture in a folder without any
     return _joined([one for objects, _ in packs for one in objects], np.concatenate([nothing, *(p[1] for p in packs)]))
@@ -224,6 +224,7 @@ class _Pack:
         rectangles = np.zeros((materials.stop - materials.start, 6), np.int32)
         if (texture := int(stored["tex_id"][number])) >= 0:
             rectangles[:, :2], rectangles[:, 2:] = self._texture(texture), stored["mat_rect"][materials]
+            rectangles[rectangles[:, 4] == 0] = 0
         base = stored["mat_rgba"][materials, :3]
         spread = int(base.max(1)[0]) - int(base.min(1)[0])
         return {

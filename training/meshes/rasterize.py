@@ -62,18 +62,18 @@ def list_draws(meshes: Meshes, objects: np.ndarray, view: np.ndarray, views: int
     first_vertex, first_triangle = meshes.vertices[objects], meshes.triangles[objects]
     vertices = meshes.vertices[objects + 1] - first_vertex
     triangles = meshes.triangles[objects + 1] - first_triangle
-    numbers = (
-        view,
-        first_vertex,
-        vertices,
-        first_triangle,
-        triangles,
-        meshes.materials[objects],
-        np.cumsum(vertices) - vertices,
-        np.cumsum(triangles) - triangles,
-    )
+    numbers = {
+        "view": view,
+        "first_vertex": first_vertex,
+        "vertices": vertices,
+        "first_triangle": first_triangle,
+        "triangles": triangles,
+        "first_material": meshes.materials[objects],
+        "list_vertex": np.cumsum(vertices) - vertices,
+        "list_triangle": np.cumsum(triangles) - triangles,
+    }
     return DrawList(
-        *(torch.from_numpy(values.astype(np.int64)) for values in numbers),
+        **{name: torch.from_numpy(values.astype(np.int64)) for name, values in numbers.items()},
         views=views,
         total_vertices=int(vertices.sum()),
         total_triangles=int(triangles.sum()),

@@ -21,7 +21,7 @@ from training.data.fusing import fused
 from training.data.textures import Photographs
 from training.meshes.pack import ResidentMeshes
 from training.meshes.rasterize import DrawList, project, rasterize
-from training.meshes.shade import SHADOW_PX, Surfaces, geometry, holes, shade
+from training.meshes.shade import SHADOW_PX, Dressing, ShadowMaps, Surfaces, geometry, holes, shade
 
 SAMPLES = 2  # of a pixel along each axis
 _SAMPLES_AT_ONCE = 1 << 22  # of one pass of shading: about two gigabytes for a moment
@@ -104,7 +104,7 @@ class Pictures:
 
 @torch.no_grad()
 def render_shadow_maps(meshes: ResidentMeshes, shadows: Shadows, compiled: bool = False) -> Tensor:
-    """Return shadow maps [Q,SHADOW_PX,SHADOW_PX], as Surfaces has them; compiled: see render_images.
+    """Return shadow maps [Q,SHADOW_PX,SHADOW_PX], as ShadowMaps has them; compiled: see render_images.
 
     Texels of less than half opacity throw shadows too.
     """
@@ -201,17 +201,30 @@ def _surfaces(meshes: ResidentMeshes, scene: Scene, shadow_maps: Tensor | None) 
     """Project the triangles of a scene, and gather what their look depends on."""
     draws, looks, intrinsics = scene.draws, scene.looks, SAMPLES * scene.intrinsics
     projected = project(meshes, draws, scene.to_camera, intrinsics)
-    dressed = () if looks is None else (looks.first, looks.own, looks.patterns, looks.skins)
-    pieces = None if looks is None or looks.photographs is None else looks.photographs.on(meshes.device)
+    dressing = shadows = None
+    if looks is not None:
+        pieces = None if looks.photographs is None else looks.photographs.on(meshes.device)
+        dressing = Dressing(looks.first, looks.own, looks.patterns, looks.skins, pieces)
+    if shadow_maps is not None and scene.to_light is not None and scene.shadow is not None:
+        shadows = ShadowMaps(shadow_maps, scene.to_light, scene.shadow)
     return Surfaces(
-        *(projected.points, projected.corners, projected.draw, projected.triangles),
-        *(draws.view, draws.first_vertex, draws.list_vertex, draws.first_material),
-        *(scene.to_camera, scene.lights, intrinsics),
-        *(meshes.attributes, meshes.positions, meshes.material_of),
-        *(meshes.rectangles, meshes.base_colours, meshes.texels),
-        *dressed,
-        pieces=pieces,
-        shadow_maps=shadow_maps,
-        to_light=scene.to_light,
-        shadow=scene.shadow,
+        projected.points,
+        projected.corners,
+        projected.draw,
+        projected.triangles,
+        draws.view,
+        draws.first_vertex,
+        draws.list_vertex,
+        draws.first_material,
+        scene.to_camera,
+        scene.lights,
+        intrinsics,
+        meshes.attributes,
+        meshes.positions,
+        meshes.material_of,
+        meshes.rectangles,
+        meshes.base_colours,
+        meshes.texels,
+        dressing,
+        shadows,
     )

@@ -29,7 +29,8 @@ _VIEWS_NUMBERS = 2  # of each target
 _HALF_LENGTH = 0.3  # of an object, for the waves of its pattern
 _UPRIGHT = np.diag([1.0, -1.0, -1.0])  # from axes with y up, z backwards to those with y down, z forward
 KEY = slice(LIGHT["ambient"], LIGHT["ambient"] + LIGHT["key"])  # columns of the direction to the key light
-_STANDARD = {"ambient": 0.45, "key": ((0.35, 0.8, 0.5), 0.55), "fill": ((-0.6, 0.3, -0.4), 0.2)}
+# Of the light of the project's sets: its strength all round, then the direction and the strength of each light
+_AMBIENT, _KEY, _FILL = 0.45, ((0.35, 0.8, 0.5), 0.55), ((-0.6, 0.3, -0.4), 0.2)
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ class _Drawn:
         self._scenes, self._options, self._framing = scenes, scenes.options, framing
         meshes = scenes.meshes.meshes
         weights = np.array(self._options.objects_per_scene) / sum(self._options.objects_per_scene)
-        exists = np.arange(MOST_OBJECTS) < u.chosen([1, 2, 3, 4], weights, 1)
+        exists = np.arange(MOST_OBJECTS) < u.chosen([1, 2, 3, 4], weights.tolist(), 1)
         self._objects = np.floor(len(meshes) * each()).astype(int).reshape(exists.shape)
         self._exists = exists
         to_scene = _placed(u, each, meshes.supports[self._objects], exists, self._options.scale)
@@ -279,7 +280,10 @@ class _Drawn:
         skins[..., -1] = worn[:, None]
         owns = np.broadcast_to(np.concatenate([table[name] for name in OWN], 1)[:, None], (len(kind), GROUPS, 8))
         first = (GROUPS * (np.cumsum(chosen) - 1)).reshape(self._exists.shape)
-        return first, *(_floats(values[chosen].reshape(-1, values.shape[-1])) for values in (owns, looks, skins))
+        own_rows, patterns, skin_rows = (
+            _floats(values[chosen].reshape(-1, values.shape[-1])) for values in (owns, looks, skins)
+        )
+        return first, own_rows, patterns, skin_rows
 
 
 def _placed(
@@ -358,10 +362,10 @@ def standard_light(turned: np.ndarray) -> np.ndarray:
     Args:
         turned: [B,3,3], a scene's axes to those of the source camera.
     """
-    (key, key_strength), (fill, fill_strength) = _STANDARD["key"], _STANDARD["fill"]
+    (key, key_strength), (fill, fill_strength) = _KEY, _FILL
     count = len(turned)
     return _light_table(
-        np.full((count, 3), _STANDARD["ambient"]),
+        np.full((count, 3), _AMBIENT),
         turned @ (np.array(key) / np.linalg.norm(key)),
         np.full((count, 3), key_strength),
         turned @ (np.array(fill) / np.linalg.norm(fill)),

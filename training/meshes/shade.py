@@ -32,6 +32,40 @@ _OFFSET, _BIAS = 0.012, 0.004  # of a surface along its normal and towards the l
 
 
 @dataclass(frozen=True)
+class Dressing:
+    """Other colours than the objects' own.
+
+    Attributes:
+        first: int64 [K], first row of each draw's look.
+        own: [Q,8], in the order of OWN.
+        patterns: [Q,26], in the order of procedural_plan.LOOK.
+        skins: [Q,12], in the order of textures.SKIN.
+        pieces: Pieces of Photographs; None: no object wears any.
+    """
+
+    first: Tensor
+    own: Tensor
+    patterns: Tensor
+    skins: Tensor
+    pieces: Tensor | None
+
+
+@dataclass(frozen=True)
+class ShadowMaps:
+    """How near the first surface of each texel is to the key light.
+
+    Attributes:
+        nearness: [Q,SHADOW_PX,SHADOW_PX], the third number of Projected.points for an orthographic camera; 0: nothing.
+        to_light: [N,3,4], the axes of each view's camera to those of this camera.
+        number: int64 [N], the map of each view; -1: none.
+    """
+
+    nearness: Tensor
+    to_light: Tensor
+    number: Tensor
+
+
+@dataclass(frozen=True)
 class Surfaces:
     """All that the look of a scene depends on, as tensors.
 
@@ -41,12 +75,8 @@ class Surfaces:
         to_camera, lights: As in Scene.
         intrinsics: [N,4], in samples.
         attributes, positions, material_of, rectangles, base_colours, texels: As in ResidentMeshes.
-        look, own, patterns, skins: First row of each draw's look, and the tables of Looks; None: own colours.
-        pieces: Pieces of Photographs; None: no object wears any.
-        shadow_maps: [Q,SHADOW_PX,SHADOW_PX], nearness of the first surface in the key light, 0 for none. It is
-            the third number of Projected.points for an orthographic camera. None: no shadows.
-        to_light: [N,3,4], the axes of each view's camera to those of this camera.
-        shadow: int64 [N], the map of each view; -1: none.
+        dressing: None: objects have their own colours, without gloss.
+        shadow_maps: None: no shadows.
     """
 
     points: Tensor
@@ -66,14 +96,8 @@ class Surfaces:
     rectangles: Tensor
     base_colours: Tensor
     texels: Tensor
-    look: Tensor | None = None
-    own: Tensor | None = None
-    patterns: Tensor | None = None
-    skins: Tensor | None = None
-    pieces: Tensor | None = None
-    shadow_maps: Tensor | None = None
-    to_light: Tensor | None = None
-    shadow: Tensor | None = None
+    dressing: Dressing | None = None
+    shadow_maps: ShadowMaps | None = None
 
 
 def place(sample: Tensor, side: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -124,10 +148,11 @@ def texture(surfaces: Surfaces, number: Tensor, uv: Tensor) -> Tensor:
 
     x0, x1, x = neighbours(uv[:, 0], width)
     y0, y1, y = neighbours(uv[:, 1], height)
-    upper, lower = (
-        torch.lerp(*(surfaces.texels[offset + (top + row) * stride + left + column].float() for column in (x0, x1)), x)
-        for row in (y0, y1)
-    )
+
+    def texel(row: Tensor, column: Tensor) -> Tensor:
+        return surfaces.texels[offset + (top + row) * stride + left + column].float()
+
+    upper, lower = (torch.lerp(texel(row, x0), texel(row, x1), x) for row in (y0, y1))
     return torch.lerp(upper, lower, y) / 255
 
 
@@ -168,15 +193,17 @@ def shade(surfaces: Surfaces, side: int, triangle: Tensor, sample: Tensor) -> Te
     colour = torch.where(textured, texture(surfaces, number, uv)[:, :3], 1)
     colour = surfaces.base_colours[number] * vertex_colour * colour
     gloss = torch.zeros_like(x)
-    if surfaces.look is not None:
+    if surfaces.dressing is not None:
         local = interpolated(surfaces, triangle, weight, surfaces.positions)
-        row = surfaces.look[draw] + surfaces.material_of[surfaces.triangles[triangle]] % GROUPS
-        colour, gloss = _dressed(surfaces, row, local, F.normalize(own_normal, dim=1), colour)
+        row = surfaces.dressing.first[draw] + surfaces.material_of[surfaces.triangles[triangle]] % GROUPS
+        colour, gloss = _dressed(surfaces.dressing, row, local, F.normalize(own_normal, dim=1), colour)
     normal, light = normals(surfaces, draw, own_normal, x, y), named(surfaces.lights[view], LIGHT)
     if surfaces.shadow_maps is not None:
         fx, fy, cx, cy = surfaces.intrinsics[view].unbind(1)
         position = torch.stack([(x - cx) / fx * z, (y - cy) / fy * z, z], 1)
-        light["key_colour"] = light["key_colour"] * _unshadowed(surfaces, view, position + _OFFSET * normal)[:, None]
+        light["key_colour"] = (
+            light["key_colour"] * _unshadowed(surfaces.shadow_maps, view, position + _OFFSET * normal)[:, None]
+        )
     return _lit(colour, gloss, normal, light)
 
 
@@ -189,7 +216,7 @@ def geometry(surfaces: Surfaces, side: int, triangle: Tensor, sample: Tensor) ->
 
 
 def _dressed(
-    surfaces: Surfaces, row: Tensor, local: Tensor, own_normal: Tensor, colour: Tensor
+    dressing: Dressing, row: Tensor, local: Tensor, own_normal: Tensor, colour: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return colours [S,3] as looks change them, and gloss [S].
 
@@ -197,30 +224,30 @@ def _dressed(
         row: Rows of the looks.
         local, own_normal: Points and unit normals in the axes of the objects.
     """
-    own, pattern = named(surfaces.own[row], OWN), named(surfaces.patterns[row], LOOK)
+    own, pattern = named(dressing.own[row], OWN), named(dressing.patterns[row], LOOK)
     colour = own["gain"] * colour.gather(1, own["order"].long()).clamp_min(1e-6).pow(own["gamma"][:, None])
     other = pattern_colours(pattern, local, own_normal)
-    if surfaces.pieces is not None:
-        skin = surfaces.skins[row]
-        skinned = worn(skin, surfaces.pieces, local, own_normal, pattern["base"], pattern["second"])
-        other = torch.lerp(other, skinned, named(skin, SKIN)["share"][:, None])
+    if dressing.pieces is not None:
+        skin = dressing.skins[row]
+        skinned = worn(skin, dressing.pieces, local, own_normal, pattern["base"], pattern["second"])
+        other = torch.lerp(other, skinned, named(skin, SKIN)["weight"][:, None])
     return torch.lerp(other, colour, own["weight"][:, None]).clamp(0, 1), pattern["gloss"]
 
 
-def _unshadowed(surfaces: Surfaces, view: Tensor, position: Tensor) -> Tensor:
+def _unshadowed(maps: ShadowMaps, view: Tensor, position: Tensor) -> Tensor:
     """Return the fraction of the key light that reaches places [S,3] in the axes of the cameras, 0..1.
 
     It is the mean over a square of three texels (percentage-closer filtering; Reeves et al. 1987).
     """
-    matrix, number = surfaces.to_light[view], surfaces.shadow[view]
+    matrix, number = maps.to_light[view], maps.number[view]
     x, y, z = ((matrix[..., :3] * position[:, None]).sum(-1) + matrix[..., 3]).unbind(1)
     x, y = (SHADOW_PX * along + (SHADOW_PX - 1) / 2 for along in (x, y))
     (left, x), (top, y) = ((along.floor(), along - along.floor()) for along in (x, y))
-    texels, near = surfaces.shadow_maps.view(-1), _BIAS - z
-    lit = torch.zeros_like(z)
-    for down, height in zip((-1, 0, 1, 2), (1 - y, 1, 1, y)):
+    texels, near = maps.nearness.view(-1), _BIAS - z
+    lit, whole = torch.zeros_like(z), torch.ones_like(z)
+    for down, height in zip((-1, 0, 1, 2), (1 - y, whole, whole, y)):
         row = (number * SHADOW_PX + (top.long() + down).clamp(0, SHADOW_PX - 1)) * SHADOW_PX
-        for right, width in zip((-1, 0, 1, 2), (1 - x, 1, 1, x)):
+        for right, width in zip((-1, 0, 1, 2), (1 - x, whole, whole, x)):
             nearest = texels[(row + (left.long() + right).clamp(0, SHADOW_PX - 1)).clamp_min(0)]
             lit = lit + height * width * (nearest <= near)
     return torch.where(number < 0, 1, lit / 9)

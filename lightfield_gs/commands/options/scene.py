@@ -40,6 +40,11 @@ def add_scene(
     """
     add("--mask", type=Path, metavar=of_mask, help=mask)
     add("--remove-background", action="store_true", help=cutting)
+    add(
+        "--clean-edges",
+        action=argparse.BooleanOptionalAction,
+        help="take the colour of the old background out of a cut-out's edges, where they have it (default)",
+    )
     add_depth(add)
     add_detail(add)
     add(
@@ -76,7 +81,7 @@ def add_depth(add: Add) -> None:
         help="depth map of the photo, of the same shape; the whole scene is then shown, without the network of "
         "the object. A grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz "
         "of numbers [H,W]; auto: a network of transformers estimates it (pip install "
-        "'lightfield-gs[depth]'; it downloads 99 MB once)",
+        "'lightfield-gs[photo]'; it downloads 99 MB once)",
     )
     add_depth_model(add)
     add(
