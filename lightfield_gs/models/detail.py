@@ -47,8 +47,8 @@ _SOFTNESS = 1.5  # depth over which the cloud in front of the sheet fades, footp
 # The cloud is translucent where the network is unsure of the outline, and its large Gaussians make soft edges. Its
 # optical depths are multiplied by the square of their sum over _SOLID, at most by _MOST_SOLID: thin parts vanish, thick
 # ones become opaque. Its Gaussians shrink by _SHRUNK. The layers behind the first go back by _BACK footprints, a pixel
-# of parallax at 15 degrees, so that the outline stays where it was from there. Chosen and reported on the nine photos of
-# the development data and on 24 textured objects of 512 px
+# of parallax at 15 degrees, so that the outline from there stays in place. Chosen and reported on nine photos of the
+# development data and on 24 textured objects of 512 px
 _SOLID, _MOST_SOLID, _SHRUNK, _BACK = 3.0, 8.0, 0.7, 1 / math.tan(math.radians(15))
 _STEEPEST = 3.0  # footprints of depth between texels: steeper gaps of the sheet stay open
 # Depth in footprints between neighbours of one surface; from twice this depth on they belong to two surfaces.

@@ -22,8 +22,8 @@ from torch import Tensor
 
 from lightfield_gs import _core
 
-# Footprints of depth from texel to texel, to both sides: in the middle of a ramp, and anywhere on it. A step down counts
-# by this fraction: eyes side by side do not see between surfaces one above the other
+# Footprints of depth from texel to texel, to both sides: in the middle of a ramp, and anywhere on it. A step down
+# counts by this fraction: eyes side by side do not see between surfaces one above the other
 _STEEP, _SLOPE, _DOWN = 12.0, 1.5, 0.4
 _APART = 6.0  # footprints between surfaces near a snapped ramp, for cleaning
 _SNAPS, _CLEANS = 3, 4  # passes
