@@ -49,7 +49,7 @@ _SOFTNESS = 1.5  # depth over which the cloud in front of the sheet fades, footp
 # ones become opaque. Its Gaussians shrink by _SHRUNK. The layers behind the first go back by _BACK footprints, a pixel
 # of parallax at 15 degrees, so that the outline from there stays in place. Chosen and reported on nine photos of the
 # development data and on 24 textured objects of 512 px
-_SOLID, _MOST_SOLID, _SHRUNK, _BACK = 3.0, 8.0, 0.7, 1 / math.tan(math.radians(15))
+_SOLID, _MOST_SOLID, _SHRUNK, _BACK = 3.0, 6.0, 0.75, 1 / math.tan(math.radians(15))
 _STEEPEST = 3.0  # footprints of depth between texels: steeper gaps of the sheet stay open
 # Depth in footprints between neighbours of one surface; from twice this depth on they belong to two surfaces.
 SAME_SURFACE = 3.0
