@@ -9,10 +9,13 @@ NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 CAPTURE := lightfield_gs/data/banana
 
-.PHONY: setup demo demo-fit test test-wheel test-cuda-emulated sanitize sanitize-all sanitize-threads sanitized-module \
+.PHONY: setup photo demo demo-fit test test-wheel test-cuda-emulated sanitize sanitize-all sanitize-threads sanitized-module \
   sanitize-cuda cuda-module stubs test-arm clang lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
+
+# What photographs of phones take: networks for depth and for cut-outs. They fetch their weights at first use.
+photo: setup $(VENV)/.photo
 
 # The best that there is, in a minute or two: the 8K light-field images of a photo of one object, of a scene that was
 # fitted to photographs, and of one of these photographs with its depth; and what eyes 15 degrees to the left, in the
@@ -163,7 +166,7 @@ bench: setup
 	$(BIN)/lightfield-gs bench --scene sheet:128,sheet:512,cloud:262144 --cone 5,40 --json bench.json
 
 clean:
-	rm -rf build demo bench.json $(VENV)/.installed $(VENV)/.docs $(VENV)/.dev
+	rm -rf build demo bench.json $(VENV)/.installed $(VENV)/.docs $(VENV)/.dev $(VENV)/.photo
 
 # What the system must have, $(1): installed as root, named otherwise, with what comes of doing without, $(2).
 define system_packages
@@ -215,7 +218,7 @@ $(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.files $(VENV)/.pyt
 	$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[test]'
 	@touch $@
 
-# What the extras `docs` and `dev` name, and not the package once more, which would be compiled for it.
-$(VENV)/.docs $(VENV)/.dev: $(VENV)/.%: pyproject.toml $(VENV)/.python
-	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n "s/^$* = \[\(.*\)\].*/\1/p" pyproject.toml | tr -d '",')
+# What the extras `docs`, `dev` and `photo` name, and not the package once more, which would be compiled for it.
+$(VENV)/.docs $(VENV)/.dev $(VENV)/.photo: $(VENV)/.%: pyproject.toml $(VENV)/.python
+	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n 's/", "/ /g; s/^$* = \["\(.*\)"\].*/\1/p' pyproject.toml)
 	@touch $@

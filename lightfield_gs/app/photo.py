@@ -56,7 +56,7 @@ class ReadPhoto:
         photo: its pixels.
         is_whole: whether the whole photo is shown, not an object in it.
         depth: the depth map of a whole photo. None: a network estimates it.
-        refused: why no object was cut out, where the whole photo is shown instead.
+        ways: other ways to show it, where the whole photo is shown for want of an object; None: it is not.
         notes: lines for the user.
     """
 
@@ -65,7 +65,7 @@ class ReadPhoto:
     photo: Photo
     is_whole: bool = False
     depth: DepthMap | None = None
-    refused: InputError | None = None
+    ways: list[str] | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -100,9 +100,9 @@ def photo_scene(
     """Make the Gaussians of a photo: of its object, by the network, or of all that it shows. Raises InputError."""
     if not source.is_whole:
         return _scene_of_object(source, panel, device, watch), PhotoPlacement(source.options)
-    if source.refused is None:
+    if source.ways is None:
         return _scene_of_whole(source, panel, look, device, watch)
-    with _trying(source.refused):
+    with _trying(source.path, source.ways):
         scene = _scene_of_whole(source, panel, look, device, watch)
     note(
         f"{source.path} has no cut-out and no plain background: it is shown as a whole scene, as with --depth auto; "
@@ -148,7 +148,7 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
         for_network = (options.checkpoint, options.detail, options.detail_budget)
         if side is not None or any(value is not None for value in for_network):
             raise refused from None
-        return _read_whole_instead(path, options, refused)
+        return _read_whole_instead(path, options, refused, ways)
     return ReadPhoto(path, options, photo, notes=notes)
 
 
@@ -202,23 +202,28 @@ def _scene_of_object(source: ReadPhoto, panel: Panel, device: str, watch: Stopwa
     return gaussians
 
 
-def _read_whole_instead(path: Path, options: PhotoOptions, refused: InputError) -> ReadPhoto:
+def _read_whole_instead(path: Path, options: PhotoOptions, refused: InputError, ways: list[str]) -> ReadPhoto:
     """Read the whole photo, for estimated depths. Raises `refused` where no network for depths is installed."""
     from lightfield_gs.photo.depth_network import is_installed
 
     if not is_installed():
         raise refused
-    with _trying(refused):
-        return replace(_read_whole(path, replace(options, depth=AUTO)), refused=refused)
+    with _trying(path, ways):
+        return replace(_read_whole(path, replace(options, depth=AUTO)), ways=ways)
 
 
 @contextmanager
-def _trying(refused: InputError) -> Iterator[None]:
-    """Put why no object was cut out before the message of an error with the whole photo."""
+def _trying(path: Path, ways: list[str]) -> Iterator[None]:
+    """Say that the whole photo was tried for want of an object in the message of an error with it."""
     try:
         yield
     except InputError as error:
-        raise InputError(f"{refused}; that was tried: {error}") from None
+        words = (
+            f"{path} has no cut-out and no plain background, and could not be shown as a whole scene: "
+            f"{str(error).removeprefix(f'{path}: ')}; for one object give a cut-out with mask=FILE or "
+            "remove_background=True"
+        )
+        raise InputError("; ".join([words, *ways])) from None
 
 
 def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:

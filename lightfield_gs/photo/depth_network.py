@@ -23,7 +23,7 @@ from lightfield_gs.photo.depth import DepthMap
 from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z, upsample
 
 _ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
-_INSTALL = "pip install 'lightfield-gs[depth]'"
+_INSTALL = "pip install 'lightfield-gs[photo]'"
 _OTHER_WAY = "or give a depth map with depth=FILE"
 _FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
 _USUAL_SIDE_PX = 518  # of the network's input, where its processor does not state it
@@ -171,9 +171,9 @@ def _folder(model: str, say: Callable[[str], None] | None) -> str:
         return snapshot_download(model, allow_patterns=list(_FILES))
     except Exception as error:  # of the connection, the server or the disk: it may be anything
         raise InputError(
-            f"the depth network {model} ({about}) is not on this machine and could not be fetched: "
-            f"{_short_message(error)}; fetch it with a connection once, or copy its folder here for "
-            f"depth_model=FOLDER, {_OTHER_WAY}"
+            f"the depth network {model} ({about}) is not on this machine and could not be fetched: with a connection, "
+            f"run `hf download {model}` once; or copy its folder here for depth_model=FOLDER, {_OTHER_WAY}. It failed "
+            f"with: {_short_message(error.__cause__ or error)}"
         ) from None
 
 
@@ -265,5 +265,5 @@ def _quiet() -> Iterator[None]:
             logging.enable_progress_bar()
 
 
-def _short_message(error: Exception) -> str:
+def _short_message(error: BaseException) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -93,7 +93,7 @@ def turn_with_photo(
     return apply_orientation(values, orientation) if turned else values, turned
 
 
-_INSTALL = "pip install 'lightfield-gs[rembg]'"
+_INSTALL = "pip install 'lightfield-gs[photo]'"
 # rembg's default model has changed between versions, once to weights without commercial use.
 # U^2-Net: Qin et al., "U^2-Net: Going deeper with nested U-structure for salient object detection", 2020; Apache-2.0.
 _MODEL = "u2net"
@@ -122,15 +122,16 @@ def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
         mask = rembg.remove(np.round(rgb * 255).astype(np.uint8), session=session, only_mask=True)
     except Exception as error:  # of the download, its file, or the inference: it may be anything
         raise InputError(
-            f"rembg could not remove the background: {' '.join(str(error).split())[:200]}; its model "
-            f"{_MODEL} is downloaded at first use; or give a cut-out with mask=FILE"
+            f"rembg could not remove the background: run it again with a connection, if its weights {_MODEL} (176 MB, "
+            "fetched at first use) are not on this machine; or give a cut-out with mask=FILE. It failed with: "
+            f"{' '.join(str(error).split())[:200]}"
         ) from None
     return mask.astype(np.float32) / 255
 
 
 __all__ = ["NoCutOut", "Photo", "load_photo", "cut_out_photo", "plain_background_mask"]
 _STRIP_PIXELS = 1 << 19  # of colours and alpha that are joined at a time
-_OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[rembg]')"
+_OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[photo]')"
 _BY_ALPHA = "cut out by its alpha"
 
 
@@ -287,9 +288,9 @@ def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | Non
     if cut is None:
         if covered is None:
             raise NoCutOut(
-                f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; to show the "
-                "whole scene, give its distances with depth=FILE, or have them estimated with depth=auto (pip install "
-                "'lightfield-gs[depth]')"
+                f"{path} has no cut-out and no plain background: {_INSTALL}, which estimates its depth, to show it as "
+                "a whole scene (depth=auto); or give its distances with depth=FILE; or, to show one object, give RGBA, "
+                "a cut-out with mask=FILE, or remove_background=True"
             )
         photo.notes.append(
             f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "

@@ -117,6 +117,11 @@ def test_weights_that_cannot_be_fetched(folder, capsys, transformers, offline):
     output = capsys.readouterr()
     assert output.out == f"fetching the depth network {DEPTH_MODEL} from huggingface.co, once (99 MB, Apache-2.0)\n"
     assert "could not be fetched" in output.err and "--depth-model FOLDER" in output.err and output.err.count("\n") == 1
+    command = f"run `hf download {DEPTH_MODEL}` once"
+    assert cli.main(LINE.split()) == 2
+    refusal = capsys.readouterr().err
+    assert "has no cut-out and no plain background" in refusal and "pip install" not in refusal
+    assert all(refusal.index(command) < refusal.index(way) for way in ("--depth-model", "--depth FILE", "--mask FILE"))
     assert "there is no folder ./nets" in complaint(capsys, f"{LINE} --depth auto --depth-model ./nets")
     (folder / "empty").mkdir()
     assert "expected a depth-estimation model" in complaint(capsys, f"{LINE} --depth auto --depth-model empty")
@@ -126,9 +131,11 @@ def test_without_the_package(folder, capsys, monkeypatch):
     busy_photo()
     for name in ("transformers", "huggingface_hub"):
         monkeypatch.setitem(sys.modules, name, None)
-    assert "pip install 'lightfield-gs[depth]'" in complaint(capsys, f"{LINE} --depth auto")
+    command = "pip install 'lightfield-gs[photo]'"
+    assert command in complaint(capsys, f"{LINE} --depth auto")
     refusal = complaint(capsys, LINE)
-    assert "has no cut-out and no plain background" in refusal and "--depth auto (pip install" in refusal
+    assert f"has no cut-out and no plain background: {command}" in refusal
+    assert all(refusal.index(command) < refusal.index(way) for way in ("--depth FILE", "--mask FILE"))
 
 
 def test_options_that_do_not_go_with_it(folder, capsys):

@@ -44,7 +44,7 @@ def test_rembg_that_is_missing_or_fails(folder, capsys, monkeypatch):
     busy_photo()
     line = "encode busy.png --remove-background -o o.png --panel p.yaml"
     monkeypatch.setitem(sys.modules, "rembg", None)
-    assert "pip install 'lightfield-gs[rembg]'" in complaint(capsys, line)
+    assert "pip install 'lightfield-gs[photo]'" in complaint(capsys, line)
     monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda *_, **__: 1 / 0))
     assert "division by zero" in complaint(capsys, line)
     monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda data, **_: np.zeros(data.shape[:2], np.uint8)))

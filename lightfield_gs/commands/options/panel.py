@@ -29,7 +29,7 @@ def add_encoding(add: Add) -> None:
     add_depth_report(add)
     add_views(add)
     add_scene(
-        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; it downloads 176 MB once)"
+        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[photo]'; it downloads 176 MB once)"
     )
     add_method(add)
     add_rendering(add)

@@ -81,7 +81,7 @@ def add_depth(add: Add) -> None:
         help="depth map of the photo, of the same shape; the whole scene is then shown, without the network of "
         "the object. A grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz "
         "of numbers [H,W]; auto: a network of transformers estimates it (pip install "
-        "'lightfield-gs[depth]'; it downloads 99 MB once)",
+        "'lightfield-gs[photo]'; it downloads 99 MB once)",
     )
     add_depth_model(add)
     add(
