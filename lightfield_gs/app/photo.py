@@ -24,7 +24,7 @@ from lightfield_gs.app.photo_depth import (
 )
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import FITS, Detail
+from lightfield_gs.base.options import Detail
 from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
-_MOST_CROPPED = 0.34  # fraction of the photo; if cropping would take more, the default is to show the whole photo
 _TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: no margin is made for a cut-out
 
 
@@ -114,13 +113,13 @@ def photo_scene(
 def photo_rig(photo: PhotoPlacement, panel: Panel, gaussians: Gaussians) -> Rig:
     """Return the rig of a photo: as it was placed, or framed around the Gaussians.
 
-    The scale of estimated depths means little: there the panel's plane goes through the subject. Raises InputError.
+    The panel's plane goes through the subject of a whole photo. Raises InputError.
     """
     from lightfield_gs.panels.framing import focus_on_subject
     from lightfield_gs.panels.rig import frame_photo
 
     rig = frame_photo(gaussians, panel) if photo.placed is None else photo.placed.rig
-    return focus_on_subject(rig, gaussians, panel) if photo.options.is_estimated else rig
+    return focus_on_subject(rig, gaussians, panel) if photo.is_whole else rig
 
 
 def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
@@ -286,7 +285,8 @@ def _scene_of_whole(
     known = known_camera(focal, centre, height, width)
     placed, words = _place(options, panel, look, image, torch.from_numpy(depth.z), *known)
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
-    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
+    blur = placed is not None and placed.fit == "contain"
+    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin, margin="blur" if blur else "texture")
     watch.lap("depth")
     _say(source, [depth.description, camera, *words], source.notes + depth.notes + notes)
     return gaussians, PhotoPlacement(options, is_whole=True, placed=placed)
@@ -333,16 +333,14 @@ def _place(
             fit,
             widest_tan=amount * math.tan(math.radians(cone) / 2),
             zoom=look.zoom or 1,
-            on_near=options.is_estimated,
+            on_near=True,
         )
 
-    fit = options.fit or FITS[0]
-    found = placed(fit)
-    if options.fit is None and found.cropped > _MOST_CROPPED:
-        fit = FITS[1]
-        found = placed(fit)
-    words = f"fit {fit}: {found.cropped:.0%} of it cropped, {found.made_up:.0%} of the panel made up"
-    return found, [words + ("" if options.fit else " (assumed; --fit cover, --fit contain)")]
+    found = placed(options.fit or "auto")
+    rest = "made up" if found.fit == "cover" else "its blurred, darker continuation"
+    words = f"fit {found.fit}: {found.cropped:.0%} of it cropped, {found.made_up:.0%} of the panel {rest}"
+    is_given = options.fit not in (None, "auto")
+    return found, [words + ("" if is_given else " (assumed; --fit cover, --fit contain)")]
 
 
 def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
