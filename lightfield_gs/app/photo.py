@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
 _MOST_CROPPED = 0.34  # fraction of the photo; if cropping would take more, the default is to show the whole photo
+# Each pixel of a whole photo becomes a Gaussian. A view of a panel has fewer: 0.3 million pixels on the default panel
+_MOST_WHOLE_PX = 2_000_000
 _TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: no margin is made for a cut-out
 
 
@@ -230,7 +232,7 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo that is shown whole, with its depth map unless a network estimates it."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.embedded_depth import embedded_notes
-    from lightfield_gs.photo.load import cut_out_photo
+    from lightfield_gs.photo.load import cut_out_photo, reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
 
     picture = read_picture(path)
@@ -254,6 +256,7 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
         whole=True,
         map_orientation=options.map_orientation,
     )
+    reduce_photo(photo, _MOST_WHOLE_PX)
     notes = embedded_notes(path, is_depth_used=is_inside or not options.is_estimated)
     notes += [] if side else _notes_on_eyes(path, colour)
     if options.is_estimated:
@@ -261,7 +264,7 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     elif is_inside:
         depth = depth_within(path, options, photo)
     elif side is not None:
-        depth = depth_beside(path, options, picture, side)
+        depth = depth_beside(path, options, picture, side, photo)
     else:
         depth = depth_from_file(cast(Path, options.depth), options, photo)
     return ReadPhoto(path, options, photo, is_whole=True, depth=depth, notes=notes)
@@ -279,11 +282,14 @@ def _scene_of_whole(
         watch.lap("load")
         depth = depth_by_network(options, photo, device)
         check_depth_size(str(options.depth), depth.z, photo.pixels)
-    height, width = photo.pixels.shape[:2]
+    height, width = photo.size
     focal, centre, camera, notes = depth_camera(options, height, width, depth.focal_px)
     watch.lap("load" if source.depth is not None else "depth network")
     image = torch.from_numpy(photo.floats()).to(device)
     known = known_camera(focal, centre, height, width)
+    if photo.full_size is not None:
+        across, down = photo.pixels.shape[1] / width, photo.pixels.shape[0] / height
+        focal, centre = known = tuple((x * across, y * down) for x, y in known)
     placed, words = _place(options, panel, look, image, torch.from_numpy(depth.z), *known)
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
     gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
@@ -348,7 +354,7 @@ def _place(
 def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
     for words in source.photo.notes + notes:
         note(words)
-    height, width = source.photo.pixels.shape[:2]
+    height, width = source.photo.size
     say(f"{source.path}: {width} x {height}, {', '.join([*source.photo.messages, *more])}")
 
 

@@ -61,12 +61,11 @@ def depth_from_file(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap
 
     numbers = read_numbers(path)
     turn = _turn_with(options, photo, options.map_orientation)
-    size = photo.pixels.shape[:2]
-    depth = _map_numbers(path, options, numbers, options.depth_kind, options.depth_range, size, turn)
+    depth = _map_numbers(path, options, numbers, options.depth_kind, options.depth_range, photo.size, turn)
     return _resize_to_photo(str(path), replace(depth, description=f"depth by {path.name}: {depth.description}"), photo)
 
 
-def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str) -> DepthMap:
+def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str, photo: Photo) -> DepthMap:
     """Read the depth map in the half `side` of a picture. The defaults are Looking Glass's. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
     from lightfield_gs.photo.side_by_side import read_depth_half
@@ -90,7 +89,8 @@ def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str)
     description = f"depth by its {side} half: {depth.description}{near}" + (
         f" (assumed; {', '.join(assumed)})" if assumed else ""
     )
-    return replace(depth, description=description)
+    depth = replace(depth, description=description)
+    return depth if photo.full_size is None else _resize_to_photo(str(path), depth, photo)
 
 
 def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
@@ -107,7 +107,7 @@ def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
         if inside.is_inverse and not inside.is_bright_near and limits is not None:
             limits = limits[::-1]
     turn = _turn_with(options, photo, options.map_orientation or "stored")
-    depth = _map_numbers(path, options, inside.numbers(path), kind, limits, photo.pixels.shape[:2], turn)
+    depth = _map_numbers(path, options, inside.numbers(path), kind, limits, photo.size, turn)
     description = f"depth inside it ({inside.name}): {depth.description}"
     if options.depth_kind is None and limits is not None:
         near = nearness(str(kind), limits)
