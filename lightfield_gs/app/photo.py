@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
 _MOST_CROPPED = 0.34  # fraction of the photo; if cropping would take more, the default is to show the whole photo
 # Each pixel of a whole photo becomes a Gaussian. A view of a panel has fewer: 0.3 million pixels on the default panel
-_MOST_WHOLE_PX = 2_000_000
+_MOST_WHOLE_PX = 1_500_000
 _TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: no margin is made for a cut-out
 
 

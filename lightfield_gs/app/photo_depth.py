@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Device
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.steady_depth import PictureEstimate
 
 # Default meaning of a depth map beside its photo: bright is near, as in Looking Glass' files
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
@@ -28,16 +30,31 @@ _USUAL_ANGLES_DEG, _ANGLES_DEG = (10.0, 130.0), (1.0, 175.0)
 
 def depth_by_network(options: PhotoOptions, photo: Photo, device: str) -> DepthMap:
     """Estimate the depth map of --depth auto. Raises InputError."""
-    from lightfield_gs.photo.depth_network import estimated_depth
+    from lightfield_gs.photo.depth_network import depth_of_estimate, estimated_depth
 
-    return estimated_depth(
-        photo.floats(),
-        options.depth_network,
-        "cuda" if device == "cuda" else "cpu",
-        kind=options.depth_kind,
-        limits=options.depth_range,
-        say=lambda words: print(words, flush=True),
+    model, on = options.depth_network, _network_device(device)
+    wanted: dict[str, Any] = dict(kind=options.depth_kind, limits=options.depth_range)
+    if options.estimate is not None:
+        return depth_of_estimate(photo.floats(), options.estimate, model, on, **wanted)
+    return estimated_depth(photo.floats(), model, on, **wanted, say=lambda words: print(words, flush=True))
+
+
+def steady_estimates(
+    photos: Iterable[tuple[int, Photo]], options: PhotoOptions, device: str
+) -> Iterator[tuple[int, PictureEstimate]]:
+    """Yield the network's numbers for photos in a row, each averaged with its neighbours. Raises InputError."""
+    from lightfield_gs.photo.depth_network import estimate_picture, is_metric
+    from lightfield_gs.photo.steady_depth import steadied
+
+    model, on = options.depth_network, _network_device(device)
+    estimates = (
+        (number, estimate_picture(photo.floats(), model, on, kind=options.depth_kind)) for number, photo in photos
     )
+    return steadied(estimates, is_metric(model, on, options.depth_kind))
+
+
+def _network_device(device: str) -> Device:
+    return "cuda" if device == "cuda" else "cpu"
 
 
 def has_depth(path: Path, options: PhotoOptions) -> bool:

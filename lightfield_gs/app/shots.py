@@ -19,7 +19,8 @@ import numpy as np
 
 from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
 from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
-from lightfield_gs.app.photo import photo_rig
+from lightfield_gs.app.photo import photo_rig, read_photo
+from lightfield_gs.app.photo_depth import steady_estimates
 from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch
@@ -29,7 +30,9 @@ from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.load import Photo
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
+from lightfield_gs.photo.steady_depth import REACH
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians, scene_hash
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
@@ -154,7 +157,8 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     beside = {name: _open_beside(name, path, source, pictures.count) for name, path in maps.items() if path is not None}
     folder = stack.enter_context(scratch_folder())
     parts = {"input": pictures, **beside}
-    stack.enter_context(_naming_videos({"half": pictures, **parts}, folder))
+    ahead = {f"ahead/{name}": part for name, part in parts.items()}
+    stack.enter_context(_naming_videos({"half": pictures, **parts, **ahead}, folder))
     count = min(pictures.count, motion.frames or pictures.count)
     photo, shown, halved = _find_half(photo, pictures, count, folder)
     choice = read_camera(options.camera, panel)
@@ -174,10 +178,20 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
         each = _pictures(replace(scene, photo=photo), parts, numbers, folder) if numbers else ()
+        # Only the messages of the first picture are printed; the others would be the same
+        quiet = io.StringIO()
+        steady = iter(())
+        if photo.is_estimated and numbers:
+            ahead = list(range(max(0, numbers[0] - REACH), min(pictures.count, numbers[-1] + REACH + 1)))
+            steady = steady_estimates(
+                _photos(replace(scene, photo=photo), parts, ahead, _make(folder / "ahead")), photo, device
+            )
         for number, own in each:
-            # Only the messages of the first picture are printed; the others would be the same
-            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            with contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
                 with named(f"frame {number}"):
+                    if photo.is_estimated:
+                        estimate = next(found for index, found in steady if index == number)
+                        own = replace(own, photo=replace(own.photo, estimate=estimate))
                     loaded = load(own, Stopwatch(0.0))
                     framed = rig
                     if motion.reframe and loaded.photo is not None:
@@ -230,6 +244,15 @@ def _pictures(
         photo = scene.photo
         photo = replace(photo, depth=paths.get("depth", photo.depth), mask=paths.get("mask", photo.mask))
         yield row[0][0], replace(scene, input=paths["input"], photo=photo)
+
+
+def _photos(
+    scene: SceneOptions, parts: dict[str, ImageSequence], numbers: list[int], folder: Path
+) -> Iterator[tuple[int, Photo]]:
+    """Yield the number and the photo of each picture, as a scene is made of it. Raises InputError."""
+    for number, own in _pictures(scene, parts, numbers, folder):
+        with named(f"frame {number}"):
+            yield number, read_photo(own.input, own.photo).photo
 
 
 class _Renaming:
