@@ -129,6 +129,12 @@ def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussian
     return own or _frame(up, file, panel, gaussians)
 
 
+def has_own_camera(path: Path, file: SceneFile, panel: Panel) -> bool:
+    """Return whether a scene's file brings a framing or a camera along. Raises InputError."""
+    with named(path):
+        return stored_framing(file.comments, panel) is not None or photo_camera(file.elements) is not None
+
+
 def _own_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
     """Return the rig of the cameras that the scene's file brings along, and a line on it."""
     with named(path):

@@ -116,13 +116,13 @@ def photo_scene(
 def photo_rig(photo: PhotoPlacement, panel: Panel, gaussians: Gaussians) -> Rig:
     """Return the rig of a photo: as it was placed, or framed around the Gaussians.
 
-    The scale of estimated depths means little: there the panel's plane goes through the subject. Raises InputError.
+    The panel's plane goes through the subject of a whole photo. Raises InputError.
     """
     from lightfield_gs.panels.framing import focus_on_subject
     from lightfield_gs.panels.rig import frame_photo
 
     rig = frame_photo(gaussians, panel) if photo.placed is None else photo.placed.rig
-    return focus_on_subject(rig, gaussians, panel) if photo.options.is_estimated else rig
+    return focus_on_subject(rig, gaussians, panel) if photo.is_whole else rig
 
 
 def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
@@ -339,7 +339,7 @@ def _place(
             fit,
             widest_tan=amount * math.tan(math.radians(cone) / 2),
             zoom=look.zoom or 1,
-            on_near=options.is_estimated,
+            on_near=True,
         )
 
     fit = options.fit or FITS[0]

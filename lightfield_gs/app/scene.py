@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.app.cameras import CameraChoice, apply_look, chosen_rig, file_rig, report_depth
+from lightfield_gs.app.cameras import CameraChoice, apply_look, chosen_rig, file_rig, has_own_camera, report_depth
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
@@ -265,6 +265,27 @@ def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[
     return file_rig(choice.up, scene.path, scene.file, panel, scene.gaussians)
 
 
+def is_framed_here(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> bool:
+    """Return whether neither the options nor the scene's file have a camera. Raises InputError."""
+    if choice.rig is not None or choice.pose is not None:
+        return False
+    return scene.file is None or bool(choice.up) or not has_own_camera(scene.path, scene.file, panel)
+
+
+def _ease_depth(look: LookOptions, rig: Rig, panel: Panel, scene: LoadedScene) -> tuple[Rig, list[str]]:
+    """Return the rig with as much depth as the eyes take, where the options do not say how much; and lines on it."""
+    from lightfield_gs.panels.comfort import comfortable_amount
+    from lightfield_gs.panels.look import Look
+
+    if look.depth_amount is not None or look.cone is not None:
+        return rig, []
+    amount = comfortable_amount(scene.gaussians, panel, rig)
+    if amount is None:
+        return rig, []
+    words = f"depth: {amount:g} of what it is, the most that does not strain the eyes (all of it: depth_amount=1)"
+    return Look(depth_amount=amount).applied(rig, panel), [words]
+
+
 def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
     """Return the rig as the options want it, and lines on how it came about and how deep the scene is.
 
@@ -272,7 +293,12 @@ def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, pan
     """
     chosen, how = choose_rig(choice, scene, panel)
     rig, looks = apply_look(look, chosen, panel, scene.gaussians)
+    if is_framed_here(choice, scene, panel):
+        rig, eased = _ease_depth(look, rig, panel, scene)
+        looks += eased
     # The framing of an object leaves space around it, as no other does
+    if scene.photo is not None and scene.photo.is_whole and choice.rig is None and look.focus is None:
+        how = [*how, f"focus: the subject, at depth {rig.zero_depth:.4g}, lies in the panel (another: --focus)"]
     may_fill = scene.photo is None or choice.rig is not None or scene.photo.is_whole
     return rig, [*how, *looks, *report_depth(look, rig, panel, scene.gaussians, may_fill)]
 

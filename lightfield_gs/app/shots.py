@@ -197,6 +197,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
                     if motion.reframe and loaded.photo is not None:
                         bare = photo_rig(loaded.photo, panel, loaded.gaussians)
                         framed, _ = apply_look(look, bare, panel, loaded.gaussians)
+                        framed = replace(framed, cone_deg=rig.cone_deg)  # depth as in the first picture
             yield number, loaded.gaussians, framed
 
     fps = motion.fps or pictures.fps or DEFAULT_FPS

@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,7 +28,7 @@ from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import Rig, frame_photo
 from lightfield_gs.photo.load import load_photo
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians
@@ -141,7 +140,7 @@ def scene_subjects(
 def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
     """Return the Gaussians of the package's network for a photo."""
     gaussians = network(None).predict(load_photo(path))
-    rig = Rig.frame(gaussians, panel, np.eye(4))
+    rig = frame_photo(gaussians, panel)
     rig = replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
     return Subject(Path(path).name, gaussians.to(device), panel, rig)
 

@@ -9,7 +9,7 @@ from typing import Any
 from lightfield_gs.base.checks import expect
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.visibility import background_warning, view_coverage
+from lightfield_gs.panels.visibility import background_warning, view_coverage, visible_depths
 from lightfield_gs.scene.gaussians import Gaussians
 
 EYE_SEPARATION_MM = 63.0  # mean of adults (Dodgson, "Variation and extrema of human interpupillary distance", 2004)
@@ -164,6 +164,27 @@ def depth_report(gaussians: Gaussians, panel: Panel, rig: Rig) -> DepthReport:
         _sharp_mm(panel, rig),
         (left_first[0], left_first[1]),
     )
+
+
+def comfortable_amount(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
+    """Return the factor of all disparities, below 1, at which a scene keeps within one degree, rounded down.
+
+    Args:
+        gaussians: One set, in the rig's coordinates.
+        panel: The panel.
+        rig: Its rig.
+
+    Returns:
+        None where the scene keeps within it as it is, or where that is unknown.
+    """
+    if panel.pixel_pitch_mm is None or panel.viewing_distance_mm is None:
+        return None
+    ends = visible_depths(gaussians, panel, rig)
+    if ends is None:
+        return None
+    near, far = (locate_depth(depth, panel, rig) for depth in ends)
+    amount = _comfortable_amount((near, far), panel)
+    return None if amount is None or amount >= 1 else float(_round_down(amount))
 
 
 def locate_depth(depth: float, panel: Panel, rig: Rig) -> PanelDepth:

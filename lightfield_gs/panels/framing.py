@@ -33,6 +33,7 @@ class FramingConstants:
     """
 
     fill: float = 0.92  # fraction of the panel's height or width that the content fills
+    fill_all: float = 0.98  # fraction of the width that the content of a photo fills in all views together
     field_of_view_deg: tuple[float, float] = (20.0, 50.0)  # limits of the angle that the panel subtends for its viewer
     unknown_field_of_view_deg: float = 30.0  # angle of a panel without a size or a viewing distance
     visible: float = 0.7  # visible fraction of the content that is enough
@@ -189,6 +190,24 @@ def fit_rig(rig: Rig, extent: Sequence[float], panel: Panel) -> Rig:
     focal = _CONSTANTS.fill * min(panel.height_px / max(bottom - top, 1e-9), panel.width_px / max(right - left, 1e-9))
     centre = panel.width_px / 2 - focal * (left + right) / 2, panel.height_px / 2 - focal * (top + bottom) / 2
     return replace(rig, focal_px=(focal, focal), principal_point_px=centre, zero_depth=depth)
+
+
+def fit_all_views(rig: Rig, extent: Sequence[float], panel: Panel) -> Rig:
+    """Return fit_rig, made smaller where the outermost views of the panel would cut the content off at the sides.
+
+    A view moves what is at Z by at most fx tan(cone/2) |1 - Z0/Z|. Raises InputError if the extent has no weight.
+    """
+    fitted = fit_rig(rig, extent, panel)
+    left, right, _, _, near, far = extent[:6]
+    farthest = max(abs(1 - fitted.zero_depth / depth) for depth in (near, far))
+    reach = right - left + 2 * math.tan(math.radians(panel.cone_deg) / 2) * farthest
+    smaller = _CONSTANTS.fill_all * panel.width_px / max(reach, 1e-9) / fitted.focal_px[0]
+    if smaller >= 1:
+        return fitted
+    focal = fitted.focal_px[0] * smaller
+    sizes = panel.width_px, panel.height_px
+    centre = [size / 2 + smaller * (c - size / 2) for size, c in zip(sizes, fitted.principal_point_px)]
+    return replace(fitted, focal_px=(focal, focal), principal_point_px=(centre[0], centre[1]))
 
 
 def middle_depth(extent: Sequence[float]) -> float:

@@ -326,10 +326,10 @@ def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
 
 
 def frame_extent(extent: Sequence[float], panel: Panel) -> Rig:
-    """Return the rig that shows the content of a photo_extent; raise InputError if it has no weight."""
-    from lightfield_gs.panels.framing import fit_rig
+    """Return the rig whose views all show the content of a photo_extent; raise InputError if it has no weight."""
+    from lightfield_gs.panels.framing import fit_all_views
 
-    return fit_rig(_unfitted(), extent, panel)
+    return fit_all_views(_unfitted(), extent, panel)
 
 
 def _unfitted() -> Rig:

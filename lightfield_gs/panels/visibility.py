@@ -250,14 +250,27 @@ def view_coverage(gaussians: Gaussians, panel: Panel, rig: Rig) -> ViewCoverage:
         raise InputError(
             "the centre camera sees nothing of the scene; look at the pose of the rig, the zoom and the pan"
         )
-    near, far = np.quantile(depth[surface], [_CONSTANTS.depth_tail, 1 - _CONSTANTS.depth_tail])
+    near, far = _depth_ends(depth[surface])
     fractions = []
     for x, surfaces in zip(outermost, alpha[1:]):
         factor = small_rig.focal_px[0] * float(small_rig.offset(x, panel))
         moves = factor * (1 / rig.zero_depth - 1 / np.where(surface, depth, 1))
         goes_on = _between(surface, moves)
         fractions.append(float((goes_on & (surfaces < opaque)).sum() / max(1, goes_on.sum())))
-    return ViewCoverage(float(near), float(far), (fractions[0], fractions[1]))
+    return ViewCoverage(near, far, (fractions[0], fractions[1]))
+
+
+def visible_depths(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[float, float] | None:
+    """Return near and far of `view_coverage`, from one picture; None where the centre camera sees nothing."""
+    alpha, depth = _pictures(gaussians, panel, rig, [panel.views / 2])
+    surface = (alpha[0] >= min(_CONSTANTS.opaque, float(alpha[0].max()) / 2)) & (depth > 0)
+    return _depth_ends(depth[surface]) if surface.any() else None
+
+
+def _depth_ends(depths: np.ndarray) -> tuple[float, float]:
+    """Return the depths that 1 % of these depths [M] are nearer and farther than."""
+    near, far = np.quantile(depths, [_CONSTANTS.depth_tail, 1 - _CONSTANTS.depth_tail])
+    return float(near), float(far)
 
 
 def background_fraction(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:

@@ -12,6 +12,7 @@ from photo_cases import PANEL, photo, psnr_db, tiny_net
 from lightfield_gs import InputError, PhotoEncoder, Rig, SplatterNet, _core, encode
 from lightfield_gs.models.splatter_net import PRETRAINED
 from lightfield_gs.models.unet import group_norm_silu
+from lightfield_gs.panels.rig import frame_photo
 from lightfield_gs.photo.detail_level import detail_level
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
@@ -20,7 +21,7 @@ if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
 
 def of_the_cpu(net: SplatterNet, rgba: np.ndarray, detail=None, **options) -> tuple[torch.Tensor, Rig]:
     gaussians = net.cpu().predict(rgba, detail_level(detail, net.config, max(rgba.shape), PANEL))
-    rig = Rig.frame(gaussians, PANEL, np.eye(4))
+    rig = frame_photo(gaussians, PANEL)
     return encode(gaussians, PANEL, rig, **options), rig
 
 

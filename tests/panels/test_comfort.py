@@ -11,7 +11,7 @@ from look_cases import RIG, sheet
 
 from lightfield_gs import Look, depth_report
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, locate_depth, sharp_depths
+from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, comfortable_amount, locate_depth, sharp_depths
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
@@ -180,3 +180,15 @@ def test_a_rig_that_shows_nothing_is_refused():
     for refused in (lambda: depth_report(batch, PANEL, RIG), lambda: Look(focus=(0, 0)).applied(RIG, PANEL, batch)):
         with pytest.raises(InputError, match="^gaussians: expected one set, got a batch of 1"):
             refused()
+
+
+def test_the_comfortable_amount_is_the_most_that_does_not_strain_the_eyes():
+    near_panel = replace(PANEL, viewing_distance_mm=400)
+    assert depth_report(SCENE, near_panel, RIG).comfortable is False
+    amount = comfortable_amount(SCENE, near_panel, RIG)
+    assert amount is not None and 0 < amount < 1
+    assert depth_report(SCENE, near_panel, Look(depth_amount=amount).applied(RIG, near_panel)).comfortable is True
+    more = Look(depth_amount=1.15 * amount).applied(RIG, near_panel)
+    assert depth_report(SCENE, near_panel, more).comfortable is False
+    assert comfortable_amount(SCENE, near_panel, Look(depth_amount=amount).applied(RIG, near_panel)) is None
+    assert comfortable_amount(SCENE, replace(PANEL, viewing_distance_mm=None), RIG) is None

@@ -166,3 +166,16 @@ def test_some_of_a_photos_many_gaussians_show_how_far_all_reach(width):
     assert rig.focal_px == pytest.approx(whole.focal_px, rel=4e-3) and rig.focal_px != whole.focal_px
     assert rig.principal_point_px == pytest.approx(whole.principal_point_px, abs=4e-3 * PANEL.height_px)
     assert rig.zero_depth == pytest.approx(whole.zero_depth, rel=1e-3)
+
+
+def test_a_photos_content_is_inside_all_views():
+    """A ring that is as wide as the panel and deep: its ends move most in the outermost views."""
+    turn = np.linspace(0, 2 * np.pi, 600)
+    ring = np.stack([0.9 * np.cos(turn), 0.05 * np.sin(3 * turn), 1.5 + 0.4 * np.cos(turn)], 1)
+    gaussians = blobs(ring, 0.01)
+    rig = frame_photo(gaussians, PANEL)
+    for x in (0, PANEL.views / 2, PANEL.views):
+        camera = rig.cameras_at(PANEL, [x])
+        seen = ring @ camera.world_to_camera[0, :3, :3].numpy().T + camera.world_to_camera[0, :3, 3].numpy()
+        columns = float(camera.focal_px[0, 0]) * seen[:, 0] / seen[:, 2] + float(camera.principal_point_px[0, 0])
+        assert columns.min() > 0 and columns.max() < PANEL.width_px

@@ -13,6 +13,7 @@ from rgbd_scene import view
 import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
+from lightfield_gs.panels.framing import focus_on_subject
 from lightfield_gs.photo.depth import depth_map, ray_lengths, read_depth, read_numbers
 from lightfield_gs.photo.margin import fit_to_panel
 from lightfield_gs.show.preview import to_integers
@@ -179,6 +180,24 @@ def write_scene() -> np.ndarray:
     return read_image("photo.png")
 
 
+def test_a_photo_is_as_deep_as_the_eyes_take_and_its_subject_lies_in_the_panel(folder, capsys):
+    write_scene()
+    line = "encode photo.png --depth depth.exr -o o.exr --panel p.yaml --device cpu --save-rig r.yaml"
+    out = run(capsys, f"{line} --viewing-distance 200")
+    amount = re.search(r"depth: (0\.\d+) of what it is, .* \(all of it: --depth-amount 1\)\n", out)
+    assert amount is not None and "focus: the subject, at depth" in out and "--focus)" in out
+    cone = lf.Rig.from_yaml("r.yaml").cone_deg
+    assert cli.main(f"{line} --viewing-distance 200 --depth-amount {amount[1]} --focus 0.5,0.5".split()) == 0
+    out = capsys.readouterr().out
+    assert "of what it is" not in out and "focus: the subject" not in out
+    assert lf.Rig.from_yaml("r.yaml").cone_deg == pytest.approx(cone) and cone < PANEL.cone_deg
+    # A rig keeps its depth
+    lf.Rig.from_yaml("r.yaml").to_yaml("own.yaml")
+    assert "of what it is" not in run(
+        capsys, f"{line} --viewing-distance 100 --rig own.yaml".replace("r.yaml", "q.yaml", 1)
+    )
+
+
 def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
     photo = write_scene()
     depth = read_image("depth.exr")[..., 0]
@@ -187,8 +206,9 @@ def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
         "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
         "--device cpu --save-rig r.yaml --save-gaussians g.ply",
     )
-    placed = fit_to_panel(torch.from_numpy(depth), (50, 50), (30, 20), PANEL, "cover")
-    gaussians, rig = lf.from_depth(photo, depth, (50, 50), (30, 20), margin_px=placed.margin_px), placed.rig
+    placed = fit_to_panel(torch.from_numpy(depth), (50, 50), (30, 20), PANEL, "cover", on_near=True)
+    gaussians = lf.from_depth(photo, depth, (50, 50), (30, 20), margin_px=placed.margin_px)
+    rig = focus_on_subject(placed.rig, gaussians, PANEL)
     expected = lf.encode(gaussians, PANEL, rig, output="float32").numpy()
     assert np.array_equal(read_image("o.exr"), expected) and "depth" in out and "network" not in out
     assert lf.Rig.from_yaml("r.yaml").to_dict() == rig.to_dict()

@@ -10,7 +10,7 @@ from photo_cases import PANEL, photo, psnr_db, tiny_net
 from lightfield_gs import InputError, Look, PhotoEncoder, encode
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.splatter_net import PRETRAINED
-from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.rig import frame_photo
 
 
 @pytest.mark.parametrize("shape", [(40, 90), (200, 30)])
@@ -21,7 +21,7 @@ def test_image_is_that_of_the_steps(shape, views):
     stats = {}
     found = encoder(rgba, stats)
     gaussians = net.predict(rgba)
-    rig = Rig.frame(gaussians, PANEL, np.eye(4))
+    rig = frame_photo(gaussians, PANEL)
     assert torch.equal(found, encode(gaussians, PANEL, rig, views=views, background=(0.2, 0.5, 0.9)))
     assert encoder.rig.to_dict() == rig.to_dict() and encoder.gaussians.count == gaussians.count
     assert list(stats["stages_ms"]) == ["crop", "network", "framing", "encode"]
@@ -33,7 +33,7 @@ def test_a_look_changes_the_framing():
     encoder = PhotoEncoder(net, PANEL, look=Look(depth_amount=0.5, zoom=1.5))
     found = encoder(rgba)
     gaussians = net.predict(rgba)
-    rig = Look(depth_amount=0.5, zoom=1.5).applied(Rig.frame(gaussians, PANEL, np.eye(4)), PANEL)
+    rig = Look(depth_amount=0.5, zoom=1.5).applied(frame_photo(gaussians, PANEL), PANEL)
     assert encoder.rig.to_dict() == rig.to_dict() and torch.equal(found, encode(gaussians, PANEL, rig))
     encoder.look = None
     assert torch.equal(encoder(rgba), PhotoEncoder(net, PANEL)(rgba))
@@ -58,7 +58,7 @@ def test_what_is_not_seen_does_not_move_the_rig():
     everything = net.all_gaussians(net.crops(torch.from_numpy(rgba), None)[0], net.photo_intrinsics())
     seen = net.predict(rgba)
     assert seen.count < everything.count
-    rigs = [Rig.frame(gaussians, PANEL, np.eye(4)) for gaussians in (everything, seen)]
+    rigs = [frame_photo(gaussians, PANEL) for gaussians in (everything, seen)]
     assert rigs[0].zero_depth == pytest.approx(rigs[1].zero_depth, rel=1e-5)
     assert rigs[0].focal_px == pytest.approx(rigs[1].focal_px, rel=1e-5)
     images = [encode(gaussians, PANEL, rigs[1]).int() for gaussians in (everything, seen)]
@@ -93,6 +93,6 @@ def test_a_network_in_bfloat16_draws_the_same():
     half = copy.deepcopy(net)
     half.unet.to(torch.bfloat16)
     gaussians = net.predict(rgba)
-    rig = Rig.frame(gaussians, PANEL, np.eye(4))
+    rig = frame_photo(gaussians, PANEL)
     images = [encode(g, PANEL, rig) for g in (gaussians, half.predict(rgba))]
     assert psnr_db(*images) > 40
