@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lightfield_gs.base.options import (
     DEPTH_MODEL,
@@ -21,9 +20,6 @@ from lightfield_gs.base.options import (
     QualityName,
     Views,
 )
-
-if TYPE_CHECKING:
-    from lightfield_gs.photo.steady_depth import PictureEstimate
 
 AUTO = Path("auto")  # in place of the file of --depth: a network estimates the depths
 WHITE = (1.0, 1.0, 1.0)
@@ -110,7 +106,6 @@ class PhotoOptions:
         detail_budget: most Gaussians of the detail "auto".
         depth: file of the depth map, or AUTO.
         depth_model: name or folder of the network of AUTO.
-        estimate: the network's numbers for this picture of a sequence. None: they are computed.
         depth_kind: meaning of the map's numbers.
         depth_range: distances at the ends of the map's full scale, near and far.
         depth_scale: distance of one step of the map's numbers.
@@ -131,7 +126,6 @@ class PhotoOptions:
     detail_budget: int | None = None
     depth: Path | None = None
     depth_model: str | None = None
-    estimate: PictureEstimate | None = None
     depth_kind: DepthKind | None = None
     depth_range: tuple[float, float] | None = None
     depth_scale: float | None = None

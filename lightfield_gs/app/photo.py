@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.load import NoCutOut, Photo
     from lightfield_gs.photo.margin import PanelFit
+    from lightfield_gs.photo.steady_depth import PictureEstimate
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
@@ -58,7 +59,8 @@ class ReadPhoto:
         photo: its pixels.
         is_whole: whether the whole photo is shown, not an object in it.
         depth: the depth map of a whole photo. None: a network estimates it.
-        ways: other ways to show it, where the whole photo is shown for want of an object; None: it is not.
+        estimate: the network's numbers, where they were computed before.
+        refused: why no object was cut out, where the whole photo is shown instead.
         notes: lines for the user.
     """
 
@@ -67,7 +69,8 @@ class ReadPhoto:
     photo: Photo
     is_whole: bool = False
     depth: DepthMap | None = None
-    ways: list[str] | None = None
+    estimate: PictureEstimate | None = None
+    refused: NoCutOut | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -102,13 +105,13 @@ def photo_scene(
     """Make the Gaussians of a photo: of its object, by the network, or of all that it shows. Raises InputError."""
     if not source.is_whole:
         return _scene_of_object(source, panel, device, watch), PhotoPlacement(source.options)
-    if source.ways is None:
+    if source.refused is None:
         return _scene_of_whole(source, panel, look, device, watch)
-    with _trying(source.path, source.ways):
+    with _trying(source.path, source.refused):
         scene = _scene_of_whole(source, panel, look, device, watch)
     note(
-        f"{source.path} has no cut-out and no plain background: it is shown as a whole scene, as with --depth auto; "
-        "for one object give --mask FILE or --remove-background"
+        f"{source.refused.reason}: it is shown as a whole scene, as with --depth auto; for one object give --mask FILE "
+        "or --remove-background"
     )
     return scene
 
@@ -146,11 +149,14 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
         ways = [words.removeprefix(f"{path}: ") for words in notes]
         if not isinstance(error, NoCutOut):
             raise InputError("; ".join([str(error), *ways[: side is not None]])) from None
-        refused = NoCutOut("; ".join([str(error), *ways]))
+        if side is not None:
+            words = f"{notes[0]}; to show all of it as one photo, give depth=auto"
+            raise InputError("; ".join([words, *ways[1:]])) from None
+        refused = NoCutOut(error.reason, "; ".join([str(error).removeprefix(error.reason), *ways]))
         for_network = (options.checkpoint, options.detail, options.detail_budget)
-        if side is not None or any(value is not None for value in for_network):
+        if any(value is not None for value in for_network):
             raise refused from None
-        return _read_whole_instead(path, options, refused, ways)
+        return _read_whole_instead(path, options, refused)
     return ReadPhoto(path, options, photo, notes=notes)
 
 
@@ -204,28 +210,27 @@ def _scene_of_object(source: ReadPhoto, panel: Panel, device: str, watch: Stopwa
     return gaussians
 
 
-def _read_whole_instead(path: Path, options: PhotoOptions, refused: InputError, ways: list[str]) -> ReadPhoto:
+def _read_whole_instead(path: Path, options: PhotoOptions, refused: NoCutOut) -> ReadPhoto:
     """Read the whole photo, for estimated depths. Raises `refused` where no network for depths is installed."""
     from lightfield_gs.photo.depth_network import is_installed
 
     if not is_installed():
         raise refused
-    with _trying(path, ways):
-        return replace(_read_whole(path, replace(options, depth=AUTO)), ways=ways)
+    with _trying(path, refused):
+        return replace(_read_whole(path, replace(options, depth=AUTO)), refused=refused)
 
 
 @contextmanager
-def _trying(path: Path, ways: list[str]) -> Iterator[None]:
+def _trying(path: Path, refused: NoCutOut) -> Iterator[None]:
     """Say that the whole photo was tried for want of an object in the message of an error with it."""
     try:
         yield
     except InputError as error:
-        words = (
-            f"{path} has no cut-out and no plain background, and could not be shown as a whole scene: "
+        raise InputError(
+            f"{refused.reason}, and could not be shown as a whole scene: "
             f"{str(error).removeprefix(f'{path}: ')}; for one object give a cut-out with mask=FILE or "
             "remove_background=True"
-        )
-        raise InputError("; ".join([words, *ways])) from None
+        ) from None
 
 
 def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
@@ -280,7 +285,7 @@ def _scene_of_whole(
     photo, depth, options = source.photo, source.depth, source.options
     if depth is None:
         watch.lap("load")
-        depth = depth_by_network(options, photo, device)
+        depth = depth_by_network(options, photo, device, source.estimate)
         check_depth_size(str(options.depth), depth.z, photo.pixels)
     height, width = photo.size
     focal, centre, camera, notes = depth_camera(options, height, width, depth.focal_px)

@@ -28,14 +28,16 @@ _OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides 
 _USUAL_ANGLES_DEG, _ANGLES_DEG = (10.0, 130.0), (1.0, 175.0)
 
 
-def depth_by_network(options: PhotoOptions, photo: Photo, device: str) -> DepthMap:
-    """Estimate the depth map of --depth auto. Raises InputError."""
+def depth_by_network(
+    options: PhotoOptions, photo: Photo, device: str, estimate: PictureEstimate | None = None
+) -> DepthMap:
+    """Estimate the depth map of --depth auto, or take an estimate that was made before. Raises InputError."""
     from lightfield_gs.photo.depth_network import depth_of_estimate, estimated_depth
 
     model, on = options.depth_network, _network_device(device)
     wanted: dict[str, Any] = dict(kind=options.depth_kind, limits=options.depth_range)
-    if options.estimate is not None:
-        return depth_of_estimate(photo.floats(), options.estimate, model, on, **wanted)
+    if estimate is not None:
+        return depth_of_estimate(photo.floats(), estimate, model, on, **wanted)
     return estimated_depth(photo.floats(), model, on, **wanted, say=lambda words: print(words, flush=True))
 
 

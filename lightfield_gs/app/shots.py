@@ -19,15 +19,24 @@ import numpy as np
 
 from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
 from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
-from lightfield_gs.app.photo import photo_rig, read_photo
+from lightfield_gs.app.photo import ReadPhoto, photo_rig
 from lightfield_gs.app.photo_depth import steady_estimates
-from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
+from lightfield_gs.app.scene import (
+    LoadedScene,
+    RenderSettings,
+    build_scene,
+    check_scene_options,
+    frame_scene,
+    load_scene,
+    read_source,
+)
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import scratch_folder, sha256
 from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
+from lightfield_gs.io.scenes.files import SceneFile
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.load import Photo
@@ -157,18 +166,14 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     beside = {name: _open_beside(name, path, source, pictures.count) for name, path in maps.items() if path is not None}
     folder = stack.enter_context(scratch_folder())
     parts = {"input": pictures, **beside}
-    ahead = {f"ahead/{name}": part for name, part in parts.items()}
-    stack.enter_context(_naming_videos({"half": pictures, **parts, **ahead}, folder))
+    stack.enter_context(_naming_videos({"half": pictures, **parts}, folder))
     count = min(pictures.count, motion.frames or pictures.count)
     photo, shown, halved = _find_half(photo, pictures, count, folder)
     choice = read_camera(options.camera, panel)
 
-    def load(own: SceneOptions, watch: Stopwatch) -> LoadedScene:
-        return load_scene(own, options.render, look, panel, device, watch)
-
     _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
     check_scene_options(own, options.camera)
-    first = load(own, watch)
+    first = load_scene(own, options.render, look, panel, device, watch)
     if first.photo is None:
         raise InputError(f"{first.path} is a file of Gaussians; a sequence takes pictures")
     if first.photo.options.is_estimated:  # also where no object is cut out
@@ -177,27 +182,20 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     rig, how = frame_scene(choice, look, first, panel)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
-        each = _pictures(replace(scene, photo=photo), parts, numbers, folder) if numbers else ()
-        # Only the messages of the first picture are printed; the others would be the same
-        quiet = io.StringIO()
-        steady = iter(())
+        every = replace(scene, photo=photo)
         if photo.is_estimated and numbers:
-            ahead = list(range(max(0, numbers[0] - REACH), min(pictures.count, numbers[-1] + REACH + 1)))
-            steady = steady_estimates(
-                _photos(replace(scene, photo=photo), parts, ahead, _make(folder / "ahead")), photo, device
-            )
-        for number, own in each:
-            with contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
-                with named(f"frame {number}"):
-                    if photo.is_estimated:
-                        estimate = next(found for index, found in steady if index == number)
-                        own = replace(own, photo=replace(own.photo, estimate=estimate))
-                    loaded = load(own, Stopwatch(0.0))
-                    framed = rig
-                    if motion.reframe and loaded.photo is not None:
-                        bare = photo_rig(loaded.photo, panel, loaded.gaussians)
-                        framed, _ = apply_look(look, bare, panel, loaded.gaussians)
-                        framed = replace(framed, cone_deg=rig.cone_deg)  # depth as in the first picture
+            near = list(range(max(0, numbers[0] - REACH), min(pictures.count, numbers[-1] + REACH + 1)))
+            each = _with_estimates(_sources(every, parts, near, folder), photo, device, set(numbers))
+        else:
+            each = _sources(every, parts, numbers, folder)
+        for number, own, source in each:
+            with _unheard(), named(f"frame {number}"):
+                loaded = build_scene(own, source, options.render, look, panel, device, Stopwatch(0.0))
+                framed = rig
+                if motion.reframe and loaded.photo is not None:
+                    bare = photo_rig(loaded.photo, panel, loaded.gaussians)
+                    framed, _ = apply_look(look, bare, panel, loaded.gaussians)
+                    framed = replace(framed, cone_deg=rig.cone_deg)  # depth as in the first picture
             yield number, loaded.gaussians, framed
 
     fps = motion.fps or pictures.fps or DEFAULT_FPS
@@ -247,13 +245,42 @@ def _pictures(
         yield row[0][0], replace(scene, input=paths["input"], photo=photo)
 
 
-def _photos(
+def _sources(
     scene: SceneOptions, parts: dict[str, ImageSequence], numbers: list[int], folder: Path
-) -> Iterator[tuple[int, Photo]]:
-    """Yield the number and the photo of each picture, as a scene is made of it. Raises InputError."""
-    for number, own in _pictures(scene, parts, numbers, folder):
-        with named(f"frame {number}"):
-            yield number, read_photo(own.input, own.photo).photo
+) -> Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]]:
+    """Yield what `_pictures` yields, and each picture as it is read. Raises InputError."""
+    for number, own in _pictures(scene, parts, numbers, folder) if numbers else ():
+        with _unheard(), named(f"frame {number}"):
+            source = read_source(own)
+        yield number, own, source
+
+
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Drop messages. Only those of the first picture are printed; the others would be the same."""
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        yield
+
+
+def _with_estimates(
+    sources: Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]],
+    photo: PhotoOptions,
+    device: str,
+    wanted: set[int],
+) -> Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]]:
+    """Yield the wanted ones of pictures in a row, each with depths that are averaged with its neighbours'."""
+    pending: dict[int, tuple[SceneOptions, ReadPhoto]] = {}
+
+    def photos() -> Iterator[tuple[int, Photo]]:
+        for number, own, source in sources:
+            assert isinstance(source, ReadPhoto)
+            pending[number] = own, source
+            yield number, source.photo
+
+    for number, estimate in steady_estimates(photos(), photo, device):
+        own, source = pending.pop(number)
+        if number in wanted:
+            yield number, own, replace(source, estimate=estimate)
 
 
 class _Renaming:

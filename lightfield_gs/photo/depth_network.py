@@ -28,6 +28,13 @@ _INSTALL = "pip install 'lightfield-gs[photo]'"
 _OTHER_WAY = "or give a depth map with depth=FILE"
 _FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
 _USUAL_SIDE_PX = 518  # of the network's input, where its processor does not state it
+# Families that users may name and transformers does not read, by a part of their names on huggingface.co
+_UNREAD = {
+    "video-depth-anything": "Video Depth Anything",
+    "depth-anything-3": "Depth Anything 3",
+    "/da3": "Depth Anything 3",
+    "/moge": "MoGe",
+}
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
 # Numbers of model families whose configuration does not state their kind
 _KINDS: dict[str, DepthKind] = {
@@ -221,6 +228,12 @@ def _folder(model: str, say: Callable[[str], None] | None) -> str:
         ) from None
     except OSError:
         pass  # it was never fetched
+    for part, family in _UNREAD.items():
+        if part in model.lower():
+            raise InputError(
+                f"depth_model={model}: transformers has no {family}, whose weights are for a program of its own; give "
+                f"a model of transformers, such as {DEPTH_MODEL}, {_OTHER_WAY}"
+            )
     about = _ABOUT.get(model, f"its licence: huggingface.co/{model}")
     if say is not None:
         say(f"fetching the depth network {model} from huggingface.co, once ({about})")

@@ -31,6 +31,7 @@ class SteadyConstants:
     histogram_bins: int = 16  # of each channel
     cut_histogram: float = 0.3  # fraction of the pixels that change their bin from which on there may be a cut
     cut_difference: float = 0.08  # mean difference of the colours, 0..1, from which on there may be one
+    sure_difference: float = 0.25  # from which on there is one, whatever the histograms
     least_weight: float = 1e-3  # of the pixels that a fit takes
 
 
@@ -90,12 +91,14 @@ def steadied(
 def is_cut(before: Tensor, after: Tensor) -> bool:
     """Return whether a shot ends between two pictures [h, w, 3], floats in 0..1.
 
-    A pan changes the pixels but not the histogram; a change of the light does the reverse. A cut changes both.
+    A pan changes the pixels but not the histogram; a change of the light does the reverse. A cut changes both, or all
+    pixels.
     """
     if before.shape != after.shape:
         return True
-    if float((before - after).abs().mean()) < _C.cut_difference:
-        return False
+    difference = float((before - after).abs().mean())
+    if not _C.cut_difference <= difference < _C.sure_difference:
+        return difference >= _C.sure_difference
     histograms = [
         torch.stack([torch.histc(part[..., channel], _C.histogram_bins, 0, 1) for channel in range(3)])
         for part in (before, after)
