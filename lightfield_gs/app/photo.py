@@ -24,7 +24,7 @@ from lightfield_gs.app.photo_depth import (
 )
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import FITS, Detail
+from lightfield_gs.base.options import Detail
 from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
 if TYPE_CHECKING:
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
-_MOST_CROPPED = 0.34  # fraction of the photo; if cropping would take more, the default is to show the whole photo
 # Each pixel of a whole photo becomes a Gaussian. A view of a panel has fewer: 0.3 million pixels on the default panel
 _MOST_WHOLE_PX = 1_500_000
 _TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: no margin is made for a cut-out
@@ -294,10 +293,11 @@ def _scene_of_whole(
     known = known_camera(focal, centre, height, width)
     if photo.full_size is not None:
         across, down = photo.pixels.shape[1] / width, photo.pixels.shape[0] / height
-        focal, centre = known = tuple((x * across, y * down) for x, y in known)
+        focal, centre = known = ((known[0][0] * across, known[0][1] * down), (known[1][0] * across, known[1][1] * down))
     placed, words = _place(options, panel, look, image, torch.from_numpy(depth.z), *known)
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
-    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
+    blur = placed is not None and placed.fit == "contain"
+    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin, margin="blur" if blur else "texture")
     watch.lap("depth")
     _say(source, [depth.description, camera, *words], source.notes + depth.notes + notes)
     return gaussians, PhotoPlacement(options, is_whole=True, placed=placed)
@@ -347,13 +347,11 @@ def _place(
             on_near=True,
         )
 
-    fit = options.fit or FITS[0]
-    found = placed(fit)
-    if options.fit is None and found.cropped > _MOST_CROPPED:
-        fit = FITS[1]
-        found = placed(fit)
-    words = f"fit {fit}: {found.cropped:.0%} of it cropped, {found.made_up:.0%} of the panel made up"
-    return found, [words + ("" if options.fit else " (assumed; --fit cover, --fit contain)")]
+    found = placed(options.fit or "auto")
+    rest = "made up" if found.fit == "cover" else "its blurred, darker continuation"
+    words = f"fit {found.fit}: {found.cropped:.0%} of it cropped, {found.made_up:.0%} of the panel {rest}"
+    is_given = options.fit not in (None, "auto")
+    return found, [words + ("" if is_given else " (assumed; --fit cover, --fit contain)")]
 
 
 def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:

@@ -1,10 +1,10 @@
-"""Photos of scenes on panels of another shape: the rig, and a margin around the photo made of its texture."""
+"""Photos of scenes on panels of another shape: the rig, and a margin around the photo."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +16,9 @@ from lightfield_gs.base.options import FITS
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.inpainting import complete
+from lightfield_gs.photo.subject import subject_box
+
+Margin = Literal["texture", "blur"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,11 @@ class MarginConstants:
     fewest: float = 0.05  # fraction of the photo that has to remain as a source
     # distances from the photo at which its depths are smooth over as many pixels
     blurs_px: tuple[int, int, int] = (8, 32, 128)
+    # the same for the colours of a blurred margin, as fractions of the photo's longer side
+    colour_blurs: tuple[float, float, float] = (0.015, 0.06, 0.2)
+    darkest: float = 0.45  # brightness of a blurred margin far from the photo, by the photo's
+    dark_at: float = 0.12  # distance at which it is as dark, as a fraction of the photo's longer side
+    most_cropped: float = 0.34  # fraction of a photo without a subject; if cropping would take more, all of it is shown
 
 
 _C = MarginConstants()
@@ -46,12 +54,14 @@ class PanelFit(NamedTuple):
         margin_px: (left, top, right, bottom), pixels of the photo that its views show beyond it.
         cropped: Fraction 0..1 of the photo that is cropped.
         made_up: Fraction 0..1 of the panel's centre view that is margin.
+        fit: "cover" or "contain".
     """
 
     rig: Rig
     margin_px: tuple[int, int, int, int]
     cropped: float
     made_up: float
+    fit: str
 
 
 def fit_to_panel(
@@ -74,7 +84,9 @@ def fit_to_panel(
         focal_px: (fx, fy), pixels of the photo.
         principal_point_px: (cx, cy), pixels of the photo.
         panel: The panel.
-        fit: "cover": the photo fills the panel, and the rest is cropped; "contain": the whole photo is on the panel.
+        fit: "cover": the photo fills the panel, and the rest is cropped; "contain": the whole photo is on the panel;
+            "auto": cover about the subject, or contain if the subject would be cropped. Without a subject, contain if
+            more than a third of the photo would be.
         widest_tan: tan(cone / 2) of the outermost views; None: the panel's.
         zoom: Factor of the size of the picture.
         on_near: Whether the zero plane may move anywhere from near on afterwards; the margin is enough for that.
@@ -86,12 +98,15 @@ def fit_to_panel(
         raise InputError(f"fit: expected {' or '.join(FITS)}, got {fit!r}")
     height, width = depth.shape
     scales = panel.width_px / width * focal_px[0] / focal_px[1], panel.height_px / height
+    middle = width / 2, height / 2
+    if fit == "auto":
+        fit, middle = _choose_fit(depth, scales)
     scale = max(scales) if fit == "cover" else min(scales)
     sizes = scale * focal_px[1] / focal_px[0], scale
     focal = sizes[0] * focal_px[0], sizes[1] * focal_px[1]
     centre = (
-        panel.width_px / 2 + sizes[0] * (principal_point_px[0] - width / 2),
-        panel.height_px / 2 + sizes[1] * (principal_point_px[1] - height / 2),
+        panel.width_px / 2 + sizes[0] * (principal_point_px[0] - middle[0]),
+        panel.height_px / 2 + sizes[1] * (principal_point_px[1] - middle[1]),
     )
     measured = depth[torch.isfinite(depth)].double().cpu().numpy()
     near, far = np.quantile(measured, [_C.depth_tail, 1 - _C.depth_tail])
@@ -102,19 +117,42 @@ def fit_to_panel(
     zeros = np.array([zero, near] if on_near else [zero])[:, None]
     moves = np.abs(1 - zeros / np.quantile(known, _C.side_quantiles)).max() if len(known) else 0.0
     shown = panel.width_px / sizes[0] / zoom, panel.height_px / sizes[1] / zoom
-    across = (shown[0] - width) / 2 + focal_px[0] * tan * moves + _C.more_px
-    down = (shown[1] - height) / 2 + _C.more_px
-    most = _C.widest * width, _C.widest * height
-    x, y = (math.ceil(min(max(part, 0), limit)) for part, limit in zip((across, down), most))
+    beyond = focal_px[0] * tan * moves + _C.more_px, _C.more_px
+    before = [half / 2 - at + more for half, at, more in zip(shown, middle, beyond)]
+    after = [half / 2 + at - size + more for half, at, size, more in zip(shown, middle, (width, height), beyond)]
+    most = (_C.widest * width, _C.widest * height) * 2
+    margin = [math.ceil(min(max(part, 0), limit)) for part, limit in zip((*before, *after), most)]
     kept = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)
     made_up = 1 - kept * width * height / (shown[0] * shown[1])
-    return PanelFit(Rig(np.eye(4), focal, centre, float(zero)), (x, y, x, y), 1 - kept, made_up)
+    rig = Rig(np.eye(4), focal, centre, float(zero))
+    return PanelFit(rig, (margin[0], margin[1], margin[2], margin[3]), 1 - kept, made_up, fit)
+
+
+def _choose_fit(depth: Tensor, scales: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+    """Return "cover" or "contain", and the point x, y of the photo that comes to the panel's middle.
+
+    Args:
+        depth: [H, W], z of the photo.
+        scales: Pixels of the panel by pixels of the photo at which the photo is as wide and as high as the panel.
+    """
+    height, width = depth.shape
+    whole = width / 2, height / 2
+    shown = [size * own / max(scales) for size, own in zip((width, height), scales)]
+    box = subject_box(depth)
+    if box is None:
+        cropped = 1 - min(scales) / max(scales)
+        return ("contain" if cropped > _C.most_cropped else "cover"), whole
+    if any(box[axis + 2] - box[axis] > shown[axis] for axis in (0, 1)):
+        return "contain", whole
+    wanted = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
+    x, y = (min(max(at, part / 2), size - part / 2) for at, part, size in zip(wanted, shown, (width, height)))
+    return "cover", (x, y)
 
 
 def extend_with_margin(
-    image: Tensor, depth: Tensor, margin_px: tuple[int, int, int, int]
+    image: Tensor, depth: Tensor, margin_px: tuple[int, int, int, int], kind: Margin = "texture"
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Extend an image and its depths by a margin of the same texture.
+    """Extend an image and its depths by a margin of the same texture, or of its blurred, darker colours.
 
     The depths continue the photo's border, and become smoother with the distance from it.
 
@@ -122,6 +160,7 @@ def extend_with_margin(
         image: [H, W, 3], of the surfaces behind the things in front, as hidden.fill_hidden returns it.
         depth: [H, W], of the same surfaces.
         margin_px: (left, top, right, bottom).
+        kind: "texture" or "blur".
 
     Returns:
         The larger image and depth map, and the pixels of the margin, bool.
@@ -141,6 +180,9 @@ def extend_with_margin(
         smooth = torch.lerp(smooth, _blur(disparity, blur), fraction)
         reached = blur
     known = torch.where(outside, smooth, disparity)
+    if kind == "blur":
+        colours = torch.where(outside[..., None], _blurred(image[within], distance, max(height, width)), image[within])
+        return colours, torch.where(outside, 1 / known, depth[within]), outside
     # A thing before everything at the photo's border stands alone and must not appear twice
     source = ~outside & measured[within] & (known <= _C.nearer * known[outside].max())
     if int(source.sum()) < _C.fewest * depth.numel():
@@ -148,6 +190,25 @@ def extend_with_margin(
     colours = complete(_mirror(image, rows, columns), outside, source, known.log())
     colours = torch.where(outside[..., None], colours.clamp(0, 1), image[within])
     return colours, torch.where(outside, 1 / known, depth[within]), outside
+
+
+def _blurred(colours: Tensor, distance: Tensor, longer_px: int) -> Tensor:
+    """Return colours [H, W, 3], the blurrier and the darker the farther from the photo they are.
+
+    Args:
+        colours: The photo, its border continued.
+        distance: From the photo, [H, W], pixels.
+        longer_px: The photo's longer side.
+    """
+    blurred, reached = colours, 0
+    for part in _C.colour_blurs:
+        blur = max(reached + 1, round(part * longer_px))
+        fraction = ((distance - reached) / (blur - reached)).clamp(0, 1)
+        smooth = torch.stack([_blur(channel, blur) for channel in colours.unbind(2)], 2)
+        blurred = torch.lerp(blurred, smooth, fraction[..., None])
+        reached = blur
+    dark = (distance / max(1.0, _C.dark_at * longer_px)).clamp(0, 1)
+    return blurred * (1 - (1 - _C.darkest) * dark * dark * (3 - 2 * dark))[..., None]
 
 
 def _mirror(image: Tensor, rows: Tensor, columns: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from lightfield_gs.photo.depth import FARTHEST
 from lightfield_gs.photo.depth_edges import STEEPEST, coverage_to_opacity, edges, find_matte, slopes, snap_mixed
 from lightfield_gs.photo.hidden import Hidden, fill_hidden, find_hidden
 from lightfield_gs.photo.image_filters import max_filter
-from lightfield_gs.photo.margin import extend_with_margin
+from lightfield_gs.photo.margin import Margin, extend_with_margin
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
@@ -81,6 +82,7 @@ def from_depth(
     principal_point_px: Sequence[float] | None = None,
     *,
     margin_px: tuple[int, int, int, int] = (0, 0, 0, 0),
+    margin: Margin = "texture",
 ) -> Gaussians:
     """Return the Gaussians of a photo with known depths: one per pixel, in its camera's axes (OpenCV, at the origin).
 
@@ -100,6 +102,7 @@ def from_depth(
         principal_point_px: (cx, cy), pixels from the outer corner of the first pixel; None: the middle.
         margin_px: (left, top, right, bottom), pixels around the photo that are made of its texture, as
             `lightfield_gs.photo.margin.fit_to_panel` returns them for a panel.
+        margin: "texture": the margin has the photo's texture; "blur": blurred and darker colours of its border.
 
     Returns:
         Float32 Gaussians of SH degree 0. First come the pixels with a depth and an opacity, row by row; then outlines,
@@ -109,6 +112,8 @@ def from_depth(
         InputError: Shapes, types or values are invalid, or no pixel has a depth.
     """
     image, depth = _checked_image(image), _checked_depth(depth)
+    if margin not in get_args(Margin):
+        raise InputError(f"margin: expected {' or '.join(get_args(Margin))}, got {shown(margin)}")
     margin_px = _checked_margin(margin_px, image.shape[0], image.shape[1])
     height, width = depth.shape
     check_depth_size("depth", depth, image)
@@ -124,7 +129,7 @@ def from_depth(
     behind = fill_hidden(found, depth)
     parts = _layers(image, depth, opacity, found, behind, focal, centre)
     if any(margin_px):
-        colours, z, outside = extend_with_margin(behind, 1 / found.disparity, margin_px)
+        colours, z, outside = extend_with_margin(behind, 1 / found.disparity, margin_px, margin)
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
         full = torch.full_like(z, _C.opacity)
         parts.append(_surface_gaussians(outside.nonzero(), z, full, colours, focal, corner, torn=False))

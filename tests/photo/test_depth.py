@@ -206,8 +206,9 @@ def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
         "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
         "--device cpu --save-rig r.yaml --save-gaussians g.ply",
     )
-    placed = fit_to_panel(torch.from_numpy(depth), (50, 50), (30, 20), PANEL, "cover", on_near=True)
-    gaussians = lf.from_depth(photo, depth, (50, 50), (30, 20), margin_px=placed.margin_px)
+    placed = fit_to_panel(torch.from_numpy(depth), (50, 50), (30, 20), PANEL, "auto", on_near=True)
+    margin = "blur" if placed.fit == "contain" else "texture"
+    gaussians = lf.from_depth(photo, depth, (50, 50), (30, 20), margin_px=placed.margin_px, margin=margin)
     rig = focus_on_subject(placed.rig, gaussians, PANEL)
     expected = lf.encode(gaussians, PANEL, rig, output="float32").numpy()
     assert np.array_equal(read_image("o.exr"), expected) and "depth" in out and "network" not in out

@@ -195,3 +195,8 @@ def test_what_is_no_photo_with_depth_is_refused(image, depth, options, words):
 def test_fields_of_view_that_are_none(degrees):
     with pytest.raises(lf.InputError, match="between 0 and 180"):
         focal_length_px(degrees, 3, 4)
+
+
+def test_what_is_no_margin_is_refused():
+    with pytest.raises(lf.InputError, match="texture or blur"):
+        lf.from_depth(np.zeros((4, 4, 3), np.float32), np.ones((4, 4), np.float32), margin="mirror")

@@ -162,7 +162,7 @@ def add_fit(add: Add) -> None:
         "--fit",
         choices=FITS,
         help="how a photo with depths fills a panel of another shape: cover crops it; contain shows all of it "
-        "and fills the rest with its own texture (default: cover, unless this would crop more than a third)",
+        "before its blurred, darker continuation; auto (default): cover about the subject, unless that would crop it",
     )
 
 
