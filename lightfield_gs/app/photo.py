@@ -149,7 +149,7 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
         if not isinstance(error, NoCutOut):
             raise InputError("; ".join([str(error), *ways[: side is not None]])) from None
         if side is not None:
-            words = f"{notes[0]}; to show all of it as one photo, give depth=auto"
+            words = f"{error.reason}; {ways[0]}; to show all of it as one photo, give depth=auto"
             raise InputError("; ".join([words, *ways[1:]])) from None
         refused = NoCutOut(error.reason, "; ".join([str(error).removeprefix(error.reason), *ways]))
         for_network = (options.checkpoint, options.detail, options.detail_budget)
