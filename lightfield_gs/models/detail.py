@@ -46,9 +46,9 @@ _MOST_CLOUD = 0.999  # opacity of a Gaussian of the cloud at most, since its log
 _SOFTNESS = 1.5  # depth over which the cloud in front of the sheet fades, footprints
 # The cloud is translucent where the network is unsure of the outline, and its large Gaussians make soft edges. Its
 # optical depths are multiplied by the square of their sum over _SOLID, at most by _MOST_SOLID: thin parts vanish, thick
-# ones become opaque. Its Gaussians shrink by _SHRUNK. The layers behind the first go back by _BACK footprints, a pixel
-# of parallax at 15 degrees, so that the outline from there stays in place. Chosen and reported on nine photos of the
-# development data and on 24 textured objects of 512 px
+# ones become opaque. Its Gaussians shrink by _SHRUNK, and go back by _BACK footprints, a pixel of parallax at 15
+# degrees, so that the outline from there stays in place. The first layer is in the sheet and would show through it as
+# beads: it only vanishes. Chosen and reported on nine photos of the development data and 24 textured objects of 512 px
 _SOLID, _MOST_SOLID, _SHRUNK, _BACK = 3.0, 6.0, 0.75, 1 / math.tan(math.radians(15))
 _STEEPEST = 3.0  # footprints of depth between texels: steeper gaps of the sheet stay open
 # Depth in footprints between neighbours of one surface; from twice this depth on they belong to two surfaces.
@@ -197,12 +197,14 @@ def _areas(cloud: Gaussians, pixels: Pixels) -> Tensor:
 
 def _solid(cloud: Gaussians, thickness: Tensor, layers: int, footprint: Tensor) -> Gaussians:
     """Return the cloud, opaque or nothing as its optical depth [B,1,H,W] decides, with crisper outlines."""
-    gain = (thickness / _SOLID).square().clamp_max(_MOST_SOLID).flatten(1).repeat(1, layers)
+    first = thickness[0].numel()
+    gain = (thickness / _SOLID).square().flatten(1)
+    gain = torch.cat([gain.clamp_max(1), gain.clamp_max(_MOST_SOLID).repeat(1, layers - 1)], 1)
     opacities = -torch.expm1(gain * torch.log1p(-cloud.opacities.clamp_max(_MOST_CLOUD)))
-    first = cloud.means.shape[1] // layers
     farther = (1 + _BACK * footprint[:, :, 0]).expand(-1, cloud.means.shape[1] - first, 1)
-    farther = torch.cat([torch.ones_like(cloud.means[:, :first, :1]), farther], 1)
-    return replace(cloud, means=cloud.means * farther, scales=cloud.scales * farther * _SHRUNK, opacities=opacities)
+    same = torch.ones_like(cloud.means[:, :first, :1])
+    means, scales = (torch.cat([same, factors], 1) for factors in (farther, _SHRUNK * farther))
+    return replace(cloud, means=cloud.means * means, scales=cloud.scales * scales, opacities=opacities)
 
 
 def _faded(cloud: Gaussians, disparity: Tensor, cover: Tensor, layers: int, footprint: Tensor) -> Tensor:

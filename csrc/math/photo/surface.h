@@ -20,9 +20,9 @@ struct SurfaceLook {
   float averaged;    // the deviation of the blur
   float softness;    // depth over which the cloud before the sheet fades
   float solid;       // optical depth of the cloud above which it becomes more opaque, and below which less
-  float most_solid;  // the factor of its optical depths at most
-  float shrunk;      // the factor of its lengths
-  float back;        // depth by which all layers but the first go back
+  float most_solid;  // the factor of its optical depths at most; of the first layer, which is in the sheet, it is 1
+  float shrunk;      // the factor of the lengths of all layers but the first
+  float back;        // depth by which they go back
 };
 
 struct Surface {
@@ -112,7 +112,7 @@ LFGS_HD void look_through(const Surface& job, int64_t pixel) {
     for (int c = 0; c < rest; ++c) job.plane(1, 1 + c)[pixel] += seen * job.cloud.sh[i * (rest + 3) + 3 + c];
     job.plane(1, last)[pixel] += seen;
     float& opacity = job.cloud.opacities[i];  // the sizes in set 0 have the one before
-    opacity = -std::expm1(gain * std::log1p(-glm::min(opacity, kMostOfCloud)));
+    opacity = -std::expm1((layer == 0 ? glm::min(gain, 1.f) : gain) * std::log1p(-glm::min(opacity, kMostOfCloud)));
   }
 }
 
@@ -127,8 +127,9 @@ LFGS_HD void finish_surface(const Surface& job, int64_t pixel) {
   for (int layer = 0; layer < job.layers; ++layer) {
     const int64_t i = layer * job.pixels() + pixel;
     const float farther = layer == 0 ? 1.f : 1 + job.look.back * footprint;
+    const float larger = layer == 0 ? 1.f : farther * job.look.shrunk;
     for (int k = 0; k < 3; ++k) job.cloud.means[3 * i + k] *= farther;
-    for (int k = 0; k < 3; ++k) job.cloud.scales[3 * i + k] *= farther * job.look.shrunk;
+    for (int k = 0; k < 3; ++k) job.cloud.scales[3 * i + k] *= larger;
     const float behind = (job.cloud.means[3 * i + 2] * disparity - 1) / footprint;
     const float hidden = job.mask[pixel] * logistic(-behind / job.look.softness);
     job.cloud.opacities[i] = glm::clamp(job.cloud.opacities[i] * (1 - hidden), 0.f, 1.f);
