@@ -12,7 +12,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lightfield_gs import Cameras, Gaussians, Panel, SplatterNet
+    from lightfield_gs.base.options import Detail
 
 _ANGLES_DEG = (-20, -15, -10, 10, 15, 20)
 _WIDTH_PX = 1400
@@ -58,8 +59,10 @@ def _cameras(gaussians: Gaussians, panel: Panel, angles_deg: tuple[float, ...]) 
     centre = np.repeat(scale * np.array(rig.principal_point_px)[None], len(angles_deg), 0)
     centre[:, 0] += focal[:, 0] * tangents
     device = gaussians.means.device
-    numbers = (torch.tensor(values, dtype=torch.float32, device=device) for values in (matrices, focal, centre))
-    return Cameras(*numbers, _WIDTH_PX, height)
+    to_camera, focal_px, centre_px = (
+        torch.tensor(values, dtype=torch.float32, device=device) for values in (matrices, focal, centre)
+    )
+    return Cameras(to_camera, focal_px, centre_px, _WIDTH_PX, height)
 
 
 def _opacities(gaussians: Gaussians, cameras: Cameras) -> Tensor:
@@ -88,7 +91,7 @@ def score_photo(net: SplatterNet, path: Path, detail: str, panel: Panel) -> dict
     from training.coverage import tears_and_fog
 
     pixels = load_photo(path)
-    wanted = None if detail == "none" else detail if detail == "auto" else int(detail)
+    wanted = cast("Detail | None", None if detail == "none" else detail if detail == "auto" else int(detail))
     gaussians = net.predict(pixels, detail_level(wanted, net.config, max(pixels.shape[:2]), panel))
     tears, fog = tears_and_fog(_opacities(gaussians, _cameras(gaussians, panel, (0, *_ANGLES_DEG))))
     return {

@@ -161,7 +161,8 @@ def _median(depth: Tensor, colour: Tensor, counts: Tensor, wanted: Tensor, windo
     def gathered(channel: Tensor, at: Tensor = index) -> Tensor:
         return channel.flatten(1).gather(1, at).unflatten(1, (chosen.shape[1], -1))
 
-    difference = sum((gathered(part) - gathered(part, chosen)).square() for part in colour.unbind(1))
+    parts = [(gathered(part) - gathered(part, chosen)).square() for part in colour.unbind(1)]
+    difference = parts[0] + parts[1] + parts[2]
     likeness = torch.exp(-difference / (2 * _SIMILAR**2)) + window.least
     weights = likeness * torch.exp(-distance / (2 * window.deviation**2)) * (gathered(counts) & inside)
     values, order = gathered(depth).sort(2)
