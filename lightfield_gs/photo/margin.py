@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import FITS
+from lightfield_gs.base.options import FITS, Fit
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.inpainting import complete
@@ -62,7 +62,7 @@ class PanelFit(NamedTuple):
     margin_px: tuple[int, int, int, int]
     cropped: float
     made_up: float
-    fit: str
+    fit: Fit
 
 
 def fit_to_panel(
@@ -70,7 +70,7 @@ def fit_to_panel(
     focal_px: tuple[float, float],
     principal_point_px: tuple[float, float],
     panel: Panel,
-    fit: str = "cover",
+    fit: Fit = "cover",
     *,
     widest_tan: float | None = None,
     zoom: float = 1.0,
@@ -138,7 +138,7 @@ def _middle_depth(depth: Tensor, near: float) -> float:
     return max(near, float(np.quantile(known, _C.middle))) if len(known) else near
 
 
-def _choose_fit(depth: Tensor, scales: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+def _choose_fit(depth: Tensor, scales: tuple[float, float]) -> tuple[Fit, tuple[float, float]]:
     """Return "cover" or "contain", and the point x, y of the photo that comes to the panel's middle.
 
     Args:
