@@ -21,28 +21,49 @@ void bind_photo(py::module_ root) {
            py::kw_only(), py::arg("deviation"), py::arg("thickness"), py::arg("blur"), py::arg("opacity"),
            py::arg("most_opaque"), py::arg("most_of_sheet"), py::arg("sharper_colour"), py::arg("sharper_outline"),
            py::arg("haze"), py::arg("object"), py::arg("same_surface"), py::arg("steepest"));
+  py::class_<RampWindow>(root, "RampWindow")
+      .def(py::init([](int radius, int step, float deviation, float least) {
+             return RampWindow{radius, step, deviation, least};
+           }),
+           py::kw_only(), py::arg("radius"), py::arg("step"), py::arg("deviation"), py::arg("least"));
+  py::class_<RampLook>(root, "RampLook")
+      .def(py::init([](float steep, float slope, float down, float apart, float similar, float there, int reach,
+                       int around, int spread, const RampWindow& snap, const RampWindow& clean, int snaps, int cleans) {
+             return RampLook{steep,  slope,  down, apart, similar, there, reach,
+                             around, spread, snap, clean, snaps,   cleans};
+           }),
+           py::kw_only(), py::arg("steep"), py::arg("slope"), py::arg("down"), py::arg("apart"), py::arg("similar"),
+           py::arg("there"), py::arg("reach"), py::arg("around"), py::arg("spread"), py::arg("snap"), py::arg("clean"),
+           py::arg("snaps"), py::arg("cleans"));
   py::class_<Sheet>(root, "Sheet")
-      .def(py::init([](int64_t height, int64_t width, int factor, Address disparity, Address harmonics, Address photo,
-                       Address intrinsics, const SheetLook& look, Address soft, Address surface,
-                       const Gaussians<float>& out) {
+      .def(py::init([](int64_t height, int64_t width, int factor, Address disparity, Address harmonics, Address mask,
+                       Address photo, Address intrinsics, const SheetLook& look, const RampLook& ramps, Address soft,
+                       Address surface, Address other, Address marks, const Gaussians<float>& out) {
              return Sheet{height,
                           width,
                           factor,
                           at<float>(disparity),
                           at<float>(harmonics),
+                          at<float>(mask),
                           at<float>(photo),
                           at<float>(intrinsics),
                           look,
+                          ramps,
                           at<float>(soft),
                           at<float>(surface),
+                          at<float>(other),
+                          at<uint8_t>(marks),
                           out};
            }),
            py::kw_only(), py::arg("height"), py::arg("width"), py::arg("factor"), py::arg("disparity"),
-           py::arg("harmonics"), py::arg("photo"), py::arg("intrinsics"), py::arg("look"), py::arg("soft"),
-           py::arg("surface"), py::arg("out"));
+           py::arg("harmonics"), py::arg("mask"), py::arg("photo"), py::arg("intrinsics"), py::arg("look"),
+           py::arg("ramps"), py::arg("soft"), py::arg("surface"), py::arg("other"), py::arg("marks"), py::arg("out"));
   py::class_<SurfaceLook>(root, "SurfaceLook")
-      .def(py::init([](float averaged, float softness) { return SurfaceLook{averaged, softness}; }), py::kw_only(),
-           py::arg("averaged"), py::arg("softness"));
+      .def(py::init([](float averaged, float softness, float solid, float most_solid, float shrunk, float back) {
+             return SurfaceLook{averaged, softness, solid, most_solid, shrunk, back};
+           }),
+           py::kw_only(), py::arg("averaged"), py::arg("softness"), py::arg("solid"), py::arg("most_solid"),
+           py::arg("shrunk"), py::arg("back"));
   py::class_<Surface>(root, "Surface")
       .def(py::init([](int64_t height, int64_t width, int layers, const Gaussians<float>& cloud, Address mask,
                        Address intrinsics, const SurfaceLook& look, Address planes, Address disparity,

@@ -7,7 +7,7 @@ import typing
 from . import float32
 from . import float64
 from . import cuda
-__all__: list[str] = ['BAND_ROWS', 'Bins', 'CELL_SUBPIXELS', 'COLOUR_STRIDE', 'COMPENSATION_FIELDS', 'Counters', 'DROPOUT_PURPOSE', 'LOG2_MIN_ALPHA', 'Lens', 'MOST_LOGIT', 'MOST_LOG_SCALE', 'NEAR_DEPTH', 'NOISE_PURPOSE', 'PRUNED', 'Quality', 'Rig', 'SPLAT_FIELDS', 'SPLAT_REACH_INDEX', 'SPLAT_SHAPE_INDICES', 'STEP_COLUMNS', 'SUBPIXEL_BLOCK', 'Sheet', 'SheetLook', 'SubpixelLists', 'SubpixelTile', 'Surface', 'SurfaceLook', 'ViewMap', 'WeaveFan', 'WeaveWindow', 'band_count', 'cuda', 'float32', 'float64', 'image_intersection_gradient_size', 'intersection_gradient_size', 'philox4x32', 'photo_loss_partials', 'plan_sorted_count', 'plan_sorted_fill', 'set_simd_target', 'sheet', 'simd_targets', 'surface', 'uniforms', 'version', 'weave_float32', 'weave_uint16', 'weave_uint8']
+__all__: list[str] = ['BAND_ROWS', 'Bins', 'CELL_SUBPIXELS', 'COLOUR_STRIDE', 'COMPENSATION_FIELDS', 'Counters', 'DROPOUT_PURPOSE', 'LOG2_MIN_ALPHA', 'Lens', 'MOST_LOGIT', 'MOST_LOG_SCALE', 'NEAR_DEPTH', 'NOISE_PURPOSE', 'PRUNED', 'Quality', 'RampLook', 'RampWindow', 'Rig', 'SPLAT_FIELDS', 'SPLAT_REACH_INDEX', 'SPLAT_SHAPE_INDICES', 'STEP_COLUMNS', 'SUBPIXEL_BLOCK', 'Sheet', 'SheetLook', 'SubpixelLists', 'SubpixelTile', 'Surface', 'SurfaceLook', 'ViewMap', 'WeaveFan', 'WeaveWindow', 'band_count', 'cuda', 'float32', 'float64', 'image_intersection_gradient_size', 'intersection_gradient_size', 'philox4x32', 'photo_loss_partials', 'plan_sorted_count', 'plan_sorted_fill', 'set_simd_target', 'sheet', 'simd_targets', 'surface', 'uniforms', 'version', 'weave_float32', 'weave_uint16', 'weave_uint8']
 class Lens:
     def __init__(self, *, width_px: int, height_px: int, views: int, phase0: int, phase_x: int, phase_y: int, line_number: float, slant_tan: float, phase: float, bgr: bool, continuous: bool, offset_start: float, offset_step: float, cell_phases: collections.abc.Sequence[int] = [], cell_channels: collections.abc.Sequence[int] = []) -> None:
         ...
@@ -85,11 +85,17 @@ class SubpixelLists:
 class SheetLook:
     def __init__(self, *, deviation: float, thickness: float, blur: float, opacity: float, most_opaque: float, most_of_sheet: float, sharper_colour: float, sharper_outline: float, haze: float, object: float, same_surface: float, steepest: float) -> None:
         ...
+class RampWindow:
+    def __init__(self, *, radius: int, step: int, deviation: float, least: float) -> None:
+        ...
+class RampLook:
+    def __init__(self, *, steep: float, slope: float, down: float, apart: float, similar: float, there: float, reach: int, around: int, spread: int, snap: RampWindow, clean: RampWindow, snaps: int, cleans: int) -> None:
+        ...
 class Sheet:
-    def __init__(self, *, height: int, width: int, factor: int, disparity: int, harmonics: int, photo: int, intrinsics: int, look: SheetLook, soft: int, surface: int, out: float32.Gaussians) -> None:
+    def __init__(self, *, height: int, width: int, factor: int, disparity: int, harmonics: int, mask: int, photo: int, intrinsics: int, look: SheetLook, ramps: RampLook, soft: int, surface: int, other: int, marks: int, out: float32.Gaussians) -> None:
         ...
 class SurfaceLook:
-    def __init__(self, *, averaged: float, softness: float) -> None:
+    def __init__(self, *, averaged: float, softness: float, solid: float, most_solid: float, shrunk: float, back: float) -> None:
         ...
 class Surface:
     def __init__(self, *, height: int, width: int, layers: int, cloud: float32.Gaussians, mask: int, intrinsics: int, look: SurfaceLook, planes: int, disparity: int, harmonics: int) -> None:

@@ -37,11 +37,14 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.load import NoCutOut, Photo
     from lightfield_gs.photo.margin import PanelFit
+    from lightfield_gs.photo.steady_depth import PictureEstimate
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
+# Each pixel of a whole photo becomes a Gaussian. A view of a panel has fewer: 0.3 million pixels on the default panel
+_MOST_WHOLE_PX = 1_500_000
 _TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: no margin is made for a cut-out
 
 
@@ -55,7 +58,8 @@ class ReadPhoto:
         photo: its pixels.
         is_whole: whether the whole photo is shown, not an object in it.
         depth: the depth map of a whole photo. None: a network estimates it.
-        ways: other ways to show it, where the whole photo is shown for want of an object; None: it is not.
+        estimate: the network's numbers, where they were computed before.
+        refused: why no object was cut out, where the whole photo is shown instead.
         notes: lines for the user.
     """
 
@@ -64,7 +68,8 @@ class ReadPhoto:
     photo: Photo
     is_whole: bool = False
     depth: DepthMap | None = None
-    ways: list[str] | None = None
+    estimate: PictureEstimate | None = None
+    refused: NoCutOut | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -99,13 +104,13 @@ def photo_scene(
     """Make the Gaussians of a photo: of its object, by the network, or of all that it shows. Raises InputError."""
     if not source.is_whole:
         return _scene_of_object(source, panel, device, watch), PhotoPlacement(source.options)
-    if source.ways is None:
+    if source.refused is None:
         return _scene_of_whole(source, panel, look, device, watch)
-    with _trying(source.path, source.ways):
+    with _trying(source.path, source.refused):
         scene = _scene_of_whole(source, panel, look, device, watch)
     note(
-        f"{source.path} has no cut-out and no plain background: it is shown as a whole scene, as with --depth auto; "
-        "for one object give --mask FILE or --remove-background"
+        f"{source.refused.reason}: it is shown as a whole scene, as with --depth auto; for one object give --mask FILE "
+        "or --remove-background"
     )
     return scene
 
@@ -143,11 +148,14 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
         ways = [words.removeprefix(f"{path}: ") for words in notes]
         if not isinstance(error, NoCutOut):
             raise InputError("; ".join([str(error), *ways[: side is not None]])) from None
-        refused = NoCutOut("; ".join([str(error), *ways]))
+        if side is not None:
+            words = f"{error.reason}; {ways[0]}; to show all of it as one photo, give depth=auto"
+            raise InputError("; ".join([words, *ways[1:]])) from None
+        refused = NoCutOut(error.reason, "; ".join([str(error).removeprefix(error.reason), *ways]))
         for_network = (options.checkpoint, options.detail, options.detail_budget)
-        if side is not None or any(value is not None for value in for_network):
+        if any(value is not None for value in for_network):
             raise refused from None
-        return _read_whole_instead(path, options, refused, ways)
+        return _read_whole_instead(path, options, refused)
     return ReadPhoto(path, options, photo, notes=notes)
 
 
@@ -201,35 +209,34 @@ def _scene_of_object(source: ReadPhoto, panel: Panel, device: str, watch: Stopwa
     return gaussians
 
 
-def _read_whole_instead(path: Path, options: PhotoOptions, refused: InputError, ways: list[str]) -> ReadPhoto:
+def _read_whole_instead(path: Path, options: PhotoOptions, refused: NoCutOut) -> ReadPhoto:
     """Read the whole photo, for estimated depths. Raises `refused` where no network for depths is installed."""
     from lightfield_gs.photo.depth_network import is_installed
 
     if not is_installed():
         raise refused
-    with _trying(path, ways):
-        return replace(_read_whole(path, replace(options, depth=AUTO)), ways=ways)
+    with _trying(path, refused):
+        return replace(_read_whole(path, replace(options, depth=AUTO)), refused=refused)
 
 
 @contextmanager
-def _trying(path: Path, ways: list[str]) -> Iterator[None]:
+def _trying(path: Path, refused: NoCutOut) -> Iterator[None]:
     """Say that the whole photo was tried for want of an object in the message of an error with it."""
     try:
         yield
     except InputError as error:
-        words = (
-            f"{path} has no cut-out and no plain background, and could not be shown as a whole scene: "
+        raise InputError(
+            f"{refused.reason}, and could not be shown as a whole scene: "
             f"{str(error).removeprefix(f'{path}: ')}; for one object give a cut-out with mask=FILE or "
             "remove_background=True"
-        )
-        raise InputError("; ".join([words, *ways])) from None
+        ) from None
 
 
 def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo that is shown whole, with its depth map unless a network estimates it."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.embedded_depth import embedded_notes
-    from lightfield_gs.photo.load import cut_out_photo
+    from lightfield_gs.photo.load import cut_out_photo, reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
 
     picture = read_picture(path)
@@ -253,6 +260,7 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
         whole=True,
         map_orientation=options.map_orientation,
     )
+    reduce_photo(photo, _MOST_WHOLE_PX)
     notes = embedded_notes(path, is_depth_used=is_inside or not options.is_estimated)
     notes += [] if side else _notes_on_eyes(path, colour)
     if options.is_estimated:
@@ -260,7 +268,7 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     elif is_inside:
         depth = depth_within(path, options, photo)
     elif side is not None:
-        depth = depth_beside(path, options, picture, side)
+        depth = depth_beside(path, options, picture, side, photo)
     else:
         depth = depth_from_file(cast(Path, options.depth), options, photo)
     return ReadPhoto(path, options, photo, is_whole=True, depth=depth, notes=notes)
@@ -276,13 +284,16 @@ def _scene_of_whole(
     photo, depth, options = source.photo, source.depth, source.options
     if depth is None:
         watch.lap("load")
-        depth = depth_by_network(options, photo, device)
+        depth = depth_by_network(options, photo, device, source.estimate)
         check_depth_size(str(options.depth), depth.z, photo.pixels)
-    height, width = photo.pixels.shape[:2]
+    height, width = photo.size
     focal, centre, camera, notes = depth_camera(options, height, width, depth.focal_px)
     watch.lap("load" if source.depth is not None else "depth network")
     image = torch.from_numpy(photo.floats()).to(device)
     known = known_camera(focal, centre, height, width)
+    if photo.full_size is not None:
+        across, down = photo.pixels.shape[1] / width, photo.pixels.shape[0] / height
+        focal, centre = known = ((known[0][0] * across, known[0][1] * down), (known[1][0] * across, known[1][1] * down))
     placed, words = _place(options, panel, look, image, torch.from_numpy(depth.z), *known)
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
     blur = placed is not None and placed.fit == "contain"
@@ -346,7 +357,7 @@ def _place(
 def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
     for words in source.photo.notes + notes:
         note(words)
-    height, width = source.photo.pixels.shape[:2]
+    height, width = source.photo.size
     say(f"{source.path}: {width} x {height}, {', '.join([*source.photo.messages, *more])}")
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Device
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.steady_depth import PictureEstimate
 
 # Default meaning of a depth map beside its photo: bright is near, as in Looking Glass' files
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
@@ -26,18 +28,35 @@ _OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides 
 _USUAL_ANGLES_DEG, _ANGLES_DEG = (10.0, 130.0), (1.0, 175.0)
 
 
-def depth_by_network(options: PhotoOptions, photo: Photo, device: str) -> DepthMap:
-    """Estimate the depth map of --depth auto. Raises InputError."""
-    from lightfield_gs.photo.depth_network import estimated_depth
+def depth_by_network(
+    options: PhotoOptions, photo: Photo, device: str, estimate: PictureEstimate | None = None
+) -> DepthMap:
+    """Estimate the depth map of --depth auto, or take an estimate that was made before. Raises InputError."""
+    from lightfield_gs.photo.depth_network import depth_of_estimate, estimated_depth
 
-    return estimated_depth(
-        photo.floats(),
-        options.depth_network,
-        "cuda" if device == "cuda" else "cpu",
-        kind=options.depth_kind,
-        limits=options.depth_range,
-        say=lambda words: print(words, flush=True),
+    model, on = options.depth_network, _network_device(device)
+    wanted: dict[str, Any] = dict(kind=options.depth_kind, limits=options.depth_range)
+    if estimate is not None:
+        return depth_of_estimate(photo.floats(), estimate, model, on, **wanted)
+    return estimated_depth(photo.floats(), model, on, **wanted, say=lambda words: print(words, flush=True))
+
+
+def steady_estimates(
+    photos: Iterable[tuple[int, Photo]], options: PhotoOptions, device: str
+) -> Iterator[tuple[int, PictureEstimate]]:
+    """Yield the network's numbers for photos in a row, each averaged with its neighbours. Raises InputError."""
+    from lightfield_gs.photo.depth_network import estimate_picture, is_metric
+    from lightfield_gs.photo.steady_depth import steadied
+
+    model, on = options.depth_network, _network_device(device)
+    estimates = (
+        (number, estimate_picture(photo.floats(), model, on, kind=options.depth_kind)) for number, photo in photos
     )
+    return steadied(estimates, is_metric(model, on, options.depth_kind))
+
+
+def _network_device(device: str) -> Device:
+    return "cuda" if device == "cuda" else "cpu"
 
 
 def has_depth(path: Path, options: PhotoOptions) -> bool:
@@ -61,12 +80,11 @@ def depth_from_file(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap
 
     numbers = read_numbers(path)
     turn = _turn_with(options, photo, options.map_orientation)
-    size = photo.pixels.shape[:2]
-    depth = _map_numbers(path, options, numbers, options.depth_kind, options.depth_range, size, turn)
+    depth = _map_numbers(path, options, numbers, options.depth_kind, options.depth_range, photo.size, turn)
     return _resize_to_photo(str(path), replace(depth, description=f"depth by {path.name}: {depth.description}"), photo)
 
 
-def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str) -> DepthMap:
+def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str, photo: Photo) -> DepthMap:
     """Read the depth map in the half `side` of a picture. The defaults are Looking Glass's. Raises InputError."""
     from lightfield_gs.photo.depth import nearness
     from lightfield_gs.photo.side_by_side import read_depth_half
@@ -90,7 +108,8 @@ def depth_beside(path: Path, options: PhotoOptions, picture: Picture, side: str)
     description = f"depth by its {side} half: {depth.description}{near}" + (
         f" (assumed; {', '.join(assumed)})" if assumed else ""
     )
-    return replace(depth, description=description)
+    depth = replace(depth, description=description)
+    return depth if photo.full_size is None else _resize_to_photo(str(path), depth, photo)
 
 
 def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
@@ -107,7 +126,7 @@ def depth_within(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
         if inside.is_inverse and not inside.is_bright_near and limits is not None:
             limits = limits[::-1]
     turn = _turn_with(options, photo, options.map_orientation or "stored")
-    depth = _map_numbers(path, options, inside.numbers(path), kind, limits, photo.pixels.shape[:2], turn)
+    depth = _map_numbers(path, options, inside.numbers(path), kind, limits, photo.size, turn)
     description = f"depth inside it ({inside.name}): {depth.description}"
     if options.depth_kind is None and limits is not None:
         near = nearness(str(kind), limits)

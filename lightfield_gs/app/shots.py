@@ -19,17 +19,29 @@ import numpy as np
 
 from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
 from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
-from lightfield_gs.app.photo import photo_rig
-from lightfield_gs.app.scene import LoadedScene, RenderSettings, check_scene_options, frame_scene, load_scene
+from lightfield_gs.app.photo import ReadPhoto, photo_rig
+from lightfield_gs.app.photo_depth import steady_estimates
+from lightfield_gs.app.scene import (
+    LoadedScene,
+    RenderSettings,
+    build_scene,
+    check_scene_options,
+    frame_scene,
+    load_scene,
+    read_source,
+)
 from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import scratch_folder, sha256
 from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
+from lightfield_gs.io.scenes.files import SceneFile
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.load import Photo
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
+from lightfield_gs.photo.steady_depth import REACH
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians, scene_hash
 from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
@@ -159,12 +171,9 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     photo, shown, halved = _find_half(photo, pictures, count, folder)
     choice = read_camera(options.camera, panel)
 
-    def load(own: SceneOptions, watch: Stopwatch) -> LoadedScene:
-        return load_scene(own, options.render, look, panel, device, watch)
-
     _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
     check_scene_options(own, options.camera)
-    first = load(own, watch)
+    first = load_scene(own, options.render, look, panel, device, watch)
     if first.photo is None:
         raise InputError(f"{first.path} is a file of Gaussians; a sequence takes pictures")
     if first.photo.options.is_estimated:  # also where no object is cut out
@@ -179,17 +188,20 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     rig, how = frame_scene(choice, look, first, panel)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
-        each = _pictures(replace(scene, photo=photo), parts, numbers, folder) if numbers else ()
-        for number, own in each:
-            # Only the messages of the first picture are printed; the others would be the same
-            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-                with named(f"frame {number}"):
-                    loaded = load(own, Stopwatch(0.0))
-                    framed = rig
-                    if motion.reframe and loaded.photo is not None:
-                        bare = photo_rig(loaded.photo, panel, loaded.gaussians)
-                        framed, _ = apply_look(look, bare, panel, loaded.gaussians)
-                        framed = replace(framed, cone_deg=rig.cone_deg)  # depth as in the first picture
+        every = replace(scene, photo=photo)
+        if photo.is_estimated and numbers:
+            near = list(range(max(0, numbers[0] - REACH), min(pictures.count, numbers[-1] + REACH + 1)))
+            each = _with_estimates(_sources(every, parts, near, folder), photo, device, set(numbers))
+        else:
+            each = _sources(every, parts, numbers, folder)
+        for number, own, source in each:
+            with _unheard(), named(f"frame {number}"):
+                loaded = build_scene(own, source, options.render, look, panel, device, Stopwatch(0.0))
+                framed = rig
+                if motion.reframe and loaded.photo is not None:
+                    bare = photo_rig(loaded.photo, panel, loaded.gaussians)
+                    framed, _ = apply_look(look, bare, panel, loaded.gaussians)
+                    framed = replace(framed, cone_deg=rig.cone_deg)  # depth as in the first picture
             yield number, loaded.gaussians, framed
 
     fps = motion.fps or pictures.fps or DEFAULT_FPS
@@ -237,6 +249,44 @@ def _pictures(
         photo = scene.photo
         photo = replace(photo, depth=paths.get("depth", photo.depth), mask=paths.get("mask", photo.mask))
         yield row[0][0], replace(scene, input=paths["input"], photo=photo)
+
+
+def _sources(
+    scene: SceneOptions, parts: dict[str, ImageSequence], numbers: list[int], folder: Path
+) -> Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]]:
+    """Yield what `_pictures` yields, and each picture as it is read. Raises InputError."""
+    for number, own in _pictures(scene, parts, numbers, folder) if numbers else ():
+        with _unheard(), named(f"frame {number}"):
+            source = read_source(own)
+        yield number, own, source
+
+
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Drop messages. Only those of the first picture are printed; the others would be the same."""
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        yield
+
+
+def _with_estimates(
+    sources: Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]],
+    photo: PhotoOptions,
+    device: str,
+    wanted: set[int],
+) -> Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]]:
+    """Yield the wanted ones of pictures in a row, each with depths that are averaged with its neighbours'."""
+    pending: dict[int, tuple[SceneOptions, ReadPhoto]] = {}
+
+    def photos() -> Iterator[tuple[int, Photo]]:
+        for number, own, source in sources:
+            assert isinstance(source, ReadPhoto)
+            pending[number] = own, source
+            yield number, source.photo
+
+    for number, estimate in steady_estimates(photos(), photo, device):
+        own, source = pending.pop(number)
+        if number in wanted:
+            yield number, own, replace(source, estimate=estimate)
 
 
 class _Renaming:

@@ -2,8 +2,9 @@
 
 The network's Gaussians are a translucent cloud some pixels deep, whose mean is a good surface and whose picture is
 soft. A sheet lies along that surface: factor x factor texels for each pixel of the network's grid, Gaussians with the
-photo's colours and opacities. The cloud in front of the sheet fades, since the photo shows it already. The cloud
-behind the sheet stays, and shows where other views look past the sheet.
+photo's colours and opacities. Where the surface ends before another, models/ramps.py keeps both apart. The cloud in
+front of the sheet fades, since the photo shows it already. The cloud behind the sheet shows where other views look past
+the sheet, and is made more solid for that.
 
 Everything is computed on the grid of pixels, without a rasterizer, and has gradients. Shapes depend on no values, so
 that CUDA can capture it as a graph. For inference models/sheet.py makes the same texels natively.
@@ -23,6 +24,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models.initializer import Pixels, flat
+from lightfield_gs.models.ramps import snap_ramps, upsample_covered
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
@@ -40,7 +42,14 @@ _SHARPER_COLOUR, _SHARPER_OUTLINE = 1.0, 2.0
 _HAZE, _OBJECT = 0.1, 0.3
 # Standard deviation in pixels of the cloud's average, since its Gaussians alternate in blocks of pixels
 _AVERAGED = 2.0
+_MOST_CLOUD = 0.999  # opacity of a Gaussian of the cloud at most, since its logarithm is taken
 _SOFTNESS = 1.5  # depth over which the cloud in front of the sheet fades, footprints
+# The cloud is translucent where the network is unsure of the outline, and its large Gaussians make soft edges. Its
+# optical depths are multiplied by the square of their sum over _SOLID, at most by _MOST_SOLID: thin parts vanish, thick
+# ones become opaque. Its Gaussians shrink by _SHRUNK, and go back by _BACK footprints, a pixel of parallax at 15
+# degrees, so that the outline from there stays in place. The first layer is in the sheet and would show through it as
+# beads: it only vanishes. Chosen and reported on nine photos of the development data and 24 textured objects of 512 px
+_SOLID, _MOST_SOLID, _SHRUNK, _BACK = 3.0, 6.0, 0.75, 1 / math.tan(math.radians(15))
 _STEEPEST = 3.0  # footprints of depth between texels: steeper gaps of the sheet stay open
 # Depth in footprints between neighbours of one surface; from twice this depth on they belong to two surfaces.
 SAME_SURFACE = 3.0
@@ -77,7 +86,9 @@ def with_detail(
     """
     surface, faded = sheet_surface(cloud, pixels, layers)
     disparity, harmonics = surface.disparity, surface.harmonics
-    sheet = _sheet(upsample_along_surface(disparity, disparity, pixels.footprint, factor), texels, texel_px)
+    fine = upsample_covered(disparity, pixels.mask, factor)
+    fine = snap_ramps(fine, texels.colour, texels.mask, texels.footprint, factor)
+    sheet = _sheet(fine, texels, texel_px)
     if harmonics.shape[1]:
         rest = flat(upsample_along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
@@ -102,14 +113,17 @@ def sheet_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[SheetS
     Args:
         cloud, pixels, layers: see with_detail.
     """
-    disparity, harmonics = visible_surface(cloud, pixels, layers)
+    disparity, harmonics, thickness = visible_surface(cloud, pixels, layers)
+    cloud = _solid(cloud, thickness, layers, pixels.footprint)
     opacities = _faded(cloud, disparity, pixels.mask, layers, pixels.footprint)
     return SheetSurface(disparity, harmonics), replace(cloud, opacities=opacities)
 
 
 def surface_look() -> _core.SurfaceLook:
     """Return the constants of the native stage of sheet_surface."""
-    return _core.SurfaceLook(averaged=_AVERAGED, softness=_SOFTNESS)
+    return _core.SurfaceLook(
+        averaged=_AVERAGED, softness=_SOFTNESS, solid=_SOLID, most_solid=_MOST_SOLID, shrunk=_SHRUNK, back=_BACK
+    )
 
 
 def sheet_look(texel_px: float) -> _core.SheetLook:
@@ -131,7 +145,7 @@ def sheet_look(texel_px: float) -> _core.SheetLook:
     )
 
 
-def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tensor, Tensor]:
+def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tensor, Tensor, Tensor]:
     """Return the average surface of the cloud as the photo's camera sees it.
 
     Near each pixel a layer is taken as a fog whose density along the line of sight is a normal distribution. So the
@@ -143,7 +157,8 @@ def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tens
         layers: of the cloud.
 
     Returns:
-        Disparities 1/z [B,1,H,W], and harmonics beyond the first [B,3(K-1),H,W].
+        Disparities 1/z [B,1,H,W], harmonics beyond the first [B,3(K-1),H,W], and the optical depth [B,1,H,W] of the
+        cloud near each pixel.
     """
     height, width = pixels.mask.shape[2:]
     values = torch.cat([1 / cloud.means[..., 2:], cloud.sh[:, :, 1:].flatten(2)], 2).transpose(1, 2)
@@ -159,7 +174,7 @@ def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tens
         total = total + visibility * torch.cat([grid, torch.ones_like(size)], 1)
     means = blur(total, _AVERAGED)
     means = means[:, :-1] / means[:, -1:]
-    return means[:, :1], means[:, 1:]
+    return means[:, :1], means[:, 1:], torch.stack([thick for thick, _, _ in fogs]).sum(0)
 
 
 def _fog(size: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -178,6 +193,18 @@ def _areas(cloud: Gaussians, pixels: Pixels) -> Tensor:
     across, down = (axes[:, :, row] - (offset / z)[..., None] * axes[:, :, 2] for row, offset in ((0, x), (1, y)))
     determinant = across.square().sum(2) * down.square().sum(2) - (across * down).sum(2).square()
     return 2 * math.pi * determinant.clamp_min(1e-20).sqrt() / (z * pixels.footprint[:, :, 0, 0]).square()
+
+
+def _solid(cloud: Gaussians, thickness: Tensor, layers: int, footprint: Tensor) -> Gaussians:
+    """Return the cloud, opaque or nothing as its optical depth [B,1,H,W] decides, with crisper outlines."""
+    first = thickness[0].numel()
+    gain = (thickness / _SOLID).square().flatten(1)
+    gain = torch.cat([gain.clamp_max(1), gain.clamp_max(_MOST_SOLID).repeat(1, layers - 1)], 1)
+    opacities = -torch.expm1(gain * torch.log1p(-cloud.opacities.clamp_max(_MOST_CLOUD)))
+    farther = (1 + _BACK * footprint[:, :, 0]).expand(-1, cloud.means.shape[1] - first, 1)
+    same = torch.ones_like(cloud.means[:, :first, :1])
+    means, scales = (torch.cat([same, factors], 1) for factors in (farther, _SHRUNK * farther))
+    return replace(cloud, means=cloud.means * means, scales=cloud.scales * scales, opacities=opacities)
 
 
 def _faded(cloud: Gaussians, disparity: Tensor, cover: Tensor, layers: int, footprint: Tensor) -> Tensor:

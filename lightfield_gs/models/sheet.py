@@ -13,9 +13,10 @@ from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.base.stages import run_stage
 from lightfield_gs.models.detail import DetailLevel, SheetSurface, sheet_look, surface_look
 from lightfield_gs.models.initializer import Pixels
+from lightfield_gs.models.ramps import ramp_look
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
 
-_SCRATCH = 6  # scratch numbers of the stage for each texel
+_SCRATCH = 8  # scratch numbers of the stage for each texel
 
 
 def is_native(photo: Tensor) -> bool:
@@ -50,12 +51,12 @@ def lay_sheet(
     gaussians = map_fields(cloud, extended)
     under = map_fields(gaussians, lambda field: field[:, texels:])
     surface = find_surface(under, pixels.mask, intrinsics, layers)
-    lay_texels(surface, fine, intrinsics, level, gaussians)
+    lay_texels(surface, pixels.mask, fine, intrinsics, level, gaussians)
     return gaussians
 
 
 def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int) -> SheetSurface:
-    """Return the surface of sheet_surface, and fade the cloud in place.
+    """Return the surface of sheet_surface, and change the cloud in place as it does.
 
     Args:
         cloud: each of its B sets is contiguous.
@@ -86,12 +87,13 @@ def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int
 
 
 def lay_texels(
-    surface: SheetSurface, fine: Tensor, intrinsics: Tensor, level: DetailLevel, gaussians: Gaussians
+    surface: SheetSurface, mask: Tensor, fine: Tensor, intrinsics: Tensor, level: DetailLevel, gaussians: Gaussians
 ) -> None:
     """Write the texels over a surface to the first H' * W' Gaussians; see lay_sheet.
 
     Args:
         surface: of find_surface.
+        mask: [B,1,H,W].
         fine: [B,4,H',W'], premultiplied.
         intrinsics: [B,4].
         level: of detail.
@@ -100,19 +102,24 @@ def lay_texels(
     texels, look = fine.shape[2] * fine.shape[3], sheet_look(level.texel_px)
     surface = SheetSurface(*(channels.contiguous() for channels in surface))
     scratch = fine.new_empty(_SCRATCH * texels)
-    each = zip(fine.contiguous(), intrinsics.contiguous(), *surface, *gaussians.fields().values())
-    for photo, camera, disparity, harmonics, *fields in each:
+    ramps = ramp_look(level.factor)
+    each = zip(fine.contiguous(), mask.contiguous(), intrinsics.contiguous(), *surface, *gaussians.fields().values())
+    for photo, cover, camera, disparity, harmonics, *fields in each:
         job = _core.Sheet(
             height=disparity.shape[1],
             width=disparity.shape[2],
             factor=level.factor,
             disparity=disparity.data_ptr(),
             harmonics=harmonics.data_ptr(),
+            mask=cover.data_ptr(),
             photo=photo.data_ptr(),
             intrinsics=camera.data_ptr(),
             look=look,
+            ramps=ramps,
             soft=scratch.data_ptr(),
             surface=scratch[5 * texels :].data_ptr(),
+            other=scratch[6 * texels :].data_ptr(),
+            marks=scratch[7 * texels :].data_ptr(),
             out=_native(fields),
         )
         run_stage("sheet", _core, fine.device, job)

@@ -21,12 +21,20 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_MODEL, DEVICES, DepthKind, Device
 from lightfield_gs.photo.depth import DepthMap
 from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z, upsample
+from lightfield_gs.photo.steady_depth import PictureEstimate
 
 _ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
 _INSTALL = "pip install 'lightfield-gs[photo]'"
 _OTHER_WAY = "or give a depth map with depth=FILE"
 _FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
 _USUAL_SIDE_PX = 518  # of the network's input, where its processor does not state it
+# Families that users may name and transformers does not read, by a part of their names on huggingface.co
+_UNREAD = {
+    "video-depth-anything": "Video Depth Anything",
+    "depth-anything-3": "Depth Anything 3",
+    "/da3": "Depth Anything 3",
+    "/moge": "MoGe",
+}
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
 # Numbers of model families whose configuration does not state their kind
 _KINDS: dict[str, DepthKind] = {
@@ -92,20 +100,76 @@ def estimated_depth(
     Raises:
         InputError: As depth_from_network.
     """
-    pixels = _to_pixels(image)
+    limits = _checked_options(kind, device, model, limits)
+    network, kind = _open(model, device, kind, limits, say)
+    return _as_depth_map(image, model, kind, _predict(str(model), network, _to_pixels(image)), limits, None)
+
+
+def estimate_picture(image: np.ndarray, model: str | Path, device: Device, *, kind: str | None) -> PictureEstimate:
+    """Return the network's numbers for a picture, for `steadied`; the arguments as of depth_from_network."""
+    network, kind = _open(model, device, kind, None, None)
+    values = _predict(str(model), network, _to_pixels(image))
+    return PictureEstimate.of(values if kind == "disparity" else distances_to_z(values).disparities, image)
+
+
+def is_metric(model: str | Path, device: Device, kind: str | None) -> bool:
+    """Return whether the network's numbers are distances."""
+    return _open(model, device, kind, None, None)[1] == "distance"
+
+
+def depth_of_estimate(
+    image: np.ndarray,
+    estimate: PictureEstimate,
+    model: str | Path,
+    device: Device,
+    *,
+    kind: str | None,
+    limits: tuple[float, float] | None,
+) -> DepthMap:
+    """Return the depth map of numbers that were estimated before; the other arguments as of depth_from_network."""
+    limits = _checked_options(kind, device, model, limits)
+    _, kind = _open(model, device, kind, limits, None)
+    values = estimate.disparities if kind == "disparity" else 1 / estimate.disparities
+    return _as_depth_map(image, model, kind, values, limits, estimate.limits)
+
+
+def _checked_options(
+    kind: str | None, device: str, model: str | Path, limits: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    """Return the limits; raise InputError for invalid options."""
     expect("model", model, str, Path)
     for what, given, choices in (("depth kind", kind, (None, *_ESTIMATED_KINDS)), ("device", device, DEVICES)):
         if given not in choices:
             raise InputError(f"{what}: expected one of {', '.join(str(one) for one in choices)}, got {given!r}")
-    limits = None if limits is None else _checked_limits(limits)
+    return None if limits is None else _checked_limits(limits)
+
+
+def _open(
+    model: str | Path,
+    device: Device,
+    kind: str | None,
+    limits: tuple[float, float] | None,
+    say: Callable[[str], None] | None,
+) -> tuple[Any, str]:
+    """Return a network, and the kind of its numbers; raise InputError."""
     on = choose_device(device)
     network = _network(_folder(str(model), say), on)
     kind = kind or _model_kind(str(model), network.model.config)
     if kind == "distance" and limits is not None:
         raise InputError(f"{model} estimates distances, and depth_range= is for disparities; leave it out")
-    values = _predict(str(model), network, pixels)
-    found = distances_to_z(values) if kind == "distance" else disparities_to_z(values, limits)
-    photo = torch.from_numpy(pixels).to(values.device).float() / 255
+    return network, kind
+
+
+def _as_depth_map(
+    image: np.ndarray | Tensor,
+    model: str | Path,
+    kind: str,
+    values: Tensor,
+    limits: tuple[float, float] | None,
+    ends: tuple[float, float] | None,
+) -> DepthMap:
+    found = distances_to_z(values) if kind == "distance" else disparities_to_z(values, limits, ends)
+    photo = torch.from_numpy(_to_pixels(image)).to(values.device).float() / 255
     z = found.z(upsample(found.disparities, photo, found.value_range)).cpu().numpy()
     name = Path(model).name if Path(model).is_dir() else model
     description = f"depth estimated by {name}: {found.description}"
@@ -164,6 +228,12 @@ def _folder(model: str, say: Callable[[str], None] | None) -> str:
         ) from None
     except OSError:
         pass  # it was never fetched
+    for part, family in _UNREAD.items():
+        if part in model.lower():
+            raise InputError(
+                f"depth_model={model}: transformers has no {family}, whose weights are for a program of its own; give "
+                f"a model of transformers, such as {DEPTH_MODEL}, {_OTHER_WAY}"
+            )
     about = _ABOUT.get(model, f"its licence: huggingface.co/{model}")
     if say is not None:
         say(f"fetching the depth network {model} from huggingface.co, once ({about})")

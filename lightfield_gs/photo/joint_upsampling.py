@@ -56,10 +56,18 @@ class Estimate:
     notes: list[str] = field(default_factory=list)
 
 
-def disparities_to_z(values: Tensor, limits: tuple[float, float] | None = None) -> Estimate:
-    """Return the estimate of disparities [h, w] of unknown scale and offset; limits: near and far, None: (1, 1.6)."""
+def disparities_to_z(
+    values: Tensor, limits: tuple[float, float] | None = None, ends: tuple[float, float] | None = None
+) -> Estimate:
+    """Return the estimate of disparities [h, w] of unknown scale and offset.
+
+    Args:
+        values: The disparities.
+        limits: near and far, None: (1, 1.6).
+        ends: Disparities that are put at far and at near; None: their percentiles.
+    """
     near, far = limits or _C.depth_limits
-    low, high = _percentiles(values)
+    low, high = ends or percentiles(values)
     value_range = high - low
     notes = []
     if not value_range > _C.flat * max(abs(low), abs(high)):
@@ -81,7 +89,7 @@ def distances_to_z(values: Tensor) -> Estimate:
     measured = (values > 1 / FARTHEST) & (values < FARTHEST)
     # A pixel without a distance counts as infinitely far, until it is left out
     disparities = torch.where(measured, 1 / values, 0)
-    low, high = _percentiles(disparities)
+    low, high = percentiles(disparities)
     notes = [] if bool(measured.all()) else [f"{1 - float(measured.double().mean()):.1%} have no distance"]
     z = lambda values: torch.where(values > 1 / FARTHEST, 1 / values.float(), torch.nan)
     description = "distances"
@@ -90,7 +98,7 @@ def distances_to_z(values: Tensor) -> Estimate:
     return Estimate(disparities, max(high - low, _C.flat * high, 1 / FARTHEST), z, description, notes)
 
 
-def _percentiles(values: Tensor) -> tuple[float, float]:
+def percentiles(values: Tensor) -> tuple[float, float]:
     """Return the low and the high percentile, each a value that occurs."""
     ordered = values.ravel().sort().values
     low, high = (float(ordered[round(fraction * (len(ordered) - 1))]) for fraction in _C.percentiles)

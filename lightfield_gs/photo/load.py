@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from scipy import ndimage
 
 from lightfield_gs.base.checks import expect
@@ -17,7 +19,13 @@ from lightfield_gs.io.images import Picture, apply_orientation, as_floats, read_
 from lightfield_gs.photo import foreground
 from lightfield_gs.photo.colour import check_finite, to_srgb
 from lightfield_gs.photo.image_filters import row_strips
-from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, object_components, plain_background_mask
+from lightfield_gs.photo.plain import (
+    Components,
+    PlainCut,
+    cut_from_plain_background,
+    object_components,
+    plain_background_mask,
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,10 @@ class CutOutConstants:
     most_faded: float = 0.12  # of a pale body: beyond it the object itself is likely to be lost, and is refused
     most_holes: float = 0.6  # of holes: beyond it the object is also refused
     many_holes: float = 0.3  # of holes: beyond it a note says so
+    # Things on a plain background that are a page: a thing is a fraction of all that stands out
+    thing: float = 0.02
+    things_of_page: int = 6
+    most_of_page: float = 0.4  # fraction of the largest thing, at most
     few_levels: int = 16  # level, of 255, of the brightest pixel below which a mask numbers things
 
 
@@ -132,11 +144,23 @@ def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
 __all__ = ["NoCutOut", "Photo", "load_photo", "cut_out_photo", "plain_background_mask"]
 _STRIP_PIXELS = 1 << 19  # of colours and alpha that are joined at a time
 _OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[photo]')"
+_TO_SHOW_IT = (
+    f": {_INSTALL}, which estimates its depth, to show it as a whole scene (depth=auto); or give its distances with "
+    "depth=FILE; or, to show one object, give RGBA, a cut-out with mask=FILE, or remove_background=True"
+)
 _BY_ALPHA = "cut out by its alpha"
 
 
 class NoCutOut(InputError):
-    """Nothing tells which part of a photo is the object."""
+    """Nothing tells which part of a photo is the object.
+
+    Attributes:
+        reason: Why, without the remedies.
+    """
+
+    def __init__(self, reason: str, remedies: str):
+        super().__init__(f"{reason}{remedies}")
+        self.reason = reason
 
 
 @dataclass
@@ -148,12 +172,19 @@ class Photo:
         orientation: The Exif orientation that was undone.
         messages: The decisions that were made.
         notes: Doubts about them.
+        full_size: Height and width before `reduce_photo`; None: the pixels are all there were.
     """
 
     pixels: np.ndarray
     orientation: int = 1
     messages: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    full_size: tuple[int, int] | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the photo in its file, upright, which its camera is told in."""
+        return self.full_size or (self.pixels.shape[0], self.pixels.shape[1])
 
     def floats(self) -> np.ndarray:
         """Return the pixels as float32 in 0..1."""
@@ -245,7 +276,9 @@ def cut_out_photo(
         alpha, empty, description = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
     else:
         alpha, description = _cut_from_background(path, photo, alpha)
-        empty = f"{path}: its background looks plain and nothing stands out from it; {_OTHER_CUT_OUTS}"
+        if np.count_nonzero(alpha > 0.5) < _C.least_object * alpha.size:
+            raise NoCutOut(f"{path}: its background looks plain and nothing stands out from it", f"; {_OTHER_CUT_OUTS}")
+        empty = ""
     if np.count_nonzero(alpha > 0.5) < _C.least_object * alpha.size:
         raise InputError(empty)
     photo.messages.append(description if whole else description + _clear_specks(alpha))
@@ -254,6 +287,23 @@ def cut_out_photo(
     if clean_edges and foreground.clean_edges(photo.pixels[..., :3], alpha, description != _BY_ALPHA):
         photo.messages.append("edges cleaned of the old background (kept: clean_edges=False)")
     return photo
+
+
+def reduce_photo(photo: Photo, most_pixels: int) -> None:
+    """Average the pixels of a photo with more than `most_pixels`, in place."""
+    height, width = photo.pixels.shape[:2]
+    scale = math.sqrt(most_pixels / (height * width))
+    if scale >= 1:
+        return
+    size = max(1, int(height * scale)), max(1, int(width * scale))
+    values = torch.from_numpy(photo.floats())
+    values[..., :3] *= values[..., 3:]
+    values = torch.nn.functional.interpolate(values.movedim(2, 0)[None], size=size, mode="area")[0].movedim(0, 2)
+    values[..., :3] /= values[..., 3:].clamp(min=1e-6)
+    pixels = values.numpy()
+    photo.full_size = height, width
+    photo.pixels = pixels if photo.pixels.dtype == np.float32 else np.rint(255 * pixels).astype(np.uint8)
+    photo.messages.append(f"reduced to {size[1]} x {size[0]}")
 
 
 def _full_scale(values: np.ndarray) -> float:
@@ -287,21 +337,20 @@ def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | Non
     cut = cut_from_plain_background(photo.pixels) if covered is None else _cut_within(photo.pixels, covered)
     if cut is None:
         if covered is None:
-            raise NoCutOut(
-                f"{path} has no cut-out and no plain background: {_INSTALL}, which estimates its depth, to show it as "
-                "a whole scene (depth=auto); or give its distances with depth=FILE; or, to show one object, give RGBA, "
-                "a cut-out with mask=FILE, or remove_background=True"
-            )
+            raise NoCutOut(f"{path} has no cut-out and no plain background", _TO_SHOW_IT)
         photo.notes.append(
             f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
             f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"
         )
         return covered, _BY_ALPHA
     if cut.faded > _C.most_faded or cut.holes > _C.most_holes:
-        raise InputError(
+        raise NoCutOut(
             f"{path}: the object is hardly different from its plain background: "
-            f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}"
+            f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone",
+            f"; {_OTHER_CUT_OUTS}",
         )
+    if covered is None and _is_page(cut.alpha):
+        raise NoCutOut(f"{path} shows many things on a plain background, as a page or a screen does", _TO_SHOW_IT)
     if cut.holes > _C.many_holes:
         photo.notes.append(
             f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
@@ -324,6 +373,17 @@ def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
         whole[box] = np.minimum(cut.alpha, alpha[box])
         cut = replace(cut, alpha=whole)
     return cut
+
+
+def _is_page(alpha: np.ndarray) -> bool:
+    """Return whether a cut-out [H, W] has many things, none of which is the most of it: lines of text, or buttons."""
+    components = Components(alpha >= _C.opaque, diagonal=True)
+    masses = np.sort(components.sums(alpha))[::-1]
+    return bool(
+        (masses >= _C.thing * masses.sum()).sum() >= _C.things_of_page
+        and masses[0] < _C.most_of_page * masses.sum()
+        or masses[0] < _C.thing * masses.sum()
+    )
 
 
 def _inversion_note(name: str, alpha: np.ndarray) -> list[str]:

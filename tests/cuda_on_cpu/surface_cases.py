@@ -46,7 +46,7 @@ def found(case: Case, device: str = "cpu") -> dict[str, Tensor]:
     cloud, images, camera = inputs(case)
     cloud = map_fields(cloud, lambda field: field.to(device).contiguous())
     surface = find_surface(cloud, images[:, 3:].to(device), camera.to(device), case.layers)
-    return {name: part.cpu() for name, part in (surface._asdict() | {"opacities": cloud.opacities}).items()}
+    return {name: part.cpu() for name, part in (surface._asdict() | cloud.fields()).items()}
 
 
 @torch.no_grad()
@@ -60,6 +60,6 @@ def expected(case: Case) -> tuple[SheetSurface, Gaussians]:
 def compare(case: Case, have: dict[str, Tensor]) -> None:
     """Asserts that both are the same, as far as float32 goes."""
     surface, faded = expected(case)
-    for name, right in (surface._asdict() | {"opacities": faded.opacities}).items():
+    for name, right in (surface._asdict() | faded.fields()).items():
         torch.testing.assert_close(have[name].double(), right, rtol=2e-4, atol=2e-4)
     assert (have["opacities"] < 0.9 * inputs(case)[0].opacities).double().mean() > 0.1  # something fades

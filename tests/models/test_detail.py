@@ -87,7 +87,7 @@ def test_texels_lie_on_the_plane_and_along_it():
     x, _, z = sheet.unbind(1)
     inside = picture(factor * SIZE)[0, 3].flatten() == 1
     off = 1 / z - (0.8 + 0.4 * x / z)
-    assert off[inside].abs().max() < 1.5 * 0.8 / 45  # the cloud lies a footprint before the plane and behind it
+    assert off[inside].abs().max() < 1.6 * 0.8 / 45  # the cloud lies a footprint before the plane and behind it
     normals = rotations(detailed(depth, factor).quaternions[0, : len(x)])[:, :, 2]
     # 1 = 0.8 z + 0.4 x
     expected = torch.tensor([0.4, 0, 0.8], dtype=torch.float64) / 0.8**0.5

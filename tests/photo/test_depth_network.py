@@ -11,7 +11,7 @@ from command_line import complaint
 import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.base.options import DEPTH_MODEL
-from lightfield_gs.io.images import read_info, write_image
+from lightfield_gs.io.images import read_info, read_picture, write_image
 from lightfield_gs.panels.framing import focus_on_subject
 from lightfield_gs.panels.rig import frame_photo
 from lightfield_gs.photo import depth_network
@@ -182,6 +182,34 @@ def test_models_that_do_not_say_what_their_numbers_are():
         depth_network._model_kind("trees", Config())
     Config.model_type = "dpt"
     assert depth_network._model_kind("dpt", Config()) == "disparity"
+
+
+@pytest.mark.parametrize(
+    "name", ["depth-anything/Video-Depth-Anything-Small", "depth-anything/DA3MONO-LARGE", "Ruicheng/moge-2-vitl"]
+)
+def test_models_that_transformers_does_not_read(folder, capsys, transformers, offline, name):
+    busy_photo()
+    refusal = complaint(capsys, f"{LINE} --depth auto --depth-model {name}")
+    assert "transformers has no " in refusal and DEPTH_MODEL in refusal
+
+
+def test_depths_of_a_video_are_averaged_with_their_neighbours(folder, capsys, transformers):
+    tiny_network(transformers, "net")
+    photo, random = busy_photo().astype(float), np.random.default_rng(0)
+    (folder / "clip").mkdir()
+    for number in range(4):
+        noise = random.normal(0, 8, photo.shape)
+        write_image(f"clip/{number}.png", (photo + noise).clip(0, 255).astype(np.uint8))
+    options = "--panel p.yaml --device cpu --depth auto --depth-model net"
+    for number in (1, 2):
+        assert cli.main(f"encode clip/{number}.png -o {number}.png {options}".split()) == 0
+    assert cli.main(f"video clip -o v {options}".split()) == 0
+    alone, together = (
+        [read_picture(name).pixels.astype(float) for name in names]
+        for names in (("1.png", "2.png"), ("v/frame-000001.png", "v/frame-000002.png"))
+    )
+    change_alone, change_together = (np.abs(first - second).mean() for first, second in (alone, together))
+    assert change_together < change_alone  # the rest is noise of the colours
 
 
 def test_the_image_says_which_network(folder, transformers, monkeypatch):

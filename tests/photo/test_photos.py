@@ -13,7 +13,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import write_image
 from lightfield_gs.models.crop import Square, object_square
 from lightfield_gs.photo import load as photos
-from lightfield_gs.photo.load import load_photo
+from lightfield_gs.photo.load import NoCutOut, load_photo
 from lightfield_gs.photo.plain import Components
 from lightfield_gs.show.preview import to_integers
 
@@ -116,6 +116,26 @@ def pale_thing(what: str) -> np.ndarray:
 def test_white_before_white_is_refused(tmp_path, what, suffix):
     with pytest.raises(InputError, match=r": the object is hardly different .* \d\d% .*mask=.*remove_background=True"):
         load_photo(save(tmp_path / f"a.{suffix}", pale_thing(what)))
+
+
+@pytest.mark.parametrize("what", ["screen", "page"])
+def test_a_page_is_no_object(tmp_path, what):
+    """Messages on a white screen, and lines of text on a sheet of paper; two things are objects."""
+    page = np.ones((260, 340, 3))
+    for number in range(9):
+        left = 20 + 150 * (number % 2)
+        if what == "screen":
+            page[12 + 27 * number : 30 + 27 * number, left : left + 130] = (
+                (0.1, 0.5, 1) if number % 2 else (0.8, 0.8, 0.8)
+            )
+        else:
+            for word in range(12):
+                page[12 + 27 * number : 20 + 27 * number, 20 + 25 * word : 38 + 25 * word] = 0.2
+    with pytest.raises(NoCutOut, match="many things on a plain background"):
+        load_photo(save(tmp_path / "page.png", page))
+    page[27 * 2 :] = 1
+    page[100:200, 60:140] = page[100:200, 200:260] = 0.2, 0.6, 0.1
+    assert load_photo(save(tmp_path / "things.png", page))[150, 100, 3] == 1
 
 
 def test_soft_shadows_are_no_part_of_the_object(tmp_path):

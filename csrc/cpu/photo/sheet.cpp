@@ -64,6 +64,11 @@ void sheet(const Sheet& job, int threads) {
   parallel_for(job.rows(), threads, [&](int64_t row, int) {
     for (int64_t column = 0; column < job.columns(); ++column) prepare_texel(job, weight.reach(), weight, row, column);
   });
+  snap_ramps(job, [&](const auto& pass) {
+    parallel_for(job.rows(), threads, [&](int64_t row, int) {
+      for (int64_t column = 0; column < job.columns(); ++column) pass(job, row, column);
+    });
+  });
   parallel_for(job.rows(), threads, [&](int64_t row, int) {
     for (int64_t column = 0; column < job.columns(); ++column)
       store(job, row, column, finish_texel(job, weight.reach(), weight, row, column));

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "cuda/stages/stages.h"
+#include "math/photo/ramps.h"
 #include "math/photo/sheet.h"
 #include "math/photo/surface.h"
 

@@ -40,6 +40,12 @@ __global__ void __launch_bounds__(kTexelThreads) prepare_kernel(const __grid_con
   if (column < job.columns()) prepare_texel(job, blur.reach, weight, blockIdx.y, column);
 }
 
+template <class Pass>
+__global__ void __launch_bounds__(kTexelThreads) ramp_kernel(const __grid_constant__ Sheet job, Pass pass) {
+  const int64_t column = int64_t(blockIdx.x) * kTexelThreads + threadIdx.x;
+  if (column < job.columns()) pass(job, blockIdx.y, column);
+}
+
 // Write the vectors of a block's first `count` threads.
 __device__ void store_vectors(const glm::vec3& mine, int count, float (&shared)[3 * kTexelThreads], float* to) {
   for (int c = 0; c < 3; ++c) shared[3 * threadIdx.x + c] = mine[c];
@@ -92,6 +98,10 @@ void sheet(const Sheet& job, Stream stream) {
   const Blur blur = Blur::of(job.look.blur);
   prepare_kernel<<<blocks, kTexelThreads, 0, cudaStream_t(stream)>>>(job, blur);
   check_launch("sheet: prepare");
+  snap_ramps(job, [&](const auto& pass) {
+    ramp_kernel<<<blocks, kTexelThreads, 0, cudaStream_t(stream)>>>(job, pass);
+    check_launch("sheet: ramps");
+  });
   finish_kernel<<<blocks, kTexelThreads, 0, cudaStream_t(stream)>>>(job, blur);
   check_launch("sheet: finish");
 }

@@ -1,6 +1,7 @@
 // The sheet of texels over the object of a photo, a texel at a time: its position on the surface, and its look.
-// lightfield_gs/models/detail.py and upsample.py say why, differentiably. There are two passes over all texels, since
-// each needs its neighbours. The first finds the surface and blurs along rows; the second does the rest.
+// lightfield_gs/models/detail.py says why, differentiably. There are two passes over all texels, since each needs its
+// neighbours. The first finds the surface and blurs along rows; the second does the rest. Between them ramps.h snaps
+// the surface.
 #pragma once
 
 #include <cmath>
@@ -25,16 +26,39 @@ struct SheetLook {
   float same_surface, steepest;           // footprints of depth between pixels of one surface, and from texel to texel
 };
 
+// The neighbours that a median takes: in `step` texels up to `radius` steps off. Other colours weigh `least`.
+struct RampWindow {
+  int radius = 1, step = 1;
+  float deviation = 1, least = 0;  // of the weight, in texels; weight
+};
+
+// The choices of lightfield_gs/models/ramps.py. Slopes are in footprints of depth from texel to texel, lengths in
+// texels.
+struct RampLook {
+  float steep, slope;         // in the middle of a ramp, and anywhere on it
+  float down;                 // weight of steps down
+  float apart;                // depth between surfaces, footprints
+  float similar;              // deviation of the colours of a surface
+  float there;                // least opacity of the object
+  int reach, around, spread;  // half the length of a ramp, reach of cleaning, distance over which surfaces are apart
+  RampWindow snap, clean;
+  int snaps, cleans;  // passes
+};
+
 struct Sheet {
   int64_t height = 0, width = 0;      // pixels of the network's grid
   int factor = 1;                     // texels to a side of each
   const float* disparity = nullptr;   // [height, width] 1 / z of the surface
   const float* harmonics = nullptr;   // [3 (K - 1), height, width] those beyond the first
+  const float* mask = nullptr;        // [height, width] opacity of the object
   const float* photo = nullptr;       // [4, rows, columns] premultiplied RGB and alpha, 0..1
   const float* intrinsics = nullptr;  // [4] fx, fy, cx, cy in pixels of the grid
   SheetLook look;
+  RampLook ramps;
   float* soft = nullptr;     // [rows, columns, 5] colours, alpha and optical depth, blurred along rows
-  float* surface = nullptr;  // [rows, columns] disparity of the texels
+  float* surface = nullptr;  // [rows, columns] depth of the texels in footprints, and in the end their disparity
+  float* other = nullptr;    // [rows, columns] the same of every other pass
+  uint8_t* marks = nullptr;  // [2, rows, columns], see ramps.h
   Gaussians<float> out;      // [rows * columns]
 
   LFGS_HD int64_t rows() const { return factor * height; }
@@ -81,6 +105,21 @@ LFGS_HD Mix texel_mix(const Sheet& sheet, int64_t row, int64_t column) {
   }
   for (float& weight : mix.weights) weight /= sum;
   return mix;
+}
+
+// The disparity of a texel, bilinear between pixels, each weighted by its opacity too: beside the object there is none.
+LFGS_HD float covered_disparity(const Sheet& sheet, int64_t row, int64_t column) {
+  const Between y(row, sheet.factor, sheet.height), x(column, sheet.factor, sheet.width);
+  const int64_t pixels[4] = {y.own * sheet.width + x.own, y.own * sheet.width + x.other, y.other * sheet.width + x.own,
+                             y.other * sheet.width + x.other};
+  const float weights[4] = {(1 - y.part) * (1 - x.part), (1 - y.part) * x.part, y.part * (1 - x.part), y.part * x.part};
+  float sum = 0, all = 0;
+  for (int k = 0; k < 4; ++k) {
+    const float weight = weights[k] * glm::max(sheet.mask[pixels[k]], 1e-4f);
+    sum += weight * sheet.disparity[pixels[k]];
+    all += weight;
+  }
+  return sum / all;
 }
 
 // Straight colour, grey where nothing is, and alpha of a texel. Dividing by 1/50 at least keeps the rounding of faint
@@ -132,7 +171,9 @@ LFGS_HD void prepare_texel(const Sheet& sheet, int reach, const Weight& weight, 
   }
   for (int c = 0; c < 4; ++c) sheet.soft[5 * texel + c] = soft.covering[c];
   sheet.soft[5 * texel + 4] = soft.thickness;
-  sheet.surface[texel] = texel_mix(sheet, row, column)(sheet.disparity);
+  const float per_footprint = float(sheet.factor) * sheet.intrinsics[0];
+  sheet.surface[texel] = -std::log(covered_disparity(sheet, row, column)) * per_footprint;
+  sheet.marks[texel] = sheet.marks[sheet.rows() * columns + texel] = 0;
 }
 
 template <class Weight>

@@ -17,8 +17,12 @@ namespace lfgs {
 
 // The choices of lightfield_gs/models/detail.py; lengths in pixels or footprints.
 struct SurfaceLook {
-  float averaged;  // the deviation of the blur
-  float softness;  // depth over which the cloud before the sheet fades
+  float averaged;    // the deviation of the blur
+  float softness;    // depth over which the cloud before the sheet fades
+  float solid;       // optical depth of the cloud above which it becomes more opaque, and below which less
+  float most_solid;  // the factor of its optical depths at most; of the first layer, which is in the sheet, it is 1
+  float shrunk;      // the factor of the lengths of all layers but the first
+  float back;        // depth by which they go back
 };
 
 struct Surface {
@@ -82,11 +86,17 @@ LFGS_HD float blurred_at(const float* number, int64_t stride, int64_t at, int64_
   return sum;
 }
 
-// Write the visibility of a pixel's Gaussians and their averages to set 1. Set 2 has the blurred fog, set 0 the sizes.
-// A nearer Gaussian has a larger disparity; the fog's density is a normal distribution along the line of sight.
+constexpr float kMostOfCloud = 0.999f;  // opacity of a Gaussian, whose logarithm is taken
+
+// Write the visibility of a pixel's Gaussians and their averages to set 1, and make the Gaussians more solid. Set 2 has
+// the blurred fog, set 0 the sizes. A nearer Gaussian has a larger disparity; the fog's density is a normal
+// distribution along the line of sight.
 LFGS_HD void look_through(const Surface& job, int64_t pixel) {
   const int rest = job.rest(), last = job.seen_planes() - 1;
   for (int c = 0; c <= last; ++c) job.plane(1, c)[pixel] = 0;
+  float thickness = 0;
+  for (int layer = 0; layer < job.layers; ++layer) thickness += job.plane(2, 3 * layer)[pixel];
+  const float relative = thickness / job.look.solid, gain = glm::min(relative * relative, job.look.most_solid);
   for (int layer = 0; layer < job.layers; ++layer) {
     const int64_t i = layer * job.pixels() + pixel;
     const float off = job.off(i);
@@ -101,12 +111,14 @@ LFGS_HD void look_through(const Surface& job, int64_t pixel) {
     job.plane(1, 0)[pixel] += seen / job.cloud.means[3 * i + 2];
     for (int c = 0; c < rest; ++c) job.plane(1, 1 + c)[pixel] += seen * job.cloud.sh[i * (rest + 3) + 3 + c];
     job.plane(1, last)[pixel] += seen;
+    float& opacity = job.cloud.opacities[i];  // the sizes in set 0 have the one before
+    opacity = -std::expm1((layer == 0 ? glm::min(gain, 1.f) : gain) * std::log1p(-glm::min(opacity, kMostOfCloud)));
   }
 }
 
 LFGS_HD float logistic(float x) { return 1 / (1 + std::exp(-x)); }
 
-// Write the surface of a pixel and the opacities of its Gaussians, from the visible average in set 0.
+// Write the surface of a pixel, from the visible average in set 0, and move, shrink and fade its Gaussians.
 LFGS_HD void finish_surface(const Surface& job, int64_t pixel) {
   const float seen = job.plane(0, job.seen_planes() - 1)[pixel], footprint = 1 / job.intrinsics[0];
   const float disparity = job.plane(0, 0)[pixel] / seen;
@@ -114,6 +126,10 @@ LFGS_HD void finish_surface(const Surface& job, int64_t pixel) {
   for (int c = 0; c < job.rest(); ++c) job.harmonics[c * job.pixels() + pixel] = job.plane(0, 1 + c)[pixel] / seen;
   for (int layer = 0; layer < job.layers; ++layer) {
     const int64_t i = layer * job.pixels() + pixel;
+    const float farther = layer == 0 ? 1.f : 1 + job.look.back * footprint;
+    const float larger = layer == 0 ? 1.f : farther * job.look.shrunk;
+    for (int k = 0; k < 3; ++k) job.cloud.means[3 * i + k] *= farther;
+    for (int k = 0; k < 3; ++k) job.cloud.scales[3 * i + k] *= larger;
     const float behind = (job.cloud.means[3 * i + 2] * disparity - 1) / footprint;
     const float hidden = job.mask[pixel] * logistic(-behind / job.look.softness);
     job.cloud.opacities[i] = glm::clamp(job.cloud.opacities[i] * (1 - hidden), 0.f, 1.f);

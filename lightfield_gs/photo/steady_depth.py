@@ -1,0 +1,162 @@
+"""Estimated depths of pictures in a row that do not flicker.
+
+A network estimates each picture by itself: noise in the pictures moves its numbers, their scale and their range. Here
+each map is averaged with those before and after it, up to the next cut. The numbers of the others are first fitted to
+its own by a scale and an offset. A pixel counts less where its colour changes, so that moving things do not smear.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from lightfield_gs.photo.joint_upsampling import percentiles
+
+
+@dataclass(frozen=True)
+class SteadyConstants:
+    """Reach of the average, and thresholds.
+
+    All are chosen by hand and not tuned on a data set.
+    """
+
+    colour_std: float = 0.06  # standard deviation of the weights by change of colour, 0..1
+    colour_radius_px: int = 2  # of the means of colour that are compared, so that noise is no change
+    histogram_bins: int = 16  # of each channel
+    cut_histogram: float = 0.3  # fraction of the pixels that change their bin from which on there may be a cut
+    cut_difference: float = 0.08  # mean difference of the colours, 0..1, from which on there may be one
+    sure_difference: float = 0.25  # from which on there is one, whatever the histograms
+    least_weight: float = 1e-3  # of the pixels that a fit takes
+
+
+_C = SteadyConstants()
+REACH = 6  # pictures to either side that are averaged
+
+
+@dataclass
+class PictureEstimate:
+    """The numbers of a network for a picture.
+
+    Attributes:
+        disparities: [h, w], float32, on the CPU.
+        colours: The picture at that size [h, w, 3], floats in 0..1.
+        limits: Low and high percentile of the disparities; None: their own.
+    """
+
+    disparities: Tensor
+    colours: Tensor
+    limits: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, disparities: Tensor, photo: np.ndarray) -> PictureEstimate:
+        """Return the estimate of a photo [H, W, 3 or more], floats in 0..1."""
+        picture = torch.from_numpy(photo[..., :3]).movedim(2, 0)[None]
+        colours = interpolate(picture, size=disparities.shape, mode="area")[0].movedim(0, 2)
+        return cls(disparities.cpu().float(), colours)
+
+
+def steadied(
+    estimates: Iterable[tuple[int, PictureEstimate]], has_scale: bool, reach: int = REACH
+) -> Iterator[tuple[int, PictureEstimate]]:
+    """Yield each estimate averaged with up to `reach` before and after it.
+
+    Args:
+        estimates: Numbers and estimates, in order. Estimates of one shape are averaged.
+        has_scale: Whether the disparities are of distances: then they are fitted by their scale alone.
+        reach: Pictures to either side.
+    """
+    window: deque[tuple[int, PictureEstimate, bool]] = deque()  # and whether a shot begins with it
+    at, incoming, last = 0, iter(estimates), None
+    while True:
+        while len(window) - at <= reach and (entry := next(incoming, None)) is not None:
+            number, estimate = entry
+            window.append((number, estimate, last is None or is_cut(last.colours, estimate.colours)))
+            last = estimate
+        if at >= len(window):
+            return
+        number, estimate, _ = window[at]
+        yield number, _averaged([part[1] for part in _shot(list(window), at, reach)], estimate, has_scale)
+        at += 1
+        if at > reach:
+            window.popleft()
+            at -= 1
+
+
+def is_cut(before: Tensor, after: Tensor) -> bool:
+    """Return whether a shot ends between two pictures [h, w, 3], floats in 0..1.
+
+    A pan changes the pixels but not the histogram; a change of the light does the reverse. A cut changes both, or all
+    pixels.
+    """
+    if before.shape != after.shape:
+        return True
+    difference = float((before - after).abs().mean())
+    if not _C.cut_difference <= difference < _C.sure_difference:
+        return difference >= _C.sure_difference
+    histograms = [
+        torch.stack([torch.histc(part[..., channel], _C.histogram_bins, 0, 1) for channel in range(3)])
+        for part in (before, after)
+    ]
+    moved = (histograms[0] - histograms[1]).abs().sum() / 2
+    return float(moved) >= _C.cut_histogram * 3 * before[..., 0].numel()
+
+
+def _shot(
+    window: list[tuple[int, PictureEstimate, bool]], at: int, reach: int
+) -> list[tuple[int, PictureEstimate, bool]]:
+    """Return the part of a window that is in the same shot as its entry `at`."""
+    first, last = at, at + 1
+    while first > max(0, at - reach) and not window[first][2]:
+        first -= 1
+    while last < min(len(window), at + reach + 1) and not window[last][2]:
+        last += 1
+    return window[first:last]
+
+
+def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool) -> PictureEstimate:
+    """Return one estimate of a shot, averaged with the others in its own scale and offset."""
+    smooth = _blurred(own.colours)
+    total, weights = own.disparities.double(), torch.ones_like(own.disparities, dtype=torch.float64)
+    limits, scales = [percentiles(own.disparities)], [1.0]
+    for other in shot:
+        if other is own or other.disparities.shape != own.disparities.shape:
+            continue
+        change = (_blurred(other.colours) - smooth).square().sum(2)
+        weight = torch.exp(change.double() / (-2 * _C.colour_std**2))
+        if float(weight.mean()) < _C.least_weight:
+            continue
+        scale, offset = _fit(other.disparities.double(), own.disparities.double(), weight, has_scale)
+        if not scale > 0:
+            continue
+        total += weight * (scale * other.disparities + offset)
+        weights += weight
+        limits.append(tuple(scale * limit + offset for limit in percentiles(other.disparities)))
+        scales.append(1 / scale)
+    low, high = (sum(part) / len(limits) for part in zip(*limits))
+    common = sum(scales) / len(scales) if has_scale else 1.0
+    return PictureEstimate((common * total / weights).float(), own.colours, (common * low, common * high))
+
+
+def _fit(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[float, float]:
+    """Return scale and offset by which values come closest to a target, in weighted squares."""
+    if has_scale:
+        return float((weight * values * target).sum() / (weight * values.square()).sum().clamp(min=1e-30)), 0.0
+    total = weight.sum()
+    mean, aim = (weight * values).sum() / total, (weight * target).sum() / total
+    spread = (weight * (values - mean).square()).sum()
+    scale = float((weight * (values - mean) * (target - aim)).sum() / spread) if float(spread) > 0 else 1.0
+    return scale, float(aim) - scale * float(mean)
+
+
+def _blurred(colours: Tensor) -> Tensor:
+    side = 2 * _C.colour_radius_px + 1
+    blurred = torch.nn.functional.avg_pool2d(
+        colours.movedim(2, 0)[None], side, 1, _C.colour_radius_px, count_include_pad=False
+    )
+    return blurred[0].movedim(0, 2)
