@@ -136,7 +136,8 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
             continue
         total += weight * (scale * other.disparities + offset)
         weights += weight
-        limits.append(tuple(scale * limit + offset for limit in percentiles(other.disparities)))
+        low, high = percentiles(other.disparities)
+        limits.append((scale * low + offset, scale * high + offset))
         scales.append(1 / scale)
     low, high = (sum(part) / len(limits) for part in zip(*limits))
     common = sum(scales) / len(scales) if has_scale else 1.0
