@@ -182,8 +182,8 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
         photo = replace(photo, fit=first.photo.placed.fit)
         if photo.fit == "cover":  # about the middle, not about the subject of the first picture
             _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
-            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-                first = load(own, watch)
+            with _unheard():
+                first = load_scene(own, options.render, look, panel, device, watch)
     messages = [*paired, *halved, *(note for part in parts.values() for note in part.notes)]
     rig, how = frame_scene(choice, look, first, panel)
 
