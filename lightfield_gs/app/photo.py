@@ -24,7 +24,7 @@ from lightfield_gs.app.photo_depth import (
 )
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Detail
+from lightfield_gs.base.options import Detail, Fit
 from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
 if TYPE_CHECKING:
@@ -335,7 +335,7 @@ def _place(
     cone = panel.cone_deg if look.cone is None else look.cone
     amount = 1.0 if look.depth_amount is None else look.depth_amount
 
-    def placed(fit: str) -> PanelFit:
+    def placed(fit: Fit) -> PanelFit:
         return fit_to_panel(
             depth,
             focal_px,

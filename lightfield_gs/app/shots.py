@@ -178,6 +178,12 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
         raise InputError(f"{first.path} is a file of Gaussians; a sequence takes pictures")
     if first.photo.options.is_estimated:  # also where no object is cut out
         photo = replace(photo, depth=AUTO)
+    if first.photo.placed is not None and photo.fit in (None, "auto") and not motion.reframe:
+        photo = replace(photo, fit=first.photo.placed.fit)
+        if photo.fit == "cover":  # about the middle, not about the subject of the first picture
+            _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
+            with _unheard():
+                first = load_scene(own, options.render, look, panel, device, watch)
     messages = [*paired, *halved, *(note for part in parts.values() for note in part.notes)]
     rig, how = frame_scene(choice, look, first, panel)
 

@@ -153,7 +153,7 @@ def _object_box(alpha: np.ndarray) -> tuple[slice, slice]:
 
 def _strips(mixed: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield rows and columns of the mixed pixels, some at a time."""
-    for top, bottom in row_strips(*mixed.shape, 1 << 20):
+    for top, bottom in row_strips(mixed.shape[0], mixed.shape[1], 1 << 20):
         rows, columns = np.nonzero(mixed[top:bottom])
         yield rows + top, columns
 

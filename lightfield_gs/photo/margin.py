@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import FITS
+from lightfield_gs.base.options import FITS, Fit
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.inpainting import complete
@@ -30,6 +30,7 @@ class MarginConstants:
 
     depth_tail: float = 0.05  # fraction of the pixels before the near depth of the zero plane, and behind the far one
     side_quantiles: tuple[float, float] = (0.02, 0.98)  # of the depths along the photo's left and right sides
+    middle: float = 0.75  # quantile of the depths in the middle that a subject there is nearer than
     more_px: int = 4  # pixels in addition to the look of the outermost views past the photo
     widest: float = 1.5  # margin on each side, in photos, at most
     nearer: float = 1.05  # ratio of disparities from which on a thing stands before the border
@@ -61,7 +62,7 @@ class PanelFit(NamedTuple):
     margin_px: tuple[int, int, int, int]
     cropped: float
     made_up: float
-    fit: str
+    fit: Fit
 
 
 def fit_to_panel(
@@ -69,7 +70,7 @@ def fit_to_panel(
     focal_px: tuple[float, float],
     principal_point_px: tuple[float, float],
     panel: Panel,
-    fit: str = "cover",
+    fit: Fit = "cover",
     *,
     widest_tan: float | None = None,
     zoom: float = 1.0,
@@ -89,7 +90,8 @@ def fit_to_panel(
             more than a third of the photo would be.
         widest_tan: tan(cone / 2) of the outermost views; None: the panel's.
         zoom: Factor of the size of the picture.
-        on_near: Whether the zero plane may move anywhere from near on afterwards; the margin is enough for that.
+        on_near: Whether the zero plane may move to a subject afterwards, which is anywhere from near to the depth of
+            the picture's middle; the margin is enough for that.
 
     Raises:
         InputError: `fit` is invalid.
@@ -114,7 +116,7 @@ def fit_to_panel(
     tan = math.tan(math.radians(panel.cone_deg) / 2) if widest_tan is None else widest_tan
     sides = torch.cat([depth[:, 0], depth[:, -1]])
     known = sides[torch.isfinite(sides)].double().cpu().numpy()
-    zeros = np.array([zero, near] if on_near else [zero])[:, None]
+    zeros = np.array([zero, near, _middle_depth(depth, near)] if on_near else [zero])[:, None]
     moves = np.abs(1 - zeros / np.quantile(known, _C.side_quantiles)).max() if len(known) else 0.0
     shown = panel.width_px / sizes[0] / zoom, panel.height_px / sizes[1] / zoom
     beyond = focal_px[0] * tan * moves + _C.more_px, _C.more_px
@@ -128,7 +130,15 @@ def fit_to_panel(
     return PanelFit(rig, (margin[0], margin[1], margin[2], margin[3]), 1 - kept, made_up, fit)
 
 
-def _choose_fit(depth: Tensor, scales: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+def _middle_depth(depth: Tensor, near: float) -> float:
+    """Return a depth that most of the middle of the picture [H, W] is nearer than; near where it is not known."""
+    height, width = depth.shape
+    middle = depth[height // 4 : height - height // 4, width // 4 : width - width // 4]
+    known = middle[torch.isfinite(middle)].double().cpu().numpy()
+    return max(near, float(np.quantile(known, _C.middle))) if len(known) else near
+
+
+def _choose_fit(depth: Tensor, scales: tuple[float, float]) -> tuple[Fit, tuple[float, float]]:
     """Return "cover" or "contain", and the point x, y of the photo that comes to the panel's middle.
 
     Args:

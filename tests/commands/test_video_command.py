@@ -206,8 +206,8 @@ def test_photos_with_depths_in_a_row(folder, capsys):
     out = run(capsys, f"video photos -o apart --depth depths {more}")
     assert out.count("3 frames of 96 x 60") == 1 and out.count("photos/9.png: 40 x 30") == 1
     run(capsys, f"video both -o joined {more} --rgbd right")
-    run(capsys, f"encode photos/9.png --depth depths/9.png -o first.png --save-rig r.yaml {more}")
-    run(capsys, f"encode photos/11.png --depth depths/11.png -o last.png --rig r.yaml {more}")
+    run(capsys, f"encode photos/9.png --depth depths/9.png -o first.png --save-rig r.yaml --fit cover {more}")
+    run(capsys, f"encode photos/11.png --depth depths/11.png -o last.png --rig r.yaml --fit cover {more}")
     for name in ("apart", "joined"):
         assert (frame(name, 0) == read_image("first.png", as_stored=True)).all()
         assert (frame(name, 2) == read_image("last.png", as_stored=True)).all()  # framed as the first
@@ -242,7 +242,7 @@ def test_the_half_of_depths_is_that_of_the_first_picture_that_shows_it(folder, c
     out = run(capsys, "video both -o frames --panel p.yaml")
     shows = 1 if black == 0 else 0
     assert f"depth: the right half of each picture, as picture {shows} shows it (assumed; --rgbd)" in out
-    run(capsys, f"encode both/{shows + 9}_rgbd.png -o shown.png --panel p.yaml --rgbd right")
+    run(capsys, f"encode both/{shows + 9}_rgbd.png -o shown.png --panel p.yaml --rgbd right --fit cover")
     assert (
         frame("frames", black).max() < 10 and (frame("frames", shows) == read_image("shown.png", as_stored=True)).all()
     )

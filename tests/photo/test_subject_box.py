@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import lightfield_gs as lf
+from lightfield_gs.base.options import Fit
 from lightfield_gs.photo.margin import extend_with_margin, fit_to_panel
 from lightfield_gs.photo.subject import subject_box
 
@@ -21,7 +22,7 @@ def on_the_ground(left: int, right: int, top: int = 30, bottom: int = 90) -> tor
     return 1 / disparity
 
 
-def fitted(depth: torch.Tensor, width_px: int, height_px: int, fit: str = "auto"):
+def fitted(depth: torch.Tensor, width_px: int, height_px: int, fit: Fit = "auto"):
     panel = replace(lf.Panel.load("toy-8v"), width_px=width_px, height_px=height_px)
     return panel, fit_to_panel(depth, (150.0, 150.0), (WIDTH / 2, HEIGHT / 2), panel, fit)
 
