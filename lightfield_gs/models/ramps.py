@@ -5,8 +5,8 @@ Texels on this ramp hang between both, and from the side they are strands. Each 
 the weighted median of the depths around it that are not on a ramp, where like colours count more. Then the outline of
 the near surface is cleaned by medians of all texels.
 
-All lengths are chosen on the nine photos of the development data and reported on them, at factors 1, 2 and 4, and on 24
-textured objects of 512 px. Steepness decides: at 5 footprints a texel the tops of objects are snapped too, at 20 the
+All lengths are chosen on the nine photos of the development data, at factors 1, 2 and 4, and on 24 textured objects of
+512 px at factor 2. They are reported on the same data. Steepness decides: at 5 footprints a texel the tops of objects are snapped too, at 20 the
 strands of a chair remain.
 
 Everything has static shapes, for CUDA graphs. csrc/math/photo/ramps.h does the same natively.
