@@ -6,8 +6,8 @@ the weighted median of the depths around it that are not on a ramp, where like c
 the near surface is cleaned by medians of all texels.
 
 All lengths are chosen on the nine photos of the development data, at factors 1, 2 and 4, and on 24 textured objects of
-512 px at factor 2. They are reported on the same data. Steepness decides: at 5 footprints a texel the tops of objects are snapped too, at 20 the
-strands of a chair remain.
+512 px at factor 2. They are reported on the same data. Steepness decides: at 5 footprints a texel the tops of objects
+are snapped too, at 20 the strands of a chair remain.
 
 Everything has static shapes, for CUDA graphs. csrc/math/photo/ramps.h does the same natively.
 """
