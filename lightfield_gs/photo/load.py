@@ -379,6 +379,8 @@ def _is_page(alpha: np.ndarray) -> bool:
     """Return whether a cut-out [H, W] has many things, none of which is the most of it: lines of text, or buttons."""
     components = Components(alpha >= _C.opaque, diagonal=True)
     masses = np.sort(components.sums(alpha))[::-1]
+    if not len(masses):
+        return False
     return bool(
         (masses >= _C.thing * masses.sum()).sum() >= _C.things_of_page
         and masses[0] < _C.most_of_page * masses.sum()

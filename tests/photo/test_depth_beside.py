@@ -416,7 +416,7 @@ def test_photos_with_their_maps_in_one_folder_are_pairs(folder, capsys):
     for number in (0, 1):
         write_image(f"pairs/{number}.png", photo)
         write_image(f"pairs/{number}_depth.png", grey)
-    options = "--panel p.yaml --depth-kind disparity --depth-range 1,1.6"
+    options = "--panel p.yaml --depth-kind disparity --depth-range 1,1.6 --fit cover"  # about the middle, as in a video
     out = run(capsys, f"video pairs -o v {options}")
     assert "2 pictures, each with the depth map beside it (0.png with 0_depth.png)" in out
     assert sorted(path.name for path in Path("v").glob("*.png")) == ["frame-000000.png", "frame-000001.png"]
