@@ -30,7 +30,7 @@ demo: setup
 	  --depth-report
 	$(BIN)/lightfield-gs simulate demo/scene.png $(DEMO_EYES) -o demo/scene-eyes.png
 	$(BIN)/lightfield-gs encode $(CAPTURE)/images/DSC_0426.jpg --depth $(CAPTURE)/DSC_0426.depth.npz \
-	  --focus 0.45,0.55 --depth-amount 0.5 --zoom 1.75 --pan 0.02,-0.03 -o demo/depth.png --preview demo/depth-preview \
+	  --focus 0.45,0.55 --depth-amount 0.5 --zoom 1.1 --pan 0.08,-0.02 -o demo/depth.png --preview demo/depth-preview \
 	  --depth-report
 	$(BIN)/lightfield-gs simulate demo/depth.png $(DEMO_EYES) -o demo/depth-eyes.png
 	@echo "demo/*-eyes.png: what eyes at -15, 0 and +15 degrees see of a photo of one object (cat), of a scene that was"
