@@ -125,7 +125,7 @@ def fit_to_panel(
     most = (_C.widest * width, _C.widest * height) * 2
     margin = [math.ceil(min(max(part, 0), limit)) for part, limit in zip((*before, *after), most)]
     kept = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)
-    made_up = 1 - kept * width * height / (shown[0] * shown[1])
+    made_up = max(0.0, 1 - kept * width * height / (shown[0] * shown[1]))  # rounding may go below
     rig = Rig(np.eye(4), focal, centre, float(zero))
     return PanelFit(rig, (margin[0], margin[1], margin[2], margin[3]), 1 - kept, made_up, fit)
 
