@@ -24,7 +24,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models.initializer import Pixels, flat
-from lightfield_gs.models.ramps import snap_ramps, upsample_covered
+from lightfield_gs.models.ramps import least_step, snap_ramps, upsample_covered
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 # Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
@@ -270,9 +270,7 @@ def _tangents(disparity: Tensor, texels: Pixels) -> tuple[Tensor, Tensor]:
     # dz/du in footprints, z = 1/disparity: the less steep of both neighbours, so that edges stay open
     slopes = []
     for axis in (3, 2):
-        ahead = disparity.diff(dim=axis)
-        none = torch.zeros_like(disparity.narrow(axis, 0, 1))
-        step = minmod(torch.cat([ahead, none], axis), torch.cat([none, ahead], axis))
+        step = least_step(disparity, axis)
         slopes.append((-step / (disparity * texels.footprint)).clamp(-_STEEPEST, _STEEPEST))
     across, down = slopes
     ray = torch.cat([texels.rays, torch.ones_like(disparity)], 1)
@@ -312,11 +310,6 @@ def blur(channels: Tensor, deviation: float) -> Tensor:
     each = F.conv2d(each, weights, padding=(0, reach))
     each = F.conv2d(each, weights.transpose(2, 3), padding=(reach, 0))
     return each[:, 0].view_as(channels)
-
-
-def minmod(one: Tensor, other: Tensor) -> Tensor:
-    """Return the smaller of two steps in one direction, else 0."""
-    return torch.where(one * other > 0, torch.where(one.abs() < other.abs(), one, other), 0.0)
 
 
 def upsample_along_surface(channels: Tensor, disparity: Tensor, footprint: Tensor, factor: int) -> Tensor:

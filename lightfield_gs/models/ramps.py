@@ -110,7 +110,7 @@ def snap_ramps(disparity: Tensor, colour: Tensor, mask: Tensor, footprint: Tenso
     depth, there = -disparity.log() / footprint, mask > _THERE
     ramps = torch.zeros_like(there)
     for _ in range(_SNAPS):
-        across, down = (_slope(depth, there, axis) for axis in (3, 2))
+        across, down = (least_step(depth, axis, there).abs() for axis in (3, 2))
         steep = (torch.maximum(across, _DOWN * down) > _STEEP) & there
         ramp = _near(steep, _texels(_REACH_PX, factor)) & (torch.maximum(across, down) > _SLOPE) & there
         ramps = ramps | ramp
@@ -123,13 +123,20 @@ def snap_ramps(disparity: Tensor, colour: Tensor, mask: Tensor, footprint: Tenso
     return torch.exp(-depth * footprint)
 
 
-def _slope(depth: Tensor, there: Tensor, axis: int) -> Tensor:
-    """Return the smaller size of the steps to both neighbours where both go the same way, else 0; [B,1,H,W]."""
-    size = depth.shape[axis]
-    step = depth.diff(dim=axis) * (there.narrow(axis, 1, size - 1) & there.narrow(axis, 0, size - 1))
-    none = torch.zeros_like(depth.narrow(axis, 0, 1))
+def least_step(values: Tensor, axis: int, counts: Tensor | None = None) -> Tensor:
+    """Return the smaller of the steps to both neighbours where both go the same way (minmod), else 0.
+
+    Args:
+        values: [B,1,H,W].
+        axis: 2 or 3; beyond the edges steps are 0.
+        counts: bool, the pixels between which there is a step; None: all.
+    """
+    step = values.diff(dim=axis)
+    if counts is not None:
+        step = step * (counts.narrow(axis, 1, step.shape[axis]) & counts.narrow(axis, 0, step.shape[axis]))
+    none = torch.zeros_like(values.narrow(axis, 0, 1))
     one, other = torch.cat([step, none], axis), torch.cat([none, step], axis)
-    return torch.where(one * other > 0, torch.minimum(one.abs(), other.abs()), 0.0)
+    return torch.where(one * other > 0, torch.where(one.abs() < other.abs(), one, other), 0.0)
 
 
 def _highest(values: Tensor, reach: int) -> Tensor:
