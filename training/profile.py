@@ -75,8 +75,8 @@ def main(arguments: list[str] | None = None) -> int:
     most = MOST if config.by_time else config.total_steps
     if options.steps < 2 or options.warm_up < 0 or options.steps + options.warm_up > most:
         raise InputError(
-            f"--steps and --warm-up: expected at least 2 and 0, not more together than the {most} steps of the run, got "
-            f"{options.steps} and {options.warm_up}"
+            f"--steps and --warm-up: expected at least 2 and 0, not more together than the {most} steps of the run, "
+            f"got {options.steps} and {options.warm_up}"
         )
     found = profile(config, options.steps, options.warm_up)
     if found is not None:
