@@ -126,14 +126,21 @@ def lead_cell(lead: dict[str, float]) -> str:
     return f"{lead['psnr_db']:+.2f}{error} / {lead['ssim']:+.3f}"
 
 
+def _length(run: TrainingConfig) -> str:
+    """Return how long a run is, in words."""
+    if run.by_time:
+        return f"{run.total_seconds / 60:g} minutes, {run.targets + 1} views of each object"
+    samples = sum(stage.steps * stage.objects for stage in run.stages)
+    return f"{run.total_steps:,} steps, {samples:,} samples of {run.targets + 1} views"
+
+
 def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
     """The tables: PSNR / SSIM of every arm and floor by angle, and the leads of the first arm."""
     run = next(iter(runs.values()))
-    samples = f"{sum(stage.steps * stage.objects for stage in run.stages):,} samples of {run.targets + 1} views"
     lines = [
         "# Targets inside the cone and all round",
         "",
-        f'Network `{run.model}`, {run.total_steps:,} steps, {samples}. PSNR in dB / SSIM; "all" are the novel '
+        f'Network `{run.model}`, {_length(run)}. PSNR in dB / SSIM; "all" are the novel '
         "views, +- the standard error over objects; 100 dB: equal.",
         "",
     ]

@@ -23,19 +23,32 @@ class Stage:
     """A stretch of the run. Raises InputError for numbers out of their ranges, as all parts of a configuration do.
 
     Args:
-        steps: optimizer steps.
+        steps: optimizer steps; 0 where minutes say how long the stage is.
         image_size_px: side of the source pictures.
         objects: examples per step, of all processes together.
         target_px: side of the target images; 0: as the source pictures.
+        minutes: length by the clock in place of steps, compilation and scores included, over all starts of the run.
+            Either all stages have minutes, or none has. The learning rate then follows the time.
     """
 
-    steps: int
-    image_size_px: int
-    objects: int
+    steps: int = 0
+    image_size_px: int = 0
+    objects: int = 0
     target_px: int = 0
+    minutes: float = 0.0
 
     def __post_init__(self) -> None:
-        check_ranges(self, "stages: ", steps=(1, MOST), image_size_px=(1, 8192), objects=(1, MOST), target_px=(0, 8192))
+        if self.steps and self.minutes:
+            raise InputError("stages: expected steps or minutes, got both")
+        check_ranges(
+            self,
+            "stages: ",
+            minutes=(0.0, 1e6),
+            steps=(0 if self.minutes else 1, MOST),
+            image_size_px=(1, 8192),
+            objects=(1, MOST),
+            target_px=(0, 8192),
+        )
 
 
 @dataclass(frozen=True)
@@ -175,6 +188,8 @@ class TrainingConfig:
             validate_every=(1, MOST),
             validation_objects=(1, MOST),
         )
+        if any(bool(stage.minutes) != self.by_time for stage in self.stages):
+            raise InputError("stages: expected minutes for all stages or for none")
 
     @property
     def azimuth_deg(self) -> float:
@@ -182,17 +197,40 @@ class TrainingConfig:
         return self.cone_deg / 2 * self.cone_margin
 
     @property
+    def by_time(self) -> bool:
+        """Whether stages end by the clock."""
+        return self.stages[0].minutes > 0
+
+    @property
     def total_steps(self) -> int:
-        """Steps of all stages together."""
+        """Steps of all stages together; 0 where they end by the clock."""
         return sum(stage.steps for stage in self.stages)
+
+    @property
+    def total_seconds(self) -> float:
+        """Time of all stages together; 0 where they end by steps."""
+        return 60 * sum(stage.minutes for stage in self.stages)
+
+    def is_over(self, step: int, seconds: float) -> bool:
+        """Whether no stage is left for a step, the steps before it having taken some time."""
+        return seconds >= self.total_seconds if self.by_time else step >= self.total_steps
 
     def scores_due(self, step: int) -> bool:
         """Whether the weights are scored after so many steps."""
         return bool(self.validation) and step > 0 and step % self.validate_every == 0
 
-    def stage_at(self, step: int) -> tuple[Stage, int]:
-        """The stage of a step, and how many examples all steps before it have drawn."""
+    def stage_at(self, step: int, seconds: float = 0.0) -> tuple[Stage, int]:
+        """Return the stage of a step, and how many examples all steps before it have drawn.
+
+        Args:
+            seconds: Time that the steps before it have taken. Where stages end by the clock, examples are counted as if
+                all steps had been of this stage.
+        """
         drawn = 0
+        for stage in self.stages if self.by_time else ():
+            if seconds < 60 * stage.minutes:
+                return stage, step * stage.objects
+            seconds -= 60 * stage.minutes
         for stage in self.stages:
             if step < stage.steps:
                 return stage, drawn + step * stage.objects
@@ -231,6 +269,7 @@ class TrainingConfig:
         plain = TrainingConfig("unused", ["unused"], [Stage(1, 1, 1)])
         own, defaults = (json.loads(json.dumps(run.identity())) for run in (self, plain))
         stored = _filled(stored, defaults | {name: own[name] for name in _FOLDERS})
+        stored["stages"] = [_filled(stage, defaults["stages"][0]) for stage in stored["stages"]]
         return sorted(name for name in own.keys() | stored.keys() if own.get(name) != stored.get(name))
 
 

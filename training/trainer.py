@@ -18,7 +18,7 @@ from training.distributed import Team
 from training.losses import total_loss
 from training.marks import NoMarks
 from training.rendering import render_views
-from training.schedule import WeightAverage, learning_rate, make_optimizer
+from training.schedule import WeightAverage, learning_rate, make_optimizer, progress
 
 
 class StepValues:
@@ -33,7 +33,7 @@ class StepValues:
             self._arrived.record()
 
     def read(self) -> dict[str, float]:
-        """step, loss, gradient_norm, learning_rate, the terms of the loss, stop; means over all processes."""
+        """step, loss, gradient_norm, learning_rate, terms of the loss, seconds, stop; means over all processes."""
         if self._arrived is not None:
             self._arrived.synchronize()
         found = dict(zip(self._names, self._values.tolist()))
@@ -62,11 +62,12 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
 class Trainer:
     """Network, averaged weights and optimizer of one run, and the step that advances them.
 
-    marks: told where the parts of a step end. Raises InputError for pictures that the network cannot take.
+    marks: told where the parts of a step end. seconds: time that the run had taken at the last step that was read, the
+    same in all processes. Raises InputError for pictures that the network cannot take.
     """
 
     def __init__(self, config: TrainingConfig, team: Team) -> None:
-        self.config, self.team, self.step, self.marks = config, team, 0, NoMarks()
+        self.config, self.team, self.step, self.seconds, self.marks = config, team, 0, 0.0, NoMarks()
         torch.manual_seed(config.seed)
         net = _initial_net(config).to(team.device, memory_format=torch.channels_last)
         for stage in config.stages:
@@ -83,19 +84,20 @@ class Trainer:
             self._loss = torch.compile(total_loss, dynamic=False)
         self._replica = team.replicated(self.net)
 
-    def advance(self, batch: Batch, stop: bool = False) -> StepValues:
+    def advance(self, batch: Batch, stop: bool = False, seconds: float = 0.0) -> StepValues:
         """Do one optimizer step on this process's part of a batch.
 
         On CUDA the step is queued, not finished, when this returns, but for the rasterizer's own waits.
 
         Args:
             stop: Whether this process has been told to end.
+            seconds: Time that the run has taken so far.
         """
         config, size, device, marks = self.config, batch.targets.shape[-1], self.team.device, self.marks
         marks.mark("batch")
         # Dropout must not depend on how often the run was resumed.
         torch.manual_seed((config.seed << 32) + self.step * self.team.size + self.team.rank)
-        rate = learning_rate(self.step, config.total_steps, config.optimizer)
+        rate = learning_rate(self.step, progress(self.step, self.seconds, config), config.optimizer)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         level = self._level(batch)
@@ -119,8 +121,9 @@ class Trainer:
         self.average.update(self.step)
         marks.mark("update")
         self.step += 1
-        told = torch.full((), float(stop), device=device)
-        values = {"loss": loss.detach(), "gradient_norm": norm, **terms, "stop": told}
+        told = {"stop": float(stop), "seconds": seconds}
+        values = {"loss": loss.detach(), "gradient_norm": norm, **terms}
+        values |= {name: torch.full((), value, device=device) for name, value in told.items()}
         return StepValues(self.step - 1, rate, values, self.team)
 
     def _level(self, batch: Batch) -> DetailLevel | None:
@@ -138,6 +141,7 @@ class Trainer:
         """Everything that resuming needs."""
         return {
             "step": self.step,
+            "seconds": self.seconds,
             "identity": json.dumps(self.config.identity()),
             "net": self.net.state_dict(),
             "average": self.average.average.state_dict(),
@@ -149,4 +153,4 @@ class Trainer:
         self.net.load_state_dict(state["net"])
         self.average.average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
-        self.step = state["step"]
+        self.step, self.seconds = state["step"], state.get("seconds", 0.0)

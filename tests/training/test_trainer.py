@@ -1,5 +1,6 @@
 """The weights after a step: the schedule, the average, and the start of a network."""
 
+import dataclasses
 from itertools import islice
 
 import pytest
@@ -10,11 +11,11 @@ from training_runs import finish, run_config
 
 from lightfield_gs.models import ModelConfig, SplatterNet
 from training import average, train
-from training.config import OptimizerConfig
+from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.data.batches import make_batch
 from training.distributed import Team, join_team
 from training.loop import make_planner, plans
-from training.schedule import WeightAverage, learning_rate
+from training.schedule import WeightAverage, learning_rate, progress
 from training.trainer import Trainer
 
 
@@ -25,7 +26,7 @@ def test_a_share_of_the_steps_is_under_the_sheet_of_detail(small_set):
     for detail in (0.0, 0.5):
         config = train.read_config(["--config", str(run_config(small_set, f"detail-{detail}", detail=detail))])
         trainer, planner = Trainer(config, alone), make_planner(config, alone)
-        batches = (make_batch(plan, planner.views) for plan in islice(plans(planner, config, 0, alone), 2))
+        batches = (make_batch(plan, planner.views) for plan, *_ in islice(plans(planner, trainer), 2))
         steps.append([trainer.advance(batch).read() for batch in batches])
     plain, under = steps
     assert under[0] == plain[0] and under[1]["loss"] != plain[1]["loss"]
@@ -34,10 +35,12 @@ def test_a_share_of_the_steps_is_under_the_sheet_of_detail(small_set):
 
 def test_learning_rate_warms_up_and_falls_by_a_cosine():
     config = OptimizerConfig(learning_rate=1e-3, warmup_steps=10, final_share=0.1)
-    assert learning_rate(0, 110, config) == pytest.approx(1e-4)
-    assert learning_rate(10, 110, config) == pytest.approx(1e-3)
-    assert learning_rate(60, 110, config) == pytest.approx(1e-3 * 0.55)
-    assert learning_rate(110, 110, config) == pytest.approx(1e-4)
+    run = TrainingConfig("out", ["data"], [Stage(110, 16, 1)], optimizer=config)
+    for step, rate in ((0, 1e-4), (10, 1e-3), (60, 1e-3 * 0.55), (110, 1e-4)):
+        assert learning_rate(step, progress(step, 0.0, run), config) == pytest.approx(rate)
+    timed = dataclasses.replace(run, stages=[Stage(minutes=4, image_size_px=16, objects=1)])
+    for step, seconds, rate in ((0, 0.0, 1e-4), (10, 120.0, 1e-3 * 0.55), (99, 240.0, 1e-4), (99, 241.0, 1e-4)):
+        assert learning_rate(step, progress(step, seconds, timed), config) == pytest.approx(rate)
 
 
 def test_weight_average_follows_its_recurrence():
