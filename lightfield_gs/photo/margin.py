@@ -88,7 +88,7 @@ def fit_to_panel(
         panel: The panel.
         fit: "cover": the photo fills the panel, and the rest is cropped; "contain": the whole photo is on the panel;
             "auto": cover about the subject, or contain if the subject would be cropped. Without a subject, or with one
-            that the photo itself cuts off, contain if more than a third of the photo would be.
+            that both sides of the photo cut off, contain if more than a third of the photo would be.
         widest_tan: tan(cone / 2) of the outermost views; None: the panel's.
         zoom: Factor of the size of the picture.
         on_near: Whether the zero plane may move to a subject afterwards, which is anywhere from near to the depth of
@@ -158,15 +158,10 @@ def _choose_fit(depth: Tensor, scales: tuple[float, float], about_middle: bool) 
     middle = []
     for size, scale, centre, low, high in zip(sizes, scales, whole, box[:2], box[2:]):
         half = size * scale / max(scales) / 2
-        ends = low <= 0, high >= size  # of the subject that the photo itself cuts off
-        at = centre
-        if not about_middle:
-            at = (low + high) / 2
-            if high - low > 2 * half and ends[0] != ends[1]:
-                at = low + half if ends[1] else high - half
-            at = min(max(at, half), size - half)
+        at = centre if about_middle else min(max((low + high) / 2, half), size - half)
         is_whole = at - half <= low + 1e-6 and at + half >= high - 1e-6
-        if not is_whole and not (may_crop and any(ends)):
+        is_cut_off = low <= 0 and high >= size  # by the photo itself
+        if not is_whole and not (may_crop and is_cut_off):
             return "contain", whole
         middle.append(at)
     return "cover", (middle[0], middle[1])
