@@ -127,8 +127,9 @@ def plans(planner: BatchPlanner, trainer: Trainer) -> Iterator[Planned]:
         if config.is_over(step, trainer.seconds):
             return None
         stage, drawn = config.stage_at(step, trainer.seconds)
-        sizes = (stage.image_size_px, stage.target_px)
-        return stage, pool.submit(planner.plan, step, drawn, stage.objects, *sizes, team.split(stage.objects))
+        sizes, part = (stage.image_size_px, stage.target_px), team.split(stage.objects)
+        finer = {"finer": max(1, stage.detail), "zoom": stage.target_zoom}
+        return stage, pool.submit(planner.plan, step, drawn, stage.objects, *sizes, part, **finer)
 
     with ThreadPoolExecutor(1) as pool:
         step = trainer.step
@@ -187,9 +188,9 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     _validate(trainer, log, decoded, config.is_over(trainer.step, trainer.seconds))
     log.resume_clock()
     begun = time.monotonic() - trainer.seconds
-    for plan, _, last in plans(planner, trainer):
+    for plan, stage, last in plans(planner, trainer):
         batch = make_batch(plan, planner.views, config.compile)
-        ahead = trainer.advance(batch, stop=bool(signals), seconds=time.monotonic() - begun)
+        ahead = trainer.advance(batch, stage, stop=bool(signals), seconds=time.monotonic() - begun)
         # A step is read while the next one runs, so that the device always has work. All processes read the same.
         stop = behind is not None and _record(behind, trainer, log)
         behind = ahead
