@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -62,8 +63,11 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
         [poses[partner] for partner in partners],
     )
     photographs = read_photographs(Path(config.photographs)) if config.photographs else None
+    views = ResidentViews(sets + target_sets, team.device)
+    if tell and team.leads:
+        _tell_pixels(config.stages, views)
     return BatchPlanner(
-        ResidentViews(sets + target_sets, team.device),
+        views,
         sampler,
         config.augmentation,
         partners,
@@ -94,6 +98,14 @@ def _tell(sets: list[CachedSet]) -> None:
     ]
     if doubts:
         note(f"{len(doubts)} objects may teach nothing; the first: {doubts[0]}")
+
+
+def _tell_pixels(stages: list[Stage], views: ResidentViews) -> None:
+    """Note where a sheet of detail is finer than the stored views."""
+    finest = max(stage.detail * stage.image_size_px for stage in stages)
+    stored = float(np.median(views.squares[:, 2])) if len(views.squares) else finest
+    if stored < finest:
+        note(f"stages: detail: the sheet has {finest} px, objects of the stored views {stored:.0f} in the median")
 
 
 @contextmanager
