@@ -123,6 +123,7 @@ class TrainingConfig:
         initial_weights: checkpoint to start from, "pretrained" for the network in the package; it replaces model. "":
             none.
         symmetric: make the network symmetric (see ModelConfig), also where model or initial_weights do not.
+        attention_px: sizes of feature maps that get self-attention beside those of model or initial_weights.
         trained: the whole network, or the head alone on fixed features of the U-Net. The head alone is quick, also on a
             CPU, and adapts a trained network to other targets.
         seed: of weights, samples, dropout and augmentation, 0..2^31 - 1.
@@ -164,6 +165,7 @@ class TrainingConfig:
     model: str = "default"
     initial_weights: str = ""
     symmetric: bool = False
+    attention_px: list[int] = field(default_factory=list)
     trained: Literal["network", "head"] = "network"
     seed: int = 0
     cone_deg: float = 40.0
@@ -200,6 +202,7 @@ class TrainingConfig:
             cone_margin=(0.0, 360.0),
             elevation_deg=(0.0, 180.0),
             neighbour_deg=(0.0, 180.0),
+            attention_px=(1, 8192),
             targets=(1, 1000),
             procedural=(0.0, 1.0),
             threads=(0, 4096),

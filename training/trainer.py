@@ -9,6 +9,7 @@ import json
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
 from training.config import Stage, TrainingConfig
 from training.data.batches import Batch
@@ -50,11 +51,29 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
         net = SplatterNet.from_pretrained(path)
     else:
         net = SplatterNet(ModelConfig.from_yaml(config.model))
+    if config.attention_px:
+        net = _with_attention(net, config.attention_px)
     if config.symmetric:  # has no weights of its own
         net.config = dataclasses.replace(net.config, symmetric=True)
     if config.trained == "head":
         net.unet.requires_grad_(False)
     return net
+
+
+def _with_attention(net: SplatterNet, sizes_px: list[int]) -> SplatterNet:
+    """Return the network with self-attention at more sizes of its features, which has no effect until it is trained.
+
+    Raises:
+        InputError: the network has no features of such a size.
+    """
+    unet, size = net.config.unet, net.config.image_size_px // net.config.patch_px
+    sizes = [size >> level for level in range(len(unet.multipliers))]
+    if other := sorted(set(sizes_px) - set(sizes)):
+        raise InputError(f"attention_px: expected sizes of {', '.join(map(str, sizes))} for this network, got {other}")
+    unet = dataclasses.replace(unet, attention_px=tuple(sorted({*unet.attention_px, *sizes_px}, reverse=True)))
+    more = SplatterNet(dataclasses.replace(net.config, unet=unet))
+    more.load_state_dict(net.state_dict(), strict=False)  # the rest is the new attention, whose output begins at zero
+    return more
 
 
 class Trainer:

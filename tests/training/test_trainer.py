@@ -8,6 +8,7 @@ from photo_cases import TINY, tiny_net
 from safetensors.torch import load_file
 from training_runs import finish, run_config
 
+from lightfield_gs import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.models.crop import Square, crop_resize
 from training import average, train
@@ -107,6 +108,25 @@ def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(smal
     assert found.config.symmetric
     changed = {name for name, weights in found.half().state_dict().items() if not torch.equal(weights, former[name])}
     assert changed == {"head.weight", "head.bias"}
+
+
+def test_attention_that_is_added_begins_without_effect(small_set, tmp_path):
+    """The packaged network with attention at 32 px too fits into 15 MB, and predicts as before."""
+    path = run_config(small_set, "unused", stages=[{"steps": 1, "image_size_px": 128, "objects": 1}])
+    config = train.read_config(["--config", str(path), "--initial_weights", "pretrained"])
+    alone, size = Team(torch.device("cpu")), 128
+    pictures = torch.rand(1, 4, size, size), torch.tensor([[1.4 * size] * 2 + [size / 2] * 2])
+    former, more = (
+        Trainer(dataclasses.replace(config, attention_px=sizes), alone).average.average for sizes in ([], [32])
+    )
+    assert more.config.unet.attention_px == (32, 16)
+    with torch.no_grad():
+        torch.testing.assert_close(more(*pictures).means, former(*pictures).means)
+    more.save(tmp_path / "more.safetensors")
+    assert (tmp_path / "more.safetensors").stat().st_size < 15e6
+    assert SplatterNet.from_pretrained(tmp_path / "more.safetensors").config == more.config
+    with pytest.raises(InputError, match="attention_px: expected sizes of 64, 32, 16, 8 .* got .33."):
+        Trainer(dataclasses.replace(config, attention_px=[33]), alone)
 
 
 def test_a_head_is_trained_on_features_without_dropout(small_set):
