@@ -19,7 +19,7 @@ WALL, SIDE, FLOOR, BLOB = range(4)  # the places of a scene's cards; the last on
 CARDS = 4
 CARD_NUMBERS = 48  # uniform numbers that a card takes, at most
 _HARMONICS = 5  # of a blob's outline
-_FARTHEST = 40.0  # z beyond which a plane is not drawn
+_FARTHEST = 200.0  # z beyond which a plane is not drawn
 _MIP_FACTORS = (1, 4, 16)  # reductions of a picture between which a far part of a plane is mixed
 
 
@@ -79,8 +79,8 @@ def draw_cards(u: Numbers, pictures: int, farthest: np.ndarray, focal_px: float,
     points = rays * z[..., None]
     half = size_px / 2 / focal_px
     yaw, pitch = (np.radians(u.between(-50, 50)).reshape(shape) * (u().reshape(shape) ** 1.5) for _ in range(2))
-    # Slants that the wide end of the picture still sees
-    yaw, pitch = (np.clip(angle, -np.arctan(0.7 / half), np.arctan(0.7 / half)) for angle in (yaw, pitch))
+    # The corners of the picture still see the wall, at ten times its distance at most
+    yaw, pitch = (np.clip(angle, -np.arctan(0.45 / half), np.arctan(0.45 / half)) for angle in (yaw, pitch))
     normals = np.stack([np.sin(yaw), np.sin(pitch), -np.ones(shape)], -1)
     side, up = np.where(u().reshape(shape) < 0.5, -1, 1), u.between(0.3, 1.0).reshape(shape)
     lean = u.between(0.1, 0.6).reshape(shape)

@@ -26,7 +26,7 @@ class HiddenLossWeights:
 
     colour: float = 1.0
     gradient: float = 0.5
-    texture: float = 1.0
+    texture: float = 4.0
     depth: float = 0.5
     adversarial: float = 0.0
 

@@ -39,7 +39,7 @@ def draw_softness(rng: np.random.Generator, count: int, most_px: float = _MOST_B
 def photographed(images: Tensor, rng: np.random.Generator) -> Tensor:
     """Return pictures [B,3,H,W], 0..1, with the noise of a sensor and the blocks of JPEG."""
     noise, step = (_strength(rng, len(images), most).to(images) for most in (_MOST_NOISE, _MOST_STEP))
-    grain = torch.from_numpy(rng.standard_normal(images.shape, np.float32)).to(images)
+    grain = _normal(rng, images)
     noisy = images + noise[:, None, None, None] * grain
     return torch.where((step > 0)[:, None, None, None], _blocks_rounded(noisy, step), noisy).clamp(0, 1)
 
@@ -73,9 +73,15 @@ def estimated(depth: Tensor, rng: np.random.Generator) -> Tensor:
     moved = F.grid_sample(disparity, place, mode="nearest", padding_mode="border", align_corners=False)
     smooth = torch.from_numpy(rng.uniform(-1, 1, (count, 1, 5, 5)).astype(np.float32)).to(depth)
     smooth = F.interpolate(smooth, size=size, mode="bicubic", align_corners=False)
-    noise = torch.from_numpy(rng.standard_normal((count, 1, *size), np.float32)).to(depth)
+    noise = _normal(rng, disparity)
     factor = wave[:, None, None, None] * smooth + grain[:, None, None, None] * noise
     return (1 / (moved * (1 + factor).clamp_min(0.5)))[:, 0]
+
+
+def _normal(rng: np.random.Generator, like: Tensor) -> Tensor:
+    """Return normal numbers, made on the device."""
+    generator = torch.Generator(like.device).manual_seed(int(rng.integers(1 << 31)))
+    return torch.randn(like.shape, generator=generator, device=like.device, dtype=like.dtype)
 
 
 def _strength(rng: np.random.Generator, count: int, most: float) -> Tensor:

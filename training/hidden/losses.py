@@ -47,7 +47,7 @@ class HiddenLoss(nn.Module):
         drawn = torch.where(known[:, None], colours, truth)
         terms = {
             "colour": (drawn - truth).abs().sum() / total / 3,
-            "depth": ((log_disparity - depth).abs() * known).sum() / total,
+            "depth": torch.where(known, log_disparity - depth, 0).abs().sum() / total,
         }
         gradient = texture = colours.new_zeros(())
         one, other = drawn, truth

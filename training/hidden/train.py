@@ -36,6 +36,8 @@ from training.loop import termination_noticed
 from training.meshes.pack import ResidentMeshes, read_meshes
 from training.schedule import WeightAverage, learning_rate, make_optimizer
 
+_JUDGE_RATE = 0.3  # learning rate of the judge by the network's
+
 
 class HiddenTrainer:
     """The state of a run: network, averaged weights, judge, optimizers.
@@ -76,7 +78,7 @@ class HiddenTrainer:
         if self.config.loss.adversarial:
             drawn = torch.where(known[:, None], colours, truth)
             judged = self._judge.loss(drawn, truth, known)
-            self._take(self._judge_optimizer, judged, rate, self._judge)
+            self._take(self._judge_optimizer, judged, _JUDGE_RATE * rate, self._judge)
             approval = self._judge.approval(drawn, known)
             weighted = weighted - self.config.loss.adversarial * approval
             terms |= {"judge": judged, "approval": approval}
@@ -86,7 +88,7 @@ class HiddenTrainer:
         report = torch.stack([weighted, norm, *terms.values()]).detach().tolist()
         return {"step": self.step - 1, "learning_rate": rate} | dict(zip(("loss", "gradient_norm", *terms), report))
 
-    def _take(self, optimizer: torch.optim.Optimizer, loss: torch.Tensor, rate: float, net: torch.nn.Module):
+    def _take(self, optimizer: torch.optim.Optimizer, loss: torch.Tensor, rate: float, net: torch.nn.Module) -> torch.Tensor:
         for group in optimizer.param_groups:
             group["lr"] = rate
         optimizer.zero_grad(set_to_none=True)
