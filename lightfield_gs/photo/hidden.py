@@ -33,7 +33,7 @@ class HiddenConstants:
     same_depth: float = 0.1  # relative difference of depths up to which a pixel close by is of the same surface
     texture: float = 0.02  # length by the width: up to some 6 times it is texture, beyond it the first guess decides
     bend: float = 0.15  # largest relative change of disparity of a surface where it continues
-    # a far surface ends where the next one, behind the cover, is nearer to it than to the cover: 0..1 of the way in log z
+    # a far surface ends where the next one lies beyond this part of the way from the cover to it, in log z
     comes_back: float = 0.6
     fringe_disparity: float = 0.97  # largest disparity of the fringe by that of the surface in front
 

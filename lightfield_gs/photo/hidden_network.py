@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 
-_CHANNELS = (24, 48, 80, 96, 128)  # at a half, a quarter, ... of the picture's size
+_CHANNELS = (24, 48, 72, 96, 128)  # at a half, a quarter, ... of the picture's size
 _BLOCKS = (1, 2, 2, 2)  # on the way down; the last level has its own
 _BLOCKS_UP = (1, 2, 2, 1)
 _DILATIONS = (1, 2, 4)  # of the blocks at the lowest level: a hole of 150 px is seen from both sides
@@ -64,8 +64,8 @@ class HiddenNet(nn.Module):
         )
         self.up = nn.ModuleList(_chain(channels, count) for channels, count in zip(_CHANNELS, _BLOCKS_UP))
         self.end = nn.Conv2d(_CHANNELS[0], 4 * _OUTPUTS, 3, padding=1)
-        nn.init.zeros_(self.end.weight)
-        nn.init.zeros_(self.end.bias)
+        for parameter in self.end.parameters():
+            nn.init.zeros_(parameter)
 
     def forward(self, seen: HiddenInput) -> tuple[Tensor, Tensor]:
         """Return colours [B,3,H,W], unbounded, and log disparity [B,H,W]; the guess's outside the hole."""
@@ -85,7 +85,6 @@ class HiddenNet(nn.Module):
         change = F.pixel_shuffle(self.end(F.relu(x)), 2)[..., :height, :width].to(seen.guess.dtype)
         change = torch.where(seen.hole[:, None], change, 0)
         return seen.guess + change[:, :3], seen.guess_log_disparity + _DISPARITY * change[:, 3]
-
 
     def save(self, path: Path) -> None:
         """Write the weights as float16 safetensors."""

@@ -127,11 +127,7 @@ class Compositions:
         options = self._options
         u, each, planes = (
             Numbers(rng.random(shape))
-            for shape in (
-                (count, _SCENE_NUMBERS),
-                (count * OBJECTS, _OBJECT_NUMBERS),
-                (count * CARDS, CARD_NUMBERS),
-            )
+            for shape in ((count, _SCENE_NUMBERS), (count * OBJECTS, _OBJECT_NUMBERS), (count * CARDS, CARD_NUMBERS))
         )
         focal = options.size_px * float(np.exp(rng.uniform(*np.log(options.focal))))
         farthest = np.exp(u.between(*np.log(options.farthest)))

@@ -83,9 +83,7 @@ def make_examples(composition: Composition, rng: np.random.Generator) -> Example
     known = hole & ((log_disparity - disparity.log()).abs() < _SAME_SURFACE)
     log_disparity = torch.where(known, log_disparity, disparity.log())
     guess = guess.movedim(-1, 1)
-    return Example(
-        image, depth, composition.focal_px, hole, fringe, guess, disparity, truth, log_disparity, known
-    )
+    return Example(image, depth, composition.focal_px, hole, fringe, guess, disparity, truth, log_disparity, known)
 
 
 def _below_each_other(maps: Tensor, between: float) -> Tensor:

@@ -46,8 +46,8 @@ def read_pieces(folder: Path, patterns: list[str], held_out: bool) -> Tensor:
     pieces = [piece for path in chosen for piece in _cut(path)]
     if not pieces:
         raise InputError(
-            f"{folder}: expected photographs ({', '.join(_SUFFIXES)}) {'that' if held_out else 'other than those that'} "
-            f"match {', '.join(patterns) or 'no pattern'}, found none of {len(paths)} large enough"
+            f"{folder}: expected photographs ({', '.join(_SUFFIXES)}) {'that' if held_out else 'that do not'} match "
+            f"{', '.join(patterns) or 'any pattern'}, found none of {len(paths)} that is large and bright enough"
         )
     return torch.stack(pieces)
 
@@ -107,7 +107,9 @@ def _leaves(count: int, rng: np.random.Generator, device: torch.device) -> Tenso
         across = across * (1 + 5 * u[:, 4].square())  # long and round ones
         distance = torch.where(u[:, 5] < 0.5, torch.hypot(along, across), torch.maximum(along.abs(), across.abs()))
         inside = ((radius - distance) * PIECE_PX + 0.5).clamp(0, 1)[:, None]
-        colour = palette[torch.arange(count, device=device), (5 * u[:, 6, 0, 0]).long()] + 0.25 * (u[:, 7:10, 0, 0] - 0.5)
+        colour = palette[torch.arange(count, device=device), (5 * u[:, 6, 0, 0]).long()] + 0.25 * (
+            u[:, 7:10, 0, 0] - 0.5
+        )
         wave = torch.sin(along * 2 * torch.pi * (10 + 70 * u[:, 10]))
         shade = 0.3 * (u[:, 11] - 0.5) * along / radius + torch.where(u[:, 12] < 0.3, 0.2 * u[:, 13] * wave, 0)
         image = torch.lerp(image, (colour[..., None, None] + shade[:, None]).clamp(0, 1), inside)

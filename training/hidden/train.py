@@ -88,7 +88,9 @@ class HiddenTrainer:
         report = torch.stack([weighted, norm, *terms.values()]).detach().tolist()
         return {"step": self.step - 1, "learning_rate": rate} | dict(zip(("loss", "gradient_norm", *terms), report))
 
-    def _take(self, optimizer: torch.optim.Optimizer, loss: torch.Tensor, rate: float, net: torch.nn.Module) -> torch.Tensor:
+    def _take(
+        self, optimizer: torch.optim.Optimizer, loss: torch.Tensor, rate: float, net: torch.nn.Module
+    ) -> torch.Tensor:
         for group in optimizer.param_groups:
             group["lr"] = rate
         optimizer.zero_grad(set_to_none=True)
