@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import statistics
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from training.evaluation import labelled, score_folder
 
 FLOORS = {"copy": "copy the input", "card": "flat card"}
 _SPLIT = "val"
+_TARGETS = ("cone_deg", "cone_margin", "elevation_deg", "target_data")  # fields that the report says in words
 LIMIT_BYTES = 64 << 20
 # The results of score_folder, for each arm and each scored folder.
 Scores = dict[str, dict[str, dict[str, Any]]]
@@ -52,13 +54,16 @@ def is_finished(run: TrainingConfig) -> bool:
     return True
 
 
-def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, Tensor]) -> dict[str, Any]:
+def score_arm(
+    run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, Tensor], now: bool = True
+) -> dict[str, Any] | None:
     """Return scores of a finished run in each folder.
 
     They stay beside the weights as long as the weights and the data are the same.
 
     Args:
         decoded: See score_folder.
+        now: Score it where that has not been done; False: return None then.
 
     Raises:
         InputError: the data cannot be used.
@@ -74,6 +79,8 @@ def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, 
     kept = weights.with_name("final_scores.json")
     if kept.exists() and (known := read_object(kept, LIMIT_BYTES)).get("of") == of:
         return known["scores"]
+    if not now:
+        return None
     device = choose_device(run.device)
     net = SplatterNet.from_pretrained(weights).to(device)
     scores = {
@@ -126,20 +133,34 @@ def lead_cell(lead: dict[str, float]) -> str:
     return f"{lead['psnr_db']:+.2f}{error} / {lead['ssim']:+.3f}"
 
 
+def _length(run: TrainingConfig) -> str:
+    """Return how long a run is, in words."""
+    if run.by_time:
+        return f"{run.total_seconds / 60:g} minutes, {run.targets + 1} views of each object"
+    samples = sum(stage.steps * stage.objects for stage in run.stages)
+    return f"{run.total_steps:,} steps, {samples:,} samples of {run.targets + 1} views"
+
+
+def _other_fields(arm: TrainingConfig, first: TrainingConfig) -> str:
+    """Return in words what an arm has otherwise than the first, beside its targets."""
+    names = arm.differences(json.loads(json.dumps(first.identity())))
+    others = [name for name in names if name not in _TARGETS]
+    return f"; other {', '.join(others)}" if others else ""
+
+
 def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
     """The tables: PSNR / SSIM of every arm and floor by angle, and the leads of the first arm."""
     run = next(iter(runs.values()))
-    samples = f"{sum(stage.steps * stage.objects for stage in run.stages):,} samples of {run.targets + 1} views"
     lines = [
         "# Targets inside the cone and all round",
         "",
-        f'Network `{run.model}`, {run.total_steps:,} steps, {samples}. PSNR in dB / SSIM; "all" are the novel '
+        f'Network `{run.model}`, {_length(run)}. PSNR in dB / SSIM; "all" are the novel '
         "views, +- the standard error over objects; 100 dB: equal.",
         "",
     ]
     lines += [
         f"- {name}: targets within {arm.azimuth_deg:g} degrees of azimuth and {arm.elevation_deg:g} of elevation "
-        f"of the source{'' if name in scores else '; not finished'}"
+        f"of the source{_other_fields(arm, run)}{'' if name in scores else '; not finished'}"
         for name, arm in runs.items()
     ]
     first, *others = scores
@@ -198,13 +219,21 @@ def save_figure(figure: Any, path: Path) -> None:
         figure.savefig(temporary, dpi=120)
 
 
-def write_report(output: Path, runs: dict[str, TrainingConfig], scored: dict[str, Path]) -> str:
-    """Score the arms that are finished, write report.json, report.md, angles.png, curves.png; returns the tables.
+def write_report(
+    output: Path, runs: dict[str, TrainingConfig], scored: dict[str, Path], scoring: Collection[str]
+) -> str:
+    """Score arms that are finished, write report.json, report.md, angles.png, curves.png; return the tables.
 
-    Raises InputError when no arm is finished, and as is_finished and score_arm.
+    Args:
+        scoring: The arms to score; the report has the others where they have been scored.
+
+    Raises:
+        InputError: no arm is finished; or as is_finished and score_arm.
     """
     decoded: dict[Path, Tensor] = {}
-    scores = {name: score_arm(run, scored, decoded) for name, run in runs.items() if is_finished(run)}
+    finished = {name: run for name, run in runs.items() if is_finished(run)}
+    found = {name: score_arm(run, scored, decoded, name in scoring) for name, run in finished.items()}
+    scores = {name: scores_of_arm for name, scores_of_arm in found.items() if scores_of_arm is not None}
     if not scores:
         raise InputError(f"{output}: found no finished arm: run the command without --report-only first")
     curves = {name: read_curve(run) for name, run in runs.items()}

@@ -17,7 +17,8 @@ class RunLog:
 
     losses.jsonl has a line per step: step, loss, gradient_norm, learning_rate and the terms of the loss. scores.jsonl
     has a line per validation: step (how many steps had been taken) and the scores. TensorBoard has the same (of
-    every tenth step) and steps_per_second. scored: step of the last validation, 0 before the first.
+    every tenth step) and steps_per_second. scored: step of the last validation, 0 before the first. total_steps: 0
+    where it is not known.
     """
 
     def __init__(self, output: Path, step: int, total_steps: int, writes: bool) -> None:
@@ -33,7 +34,7 @@ class RunLog:
         self._score_lines.seek(0)
         self.scored = max((json.loads(line)["step"] for line in self._score_lines), default=0)
         self._board = SummaryWriter(output / "tensorboard", purge_step=step)
-        self._progress = tqdm(total=total_steps, initial=step, unit="step", dynamic_ncols=True)
+        self._progress = tqdm(total=total_steps or None, initial=step, unit="step", dynamic_ncols=True)
 
     def __enter__(self) -> RunLog:
         return self

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import math
 import signal
+import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +20,7 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
-from training.config import TrainingConfig
+from training.config import Stage, TrainingConfig
 from training.data.batches import make_batch
 from training.data.cache import CachedSet, load_set
 from training.data.distance import distance_doubt
@@ -60,8 +63,11 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
         [poses[partner] for partner in partners],
     )
     photographs = read_photographs(Path(config.photographs)) if config.photographs else None
+    views = ResidentViews(sets + target_sets, team.device)
+    if tell and team.leads:
+        _tell_pixels(config.stages, views)
     return BatchPlanner(
-        ResidentViews(sets + target_sets, team.device),
+        views,
         sampler,
         config.augmentation,
         partners,
@@ -94,6 +100,14 @@ def _tell(sets: list[CachedSet]) -> None:
         note(f"{len(doubts)} objects may teach nothing; the first: {doubts[0]}")
 
 
+def _tell_pixels(stages: list[Stage], views: ResidentViews) -> None:
+    """Note where a sheet of detail is finer than the stored views."""
+    finest = max(stage.detail * stage.image_size_px for stage in stages)
+    stored = float(np.median(views.squares[:, 2])) if len(views.squares) else finest
+    if stored < finest:
+        note(f"stages: detail: the sheet has {finest} px, objects of the stored views {stored:.0f} in the median")
+
+
 @contextmanager
 def termination_noticed() -> Iterator[list[int]]:
     """Collects SIGTERM and SIGINT in a list, so that the step under way can end and be saved."""
@@ -109,26 +123,40 @@ def termination_noticed() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def plans(planner: BatchPlanner, config: TrainingConfig, start: int, team: Team) -> Iterator[BatchPlan]:
-    """This process's plans from step `start` on, each made while the step before it runs."""
+class Planned(NamedTuple):
+    """A step to take: its plan, its stage, and whether it is the last of the run."""
 
-    def plan(step: int) -> BatchPlan:
-        stage, drawn = config.stage_at(step)
-        return planner.plan(step, drawn, stage.objects, stage.image_size_px, stage.target_px, team.split(stage.objects))
+    plan: BatchPlan
+    stage: Stage
+    last: bool
+
+
+def plans(planner: BatchPlanner, trainer: Trainer) -> Iterator[Planned]:
+    """Return this process's plans from the trainer's step on, each made while the step before it runs."""
+    config, team = trainer.config, trainer.team
+
+    def submitted(step: int) -> tuple[Stage, Future[BatchPlan]] | None:
+        if config.is_over(step, trainer.seconds):
+            return None
+        stage, drawn = config.stage_at(step, trainer.seconds)
+        sizes, part = (stage.image_size_px, stage.target_px), team.split(stage.objects)
+        finer = {"finer": max(1, stage.detail), "zoom": stage.target_zoom}
+        return stage, pool.submit(planner.plan, step, drawn, stage.objects, *sizes, part, **finer)
 
     with ThreadPoolExecutor(1) as pool:
-        following = pool.submit(plan, start) if start < config.total_steps else None
-        for step in range(start, config.total_steps):
-            now = following.result()
-            if step + 1 < config.total_steps:
-                following = pool.submit(plan, step + 1)
-            yield now
+        step = trainer.step
+        following = submitted(step)
+        while following is not None:
+            stage, future = following
+            plan, step = future.result(), step + 1
+            following = submitted(step)
+            yield Planned(plan, stage, following is None)
 
 
-def _record(values: StepValues, log: RunLog) -> bool:
-    """Reads and logs a step; whether any process had been told to end. Raises InputError when it went wrong."""
+def _record(values: StepValues, trainer: Trainer, log: RunLog) -> bool:
+    """Read and log a step; return whether any process had been told to end. Raise InputError when it went wrong."""
     found = values.read()
-    stop = found.pop("stop") > 0
+    stop, trainer.seconds = found.pop("stop") > 0, found.pop("seconds")
     if not math.isfinite(found["gradient_norm"]):
         raise InputError(
             f"step {values.step}: the gradient is not finite: lower optimizer.learning_rate, and run the "
@@ -138,14 +166,16 @@ def _record(values: StepValues, log: RunLog) -> bool:
     return stop
 
 
-def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> None:
+def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor], over: bool) -> None:
     """Score the averaged weights on objects of the validation folder, if that is due and not done.
 
     Args:
         decoded: See score_folder.
+        over: Whether the run is. Stages that end by the clock end with scores.
     """
     config = trainer.config
-    if not (trainer.team.leads and config.scores_due(trainer.step)) or trainer.step <= log.scored:
+    due = config.scores_due(trainer.step) or (over and config.by_time and bool(config.validation))
+    if not (trainer.team.leads and due) or trainer.step <= log.scored:
         return
     report = score_folder(
         trainer.average.average,
@@ -166,24 +196,26 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     config, team = trainer.config, trainer.team
     behind: StepValues | None = None
     decoded: dict[Path, Tensor] = {}
-    _validate(trainer, log, decoded)  # owed by a run that ended between a checkpoint and its scores
+    # Owed by a run that ended between a checkpoint and its scores
+    _validate(trainer, log, decoded, config.is_over(trainer.step, trainer.seconds))
     log.resume_clock()
-    for plan in plans(planner, config, trainer.step, team):
-        ahead = trainer.advance(make_batch(plan, planner.views, config.compile), stop=bool(signals))
+    begun = time.monotonic() - trainer.seconds
+    for plan, stage, last in plans(planner, trainer):
+        batch = make_batch(plan, planner.views, config.compile)
+        ahead = trainer.advance(batch, stage, stop=bool(signals), seconds=time.monotonic() - begun)
         # A step is read while the next one runs, so that the device always has work. All processes read the same.
-        stop = behind is not None and _record(behind, log)
-        last = trainer.step == config.total_steps
+        stop = behind is not None and _record(behind, trainer, log)
         behind = ahead
         if not (stop or last or config.scores_due(trainer.step) or trainer.step % config.checkpoint_every == 0):
             continue
-        stop, behind = _record(ahead, log) or stop, None
+        stop, behind = _record(ahead, trainer, log) or stop, None
         log.mark_speed()
         if team.leads:
             save_checkpoint(Path(config.output_dir) / "last.pt", trainer.state())
         if stop and not last:
             log.say(f"stopped by a signal after step {trainer.step}; run the same command to resume")
             return False
-        _validate(trainer, log, decoded)
+        _validate(trainer, log, decoded, last)
         log.resume_clock()
     return True
 

@@ -16,6 +16,7 @@ from training.data.batches import make_batch
 from training.distributed import Team, join_team
 from training.loop import make_planner, plans
 from training.marks import PartTime, StepMarks
+from training.ranges import MOST
 from training.train import parse
 from training.trainer import Trainer
 
@@ -25,11 +26,11 @@ RASTERIZER = ("rasterizer", "rasterizer backward")
 def _profile(config: TrainingConfig, steps: int, warm_up: int, team: Team) -> list[PartTime] | None:
     """Do the work of profile() as one of a team."""
     trainer, planner, behind = Trainer(config, team), make_planner(config, team), None
-    for plan in islice(plans(planner, config, 0, team), warm_up + steps):
+    for plan, stage, _ in islice(plans(planner, trainer), warm_up + steps):
         if trainer.step == warm_up:
             trainer.marks = StepMarks(team.device)
             trainer.marks.mark("start")
-        ahead = trainer.advance(make_batch(plan, planner.views, config.compile))
+        ahead = trainer.advance(make_batch(plan, planner.views, config.compile), stage)
         if behind is not None:
             behind.read()
         behind = ahead
@@ -71,10 +72,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=100, help="steps to measure")
     parser.add_argument("--warm-up", type=int, default=30, help="steps before these")
     config, options = parse(parser, arguments)
-    if options.steps < 2 or options.warm_up < 0 or options.steps + options.warm_up > config.total_steps:
+    most = MOST if config.by_time else config.total_steps
+    if options.steps < 2 or options.warm_up < 0 or options.steps + options.warm_up > most:
         raise InputError(
-            f"--steps and --warm-up: expected at least 2 and 0, not more together than the "
-            f"{config.total_steps} steps of the run, got {options.steps} and {options.warm_up}"
+            f"--steps and --warm-up: expected at least 2 and 0, not more together than the {most} steps of the run, "
+            f"got {options.steps} and {options.warm_up}"
         )
     found = profile(config, options.steps, options.warm_up)
     if found is not None:

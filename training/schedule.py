@@ -7,16 +7,28 @@ import math
 import torch
 from torch import Tensor, nn
 
-from training.config import OptimizerConfig
+from training.config import OptimizerConfig, TrainingConfig
 
 
-def learning_rate(step: int, total_steps: int, config: OptimizerConfig) -> float:
-    """Return the rate of a step: a linear warm-up, then a cosine from the peak to final_share times the peak."""
-    if step < config.warmup_steps:
-        return config.learning_rate * (step + 1) / config.warmup_steps
-    progress = (step - config.warmup_steps) / max(1, total_steps - config.warmup_steps)
-    fraction = config.final_share + (1 - config.final_share) * 0.5 * (1 + math.cos(math.pi * progress))
-    return config.learning_rate * fraction
+def progress(step: int, seconds: float, config: TrainingConfig) -> float:
+    """Return the fraction of a run that is done after some steps and seconds, 0..1; the warm-up's steps count nothing.
+
+    Where stages end by the clock, it is the fraction of the time.
+    """
+    if config.by_time:
+        return min(1.0, seconds / config.total_seconds)
+    warmup = config.optimizer.warmup_steps
+    return max(0, step - warmup) / max(1, config.total_steps - warmup)
+
+
+def learning_rate(step: int, done: float, config: OptimizerConfig) -> float:
+    """Return the rate of a step: a linear warm-up of a cosine from the peak to final_share times the peak.
+
+    Args:
+        done: See progress.
+    """
+    fraction = config.final_share + (1 - config.final_share) * 0.5 * (1 + math.cos(math.pi * done))
+    return config.learning_rate * fraction * min(1.0, (step + 1) / max(1, config.warmup_steps))
 
 
 def make_optimizer(net: nn.Module, config: OptimizerConfig) -> torch.optim.AdamW:

@@ -115,6 +115,7 @@ class PhotoOptions:
         fov: angle of the longer side, degrees.
         intrinsics: fx, fy, cx, cy in pixels.
         fit: how the photo fills a panel of another shape.
+        is_in_row: whether pictures that follow are fitted as this one: about their middle, not about its subject.
     """
 
     mask: Path | None = None
@@ -135,6 +136,7 @@ class PhotoOptions:
     fov: float | None = None
     intrinsics: tuple[float, ...] | None = None
     fit: Fit | None = None
+    is_in_row: bool = False
 
     @property
     def is_estimated(self) -> bool:

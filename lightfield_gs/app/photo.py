@@ -345,6 +345,7 @@ def _place(
             widest_tan=amount * math.tan(math.radians(cone) / 2),
             zoom=look.zoom or 1,
             on_near=True,
+            about_middle=options.is_in_row,
         )
 
     found = placed(options.fit or "auto")

@@ -171,6 +171,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     photo, shown, halved = _find_half(photo, pictures, count, folder)
     choice = read_camera(options.camera, panel)
 
+    photo = replace(photo, is_in_row=not motion.reframe)
     _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
     check_scene_options(own, options.camera)
     first = load_scene(own, options.render, look, panel, device, watch)
@@ -178,12 +179,8 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
         raise InputError(f"{first.path} is a file of Gaussians; a sequence takes pictures")
     if first.photo.options.is_estimated:  # also where no object is cut out
         photo = replace(photo, depth=AUTO)
-    if first.photo.placed is not None and photo.fit in (None, "auto") and not motion.reframe:
+    if first.photo.placed is not None and photo.is_in_row:
         photo = replace(photo, fit=first.photo.placed.fit)
-        if photo.fit == "cover":  # about the middle, not about the subject of the first picture
-            _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
-            with _unheard():
-                first = load_scene(own, options.render, look, panel, device, watch)
     messages = [*paired, *halved, *(note for part in parts.values() for note in part.notes)]
     rig, how = frame_scene(choice, look, first, panel)
 

@@ -75,6 +75,7 @@ def fit_to_panel(
     widest_tan: float | None = None,
     zoom: float = 1.0,
     on_near: bool = False,
+    about_middle: bool = False,
 ) -> PanelFit:
     """Return the rig of the photo's camera that shows it on the panel, and the margin that all of its views need.
 
@@ -92,6 +93,8 @@ def fit_to_panel(
         zoom: Factor of the size of the picture.
         on_near: Whether the zero plane may move to a subject afterwards, which is anywhere from near to the depth of
             the picture's middle; the margin is enough for that.
+        about_middle: Whether "auto" crops about the photo's middle, as for a picture of a video. It is contain if that
+            would crop the subject.
 
     Raises:
         InputError: `fit` is invalid.
@@ -102,7 +105,7 @@ def fit_to_panel(
     scales = panel.width_px / width * focal_px[0] / focal_px[1], panel.height_px / height
     middle = width / 2, height / 2
     if fit == "auto":
-        fit, middle = _choose_fit(depth, scales)
+        fit, middle = _choose_fit(depth, scales, about_middle)
     scale = max(scales) if fit == "cover" else min(scales)
     sizes = scale * focal_px[1] / focal_px[0], scale
     focal = sizes[0] * focal_px[0], sizes[1] * focal_px[1]
@@ -138,12 +141,13 @@ def _middle_depth(depth: Tensor, near: float) -> float:
     return max(near, float(np.quantile(known, _C.middle))) if len(known) else near
 
 
-def _choose_fit(depth: Tensor, scales: tuple[float, float]) -> tuple[Fit, tuple[float, float]]:
+def _choose_fit(depth: Tensor, scales: tuple[float, float], about_middle: bool) -> tuple[Fit, tuple[float, float]]:
     """Return "cover" or "contain", and the point x, y of the photo that comes to the panel's middle.
 
     Args:
         depth: [H, W], z of the photo.
         scales: Pixels of the panel by pixels of the photo at which the photo is as wide and as high as the panel.
+        about_middle: See fit_to_panel.
     """
     height, width = depth.shape
     whole = width / 2, height / 2
@@ -152,10 +156,11 @@ def _choose_fit(depth: Tensor, scales: tuple[float, float]) -> tuple[Fit, tuple[
     if box is None:
         cropped = 1 - min(scales) / max(scales)
         return ("contain" if cropped > _C.most_cropped else "cover"), whole
-    if any(box[axis + 2] - box[axis] > shown[axis] for axis in (0, 1)):
-        return "contain", whole
-    wanted = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
+    wanted = whole if about_middle else ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
     x, y = (min(max(at, part / 2), size - part / 2) for at, part, size in zip(wanted, shown, (width, height)))
+    reach = [part / 2 + 1e-6 for part in shown]
+    if any(at - far > first or at + far < last for at, far, first, last in zip((x, y), reach, box[:2], box[2:])):
+        return "contain", whole
     return "cover", (x, y)
 
 

@@ -9,6 +9,7 @@ from functools import reduce
 import numpy as np
 from scipy import ndimage
 
+from lightfield_gs.photo.foreground import mix_edges
 from lightfield_gs.photo.image_filters import row_strips
 
 # Memory
@@ -166,8 +167,8 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
 
     The background has about the border's colour. It is connected to the border. A patch inside the object counts too if
     it has exactly this colour and is as large as a hole, as in a handle. Smaller spots stay opaque. The edge is soft:
-    alpha rises with the distance in colour. Where the border is noisy, colours are means over a few pixels. Photos of
-    more than 16 megapixels are cut out by the means of blocks of 2 x 2 pixels and more.
+    alpha is the object's share of the mixture with the background. Where the border is noisy, colours are means over a
+    few pixels. Photos of more than 16 megapixels are cut out by the means of blocks of 2 x 2 pixels and more.
 
     Args:
         rgb: [H, W, 3], uint8 or floats in 0..1.
@@ -198,6 +199,7 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     distance -= _C.near
     distance /= _C.far - _C.near
     distance.clip(0, 1, out=distance)[~outside] = 1
+    mix_edges(rgb, distance, background.colours)
     return PlainCut(distance, *lost)
 
 

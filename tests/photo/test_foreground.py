@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from lightfield_gs.io.images import write_image
-from lightfield_gs.photo.foreground import clean_edges, estimate_foreground
+from lightfield_gs.photo.foreground import clean_edges, estimate_foreground, mix_edges
 from lightfield_gs.photo.load import load_photo
 
 SIZE = 96
@@ -46,6 +46,30 @@ def test_a_cut_out_tells_whether_its_edges_carry_the_background(background):
     clean = np.where(ALPHA[..., None] > 0, OWN, np.asarray(background)).astype(np.float32)
     kept = clean.copy()
     assert not clean_edges(kept, ALPHA, has_background=False) and np.array_equal(kept, clean)
+
+
+@pytest.mark.parametrize("backdrop", [(0.95, 0.95, 0.95), (0.1, 0.7, 0.2)])
+def test_alpha_of_an_edge_is_the_share_of_a_mixture(backdrop):
+    photo, colours = over(backdrop), np.zeros((3, 3), np.float32)
+    colours[0] = backdrop
+    by_distance = ((np.linalg.norm(photo - backdrop, axis=2) - 0.06) / 0.08).clip(0, 1).astype(np.float32)
+    mixed = by_distance.copy()
+    mix_edges(photo, mixed, colours)
+    errors = [np.abs(alpha - ALPHA)[EDGE].mean() for alpha in (mixed, by_distance)]
+    assert errors[0] < 0.6 * errors[1]
+
+
+def test_a_dark_halo_is_background_and_a_drawn_outline_is_not():
+    grey, colours = np.full(3, 0.5, np.float32), np.zeros((3, 3), np.float32)
+    colours[0] = grey
+    radius = np.hypot(ROWS - 0.5, COLUMNS - 0.5)
+    ring, inside = (radius >= 0.35) & (radius < 0.37), radius < 0.31
+    for outline, least, most in ((0.4, 0.0, 0.2), (0.0, 0.95, 1.0)):
+        photo = np.where((radius < 0.35)[..., None], (0.9, 0.4, 0.3), grey).astype(np.float32)
+        photo[ring] = outline
+        alpha = (radius < 0.37).astype(np.float32)
+        mix_edges(photo, alpha, colours)
+        assert least <= alpha[ring].mean() <= most and (alpha[inside] == 1).all()
 
 
 def test_photos_are_cleaned_as_they_are_read(tmp_path):

@@ -22,9 +22,10 @@ def on_the_ground(left: int, right: int, top: int = 30, bottom: int = 90) -> tor
     return 1 / disparity
 
 
-def fitted(depth: torch.Tensor, width_px: int, height_px: int, fit: Fit = "auto"):
+def fitted(depth: torch.Tensor, width_px: int, height_px: int, fit: Fit = "auto", about_middle: bool = False):
     panel = replace(lf.Panel.load("toy-8v"), width_px=width_px, height_px=height_px)
-    return panel, fit_to_panel(depth, (150.0, 150.0), (WIDTH / 2, HEIGHT / 2), panel, fit)
+    middle = WIDTH / 2, HEIGHT / 2
+    return panel, fit_to_panel(depth, (150.0, 150.0), middle, panel, fit, about_middle=about_middle)
 
 
 @pytest.mark.parametrize("left, right", [(80, 120), (20, 60), (10, 170)])
@@ -49,6 +50,12 @@ def test_a_photo_is_cropped_about_its_subject():
     # Nothing of the photo is missing beside it, and explicit options keep the middle
     assert scale * (0 - WIDTH / 2) + placed.rig.principal_point_px[0] <= 0.01
     assert fitted(on_the_ground(20, 60), 70, 100, "cover")[1].rig.principal_point_px[0] == pytest.approx(35)
+
+
+def test_pictures_in_a_row_are_cropped_about_their_middle_if_the_subject_is_there():
+    in_the_middle, beside = (fitted(on_the_ground(*at), 70, 100, "auto", True)[1] for at in ((75, 105), (20, 60)))
+    assert in_the_middle.fit == "cover" and in_the_middle.rig.principal_point_px[0] == pytest.approx(35)
+    assert beside.fit == "contain"
 
 
 def test_a_subject_as_wide_as_the_photo_is_shown_whole():

@@ -425,7 +425,7 @@ def test_a_run_takes_steps_on_meshes_alone(packs, small_set):
     config = train.read_config(["--config", str(path)])
     alone = Team(torch.device("cpu"))
     trainer, planner = Trainer(config, alone), make_planner(config, alone)
-    batches = (make_batch(plan, planner.views) for plan in islice(plans(planner, config, 0, alone), 2))
+    batches = (make_batch(plan, planner.views) for plan, *_ in islice(plans(planner, trainer), 2))
     values = [trainer.advance(batch).read() for batch in batches]
     assert all(np.isfinite(one["loss"]) and one["gradient_norm"] > 0 for one in values)
     assert config.identity()["meshes"]["folder"] == "packs"

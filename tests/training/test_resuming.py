@@ -84,6 +84,23 @@ def test_killed_run_resumes_to_the_same_losses(small_set):
     assert list((small_set / "whole/tensorboard").iterdir())
 
 
+def test_a_run_by_the_clock_ends_with_scores_also_when_it_was_stopped(small_set):
+    """The time before a stop counts: the second stage comes and the run ends after the time of both starts."""
+    stages = [{"minutes": minutes, "image_size_px": size, "objects": 2} for minutes, size in ((0.05, 16), (0.03, 32))]
+    config = run_config(small_set, "timed", stages=stages, validation=str(small_set / "set"), validation_objects=1)
+    _interrupt(config, small_set / "timed", signal.SIGTERM)
+    first = losses(small_set / "timed")
+    seconds = torch.load(small_set / "timed/last.pt", weights_only=True)["seconds"]
+    assert 0 < seconds < 4.5
+    finish(config)
+    lines = losses(small_set / "timed")
+    rates = [json.loads(line)["learning_rate"] for line in lines]
+    assert lines[: len(first)] == first and rates[-1] < 0.1 * max(rates)
+    (scores,) = (small_set / "timed/scores.jsonl").read_text().splitlines()
+    assert json.loads(scores)["step"] == len(lines)
+    assert torch.load(small_set / "timed/last.pt", weights_only=True)["seconds"] >= 4.8
+
+
 def test_scores_that_a_run_owes_are_taken_when_it_goes_on(small_set):
     """A run killed after a checkpoint and before its scores; a line of a step that is taken again is dropped."""
     config = run_config(

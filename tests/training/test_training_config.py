@@ -28,6 +28,17 @@ def test_stages_count_steps_and_examples():
         config.stage_at(15)
 
 
+def test_stages_by_the_clock_follow_the_time():
+    stages = [Stage(minutes=1, image_size_px=64, objects=8), Stage(minutes=0.5, image_size_px=128, objects=4)]
+    config = TrainingConfig("out", ["data"], stages)
+    assert config.stage_at(7, 59.9) == (stages[0], 56) and config.stage_at(7, 60.0) == (stages[1], 28)
+    assert not config.is_over(10**6, 89.9) and config.is_over(0, 90.0)
+    with pytest.raises(InputError, match="minutes for all stages or for none"):
+        dataclasses.replace(config, stages=[*stages, Stage(3, 64, 8)])
+    with pytest.raises(InputError, match="steps or minutes, got both"):
+        Stage(3, 64, 8, minutes=1.0)
+
+
 @pytest.mark.parametrize(
     "arguments, word",
     [
@@ -148,8 +159,10 @@ def test_numbers_out_of_range_are_refused_before_the_first_step(small_set, capsy
 def test_a_run_that_was_stored_before_a_field_existed_has_its_default():
     config = TrainingConfig("out", ["data"], [Stage(5, 16, 2)])
     stored = json.loads(json.dumps(config.identity()))
-    del stored["symmetric"], stored["augmentation"]["noise"]
+    del stored["symmetric"], stored["augmentation"]["noise"], stored["stages"][0]["minutes"]
+    stored["detail"] = 0.0  # a field that was removed
     assert config.differences(stored) == []
+    assert config.differences(stored | {"detail": 0.5}) == ["detail"]
     stored["augmentation"]["mirror"] = 0.25
     assert config.differences(stored | {"seed": 3}) == ["augmentation", "seed"]
     assert "stages" in config.differences(None) and "unet" in config.differences(stored | {"unet": {}})
@@ -174,7 +187,7 @@ SHIPPED = [
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_configurations_can_be_read(name):
     config = train.read_config(["--config", str(config_path("training", name))])
-    assert config.total_steps > 0
+    assert config.total_steps > 0 or config.by_time
     assert ModelConfig.from_yaml(config.model).image_size_px == config.stages[-1].image_size_px
 
 
