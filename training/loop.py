@@ -109,7 +109,7 @@ def _tell_pixels(stages: list[Stage], views: ResidentViews) -> None:
 
 
 @contextmanager
-def _termination_noticed() -> Iterator[list[int]]:
+def termination_noticed() -> Iterator[list[int]]:
     """Collects SIGTERM and SIGINT in a list, so that the step under way can end and be saved."""
     received: list[int] = []
     former = {
@@ -242,7 +242,7 @@ def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
     if team.leads:
         cut_log(output / "losses.jsonl", trainer.step)
         cut_log(output / "scores.jsonl", trainer.step + 1)
-    with _termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
+    with termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
         finished = _run(trainer, planner, log, signals)
         log.say_speed()
     if not (finished and team.leads):

@@ -33,6 +33,8 @@ class HiddenConstants:
     same_depth: float = 0.1  # relative difference of depths up to which a pixel close by is of the same surface
     texture: float = 0.02  # length by the width: up to some 6 times it is texture, beyond it the first guess decides
     bend: float = 0.15  # largest relative change of disparity of a surface where it continues
+    # a far surface ends where the next one lies beyond this part of the way from the cover to it, in log z
+    comes_back: float = 0.6
     fringe_disparity: float = 0.97  # largest disparity of the fringe by that of the surface in front
 
 
@@ -127,7 +129,7 @@ def _find_runs(depth: Tensor, focal_px: float) -> _Run:
     z = depth.T.contiguous()  # a column is a row: it is read again and again
     torn = ~joined(depth, focal_px).T
     nearer = z[1:] < z[:-1]
-    far, reach = z.new_zeros(height), z.new_zeros(height)
+    far, reach, cover = z.new_zeros(height), z.new_zeros(height), z.new_zeros(height)
     source = torch.full((width, height), -1, dtype=torch.int64, device=z.device)
     distance = torch.zeros((width, height), device=z.device)
     current, since = source[0].clone(), torch.zeros_like(far)
@@ -139,10 +141,14 @@ def _find_runs(depth: Tensor, focal_px: float) -> _Run:
         far = torch.where(begins, z[column - 1], far)
         current = torch.where(begins, column - 1, current)
         since = torch.where(begins, 1.0, since + 1)
+        cover = torch.where(begins, z[column], torch.minimum(cover, z[column]))
         ratio = far / z[column] - 1
         reach = torch.where(begins, 0.0, reach)
         reach = torch.maximum(reach, (focal_px * _C.widest_tan * ratio).clamp(max=most))
         ends = (since > reach + _C.fringe_px) | ~(z[column] < far)
+        # A slanted surface comes into view again a little nearer than it went out of view
+        comes_back = far**_C.comes_back * cover ** (1 - _C.comes_back)
+        ends |= torn[column - 1] & ~nearer[column - 1] & (z[column] > comes_back)
         current = torch.where(ends, -1, current)
         source[column], distance[column] = current, since
     return source.T.contiguous(), distance.T.contiguous()

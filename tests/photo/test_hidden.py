@@ -50,6 +50,13 @@ def test_a_texture_goes_on_as_a_texture():
     assert (colours - image)[inner].abs().mean() < 0.15
 
 
+def test_a_slanted_plane_is_not_hidden_where_it_comes_into_view_again():
+    """It does so nearer to the camera than it went out of view."""
+    plane = 1 / (0.3 + 0.002 * COLUMNS)
+    found = find_hidden(torch.zeros(HEIGHT, WIDTH, 3), torch.where(SQUARE, 1.0, plane), (FOCAL, FOCAL))
+    assert found.hole[SQUARE].all() and not found.hole[30:60, 94:].any()
+
+
 def test_without_edges_nothing_is_hidden():
     found = find_hidden(torch.zeros(HEIGHT, WIDTH, 3), PLANE, (FOCAL, FOCAL))
     assert not found.hole.any() and from_depth(torch.zeros(HEIGHT, WIDTH, 3), PLANE).count == HEIGHT * WIDTH
