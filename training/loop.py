@@ -200,7 +200,11 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     _validate(trainer, log, decoded, config.is_over(trainer.step, trainer.seconds))
     log.resume_clock()
     begun = time.monotonic() - trainer.seconds
+    former = None
     for plan, stage, last in plans(planner, trainer):
+        if former not in (None, stage) and team.leads:
+            _save_weights(trainer, f"stage-{config.stages.index(former) + 1}.safetensors")
+        former = stage
         batch = make_batch(plan, planner.views, config.compile)
         ahead = trainer.advance(batch, stage, stop=bool(signals), seconds=time.monotonic() - begun)
         # A step is read while the next one runs, so that the device always has work. All processes read the same.
@@ -220,6 +224,14 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     return True
 
 
+def _save_weights(trainer: Trainer, name: str) -> Path:
+    """Write the averaged weights into the run's folder; return their path."""
+    path = Path(trainer.config.output_dir) / name
+    notes = {"steps": str(trainer.step), "training": json.dumps(trainer.config.identity())}
+    trainer.average.average.save(path, notes)
+    return path
+
+
 def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
     """Do the work of train() as one of a team."""
     for stage in config.stages:
@@ -235,9 +247,7 @@ def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
         log.say_speed()
     if not (finished and team.leads):
         return None
-    weights = output / "model.safetensors"
-    trainer.average.average.save(weights, {"steps": str(trainer.step), "training": json.dumps(config.identity())})
-    return weights
+    return _save_weights(trainer, "model.safetensors")
 
 
 def train(config: TrainingConfig) -> Path | None:
