@@ -50,6 +50,7 @@ class Hidden(NamedTuple):
         fringe: bool [H, W], the visible pixels of hole.
         disparity: [H, W], of the far surface in hole; of the photo elsewhere.
         image: [H, W, 3], first colours in hole.
+        nearest: [H, W], largest disparity of the far surface: it lies behind what covers it.
         linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows belong to one
             surface of `disparity`.
     """
@@ -58,6 +59,7 @@ class Hidden(NamedTuple):
     fringe: Tensor
     disparity: Tensor
     image: Tensor
+    nearest: Tensor
     linked: list[Tensor]
 
 
@@ -85,17 +87,17 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     mirrored = torch.where(mirrored >= 0, depth.shape[1] - 1 - mirrored, -1).flip(1)
     runs = [(source, distance), (mirrored, other.flip(1))]
     disparity = 1 / depth
-    covered = (source >= 0) | (mirrored >= 0)
+    covered = _tall(source >= 0) | _tall(mirrored >= 0)
     # At most a fringe off a covering pixel, and farther than it
     fringe = disparity < _C.fringe_disparity * max_filter(torch.where(covered, disparity, 0), _C.fringe_px)
     fringe &= ~covered
     hole = covered | fringe
     if not bool(hole.any()):
-        return Hidden(hole, fringe, disparity, image, [])
+        return Hidden(hole, fringe, disparity, image, torch.full_like(disparity, torch.inf), [])
     guess, slope = _continue_disparity(disparity, depth, focal_px, runs, covered)
     colours = _continue_colours(image, depth, runs, covered)
     # Held at the visible far surfaces: everything but the hole. Where the guess is torn, two surfaces meet.
-    linked = [joined_with(1 / guess.clamp_min(1e-30), dim, focal_px[1 - dim]) for dim in (0, 1)]
+    linked = [_linked(guess, hole, dim, focal_px[1 - dim]) for dim in (0, 1)]
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
     # In the fringe the depths may be mixed like the colours: the farthest one close by is of the far surface
     far = torch.where(hole & ~fringe, bent, torch.where(disparity > 0, disparity, torch.inf))
@@ -103,8 +105,8 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     nearest = torch.where(covered, _C.behind * disparity, torch.where(fringe, far, torch.inf))
     bent = torch.minimum(bent.clamp(guess * (1 - _C.bend), guess * (1 + _C.bend)), nearest)
     known = disparity[disparity > 0]
-    bent = bent.clamp(known.min(), known.max())
-    return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, linked)
+    nearest, bent = nearest.clamp_max(known.max()), bent.clamp(known.min(), known.max())
+    return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, nearest, linked)
 
 
 def fill_hidden(hidden: Hidden, depth: Tensor) -> Tensor:
@@ -121,6 +123,22 @@ def fill_hidden(hidden: Hidden, depth: Tensor) -> Tensor:
 def joined_with(depth: Tensor, dim: int, focal_px: float) -> Tensor:
     """Return whether each pixel and the next along this dimension belong to one surface, bool, one shorter in it."""
     return joined(depth, focal_px) if dim == 1 else joined(depth.T, focal_px).T
+
+
+def _tall(covered: Tensor) -> Tensor:
+    """Return the covered pixels [H, W] of columns of three or more: fewer come of noise in the depths of a row."""
+    # Beyond the map counts as covered
+    beside = torch.nn.functional.pad(covered, (0, 0, 2, 2), value=True)
+    middles = beside[:-2] & beside[1:-1] & beside[2:]
+    return covered & (middles[:-2] | middles[1:-1] | middles[2:])
+
+
+def _linked(disparity: Tensor, hole: Tensor, dim: int, focal_px: float) -> Tensor:
+    """Return whether each pixel and the next are of one surface; first guesses in the hole differ from row to row."""
+    ratio = disparity.narrow(dim, 1, disparity.shape[dim] - 1) / disparity.narrow(dim, 0, disparity.shape[dim] - 1)
+    inside = hole.narrow(dim, 1, hole.shape[dim] - 1) & hole.narrow(dim, 0, hole.shape[dim] - 1)
+    similar = inside & ((ratio - 1).abs() < _C.same_depth)
+    return joined_with(1 / disparity.clamp_min(1e-30), dim, focal_px) | similar
 
 
 def _find_runs(depth: Tensor, focal_px: float) -> _Run:

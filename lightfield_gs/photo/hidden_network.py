@@ -15,6 +15,8 @@ from torch import Tensor, nn
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.photo.hidden import Hidden
+from lightfield_gs.photo.inpainting import solve_membrane
 
 _CHANNELS = (24, 48, 72, 96, 128)  # at a half, a quarter, ... of the picture's size
 _BLOCKS = (1, 2, 2, 2)  # on the way down; the last level has its own
@@ -107,6 +109,31 @@ class HiddenNet(nn.Module):
             reason = " ".join(str(error).split())[:200]
             raise InputError(f"{path}: expected the weights of the network for hidden surfaces, but {reason}") from None
         return net.requires_grad_(False).eval()
+
+
+@torch.no_grad()
+def paint_hidden(net: HiddenNet, image: Tensor, depth: Tensor, found: Hidden) -> tuple[Hidden, Tensor]:
+    """Return the hidden layer with the network's disparities, and its colours [H,W,3].
+
+    Args:
+        image: [H,W,3], the photo, 0..1.
+        depth: [H,W], its z, sharp at edges.
+        found: What find_hidden finds.
+    """
+    guess = solve_membrane(found.image, found.hole, found.linked)
+    if not bool(found.hole.any()):
+        return found, guess
+    seen = HiddenInput(
+        image=image.movedim(2, 0)[None],
+        log_disparity=-depth.log()[None],
+        guess=guess.movedim(2, 0)[None],
+        guess_log_disparity=found.disparity.log()[None],
+        hole=found.hole[None],
+        fringe=found.fringe[None],
+    )
+    colours, changed = net(seen)
+    disparity = torch.where(found.hole, torch.minimum(changed[0].exp(), found.nearest), found.disparity)
+    return found._replace(disparity=disparity), colours[0].movedim(0, 2).clamp(0, 1)
 
 
 class _Block(nn.Module):
