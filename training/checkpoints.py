@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
 from lightfield_gs.base.cli_messages import is_out_of_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from training.config import TrainingConfig
+
+
+class RunConfig(Protocol):
+    """Configuration of a run."""
+
+    def differences(self, stored: object) -> list[str]:
+        """Return the names of the fields that differ from those that a checkpoint stores as its identity."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -24,7 +30,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
             os.fsync(file.fileno())
 
 
-def load_checkpoint(path: Path, config: TrainingConfig) -> dict[str, Any]:
+def load_checkpoint(path: Path, config: RunConfig) -> dict[str, Any]:
     """Read a checkpoint. Raises InputError when it is damaged or belongs to a run with another configuration.
 
     What may come of a whole file is let through: OSError, and errors of memory.

@@ -4,15 +4,16 @@ It repeats Table 2 and Figure 7 of Shi et al., "Single-View Encoding of 3D Light
 Gaussian Splatting", Photonics 2025, 12(3), 279. One network is trained with targets inside the panel's
 cone or from all round the object, and scored inside the cone.
 
-The arms of a comparison are runs that differ in their targets only: network, steps, samples, objects, source pictures
-and their augmentation are the same. A set whose views lie in a cone has no targets all round, and one with views all
-round gives a cone too few. So sources are always views of `data`. An arm may take its targets from other folders with
-the same objects in the same world (`target_data`). A view of `data` is a source only if another one looks within
-`neighbour_deg`. That angle must fit into the cone of every arm, so that each source has a target in all of them.
+Each arm changes some fields of the common configuration. Arms of a comparison of targets differ in these only: network,
+steps, samples, objects, source pictures and their augmentation are the same. A set whose views lie in a cone has no
+targets all round, and one with views all round gives a cone too few. So sources are always views of `data`. An arm may
+take its targets from other folders with the same objects in the same world (`target_data`). A view of `data` is a
+source only if another one looks within `neighbour_deg`. That angle must fit into the cone of every arm, so that each
+source has a target in all of them. Meshes have every view: `data: []`.
 
-Each arm is an ordinary run in <output_dir>/<arm>, and the same command resumes it. Arms run one after the other; --arm
-trains only one, so that each GPU of a machine can have its own (CUDA_VISIBLE_DEVICES). At the end, or at once with
---report-only, finished arms are scored, and <output_dir> gets:
+Each arm is an ordinary run in <output_dir>/<arm>, and the same command resumes it. Arms run one after the other, or
+with --devices side by side, each on a GPU of its own. --arm trains and scores only one, for arms on several machines.
+At the end, or at once with --report-only, finished arms are scored, and <output_dir> gets:
 
 - report.json;
 - report.md: PSNR and SSIM per angle beside two floors, and the lead of the first arm over the others;
@@ -29,32 +30,19 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 
+from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.errors import InputError, named
 from training.command import with_line_errors
-from training.compare_report import is_finished, write_report
+from training.compare_report import Scored, is_finished, write_report
 from training.config import TrainingConfig
 from training.loop import train
-from training.train import parse
-
-
-@dataclass(frozen=True)
-class Arm:
-    """The targets of an arm: fields of TrainingConfig; None stands for the value of all arms.
-
-    Args:
-        cone_deg: full cone of its targets, degrees.
-        cone_margin: its targets lie within this times half the cone in azimuth of the source view.
-        elevation_deg: its targets lie within this elevation of the source view, degrees to either side.
-        target_data: for each folder of data one that its targets are drawn from.
-    """
-
-    cone_deg: float | None = None
-    cone_margin: float | None = None
-    elevation_deg: float | None = None
-    target_data: list[str] | None = None
+from training.ranges import MOST
+from training.side_by_side import run_side_by_side
+from training.train import overlaid, parse
 
 
 @dataclass(frozen=True)
@@ -68,31 +56,35 @@ class Experiment:
 
     output_dir: Path
     runs: dict[str, TrainingConfig]
-    scored: dict[str, Path]
+    scored: dict[str, Scored]
 
 
-def _arm_config(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> TrainingConfig:
+def _arm_config(common: TrainingConfig, name: str, changes: dict[str, Any], data_root: Path) -> TrainingConfig:
     """The run of an arm. Raises InputError for fields out of range and cones that may leave sources without target."""
-    changes = {field: value for field, value in dataclasses.asdict(arm).items() if value is not None}
     with named(f"arms: {name}"):
-        run = dataclasses.replace(common, output_dir=str(Path(common.output_dir) / name), **changes)
+        run = overlaid(common, changes | {"output_dir": str(Path(common.output_dir) / name)})
     reach = min(run.azimuth_deg, run.elevation_deg)
-    if run.neighbour_deg > reach:
+    if run.data and run.neighbour_deg > reach:
         raise InputError(
             f"arms: {name}: its targets lie within {reach:g} degrees, so some sources of the other arms "
             f"might have none: expected neighbour_deg of at most {reach:g}, got {run.neighbour_deg:g}"
         )
+
+    def placed(folder: str) -> str:
+        return str(data_root / folder) if folder else ""
+
     return dataclasses.replace(
         run,
-        data=[str(data_root / folder) for folder in run.data],
-        target_data=[str(data_root / folder) for folder in run.target_data],
-        validation=str(data_root / run.validation) if run.validation else "",
-        photographs=str(data_root / run.photographs) if run.photographs else "",
+        data=[placed(folder) for folder in run.data],
+        target_data=[placed(folder) for folder in run.target_data],
+        validation=placed(run.validation),
+        photographs=placed(run.photographs),
+        meshes=dataclasses.replace(run.meshes, folder=placed(run.meshes.folder)),
     )
 
 
 def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, argparse.Namespace]:
-    """The experiment that command-line arguments describe, and the options arm (None: all) and report_only.
+    """The experiment that command-line arguments describe, and the options arm (None: all), report_only and devices.
 
     Raises InputError when they describe none.
     """
@@ -104,10 +96,16 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
     parser = ArgumentParser(
         prog="python -m training.compare", description=__doc__, exit_on_error=False, formatter_class=Help
     )
-    parser.add_argument("--arms", type=dict[str, Arm], required=True, help="the targets of each arm")
-    parser.add_argument("--scored", type=dict[str, str], required=True, help="folders to score on in the end")
+    parser.add_argument("--arms", type=dict[str, dict[str, Any]], required=True, help="the other fields of each arm")
+    parser.add_argument(
+        "--scored",
+        type=dict[str, str | Scored],
+        required=True,
+        help="folders to score on in the end, or each with folder, size_px (128) and detail (0) of training.evaluate",
+    )
     parser.add_argument("--data_root", type=str, default=".", help="folder that paths of images are relative to")
-    parser.add_argument("--arm", type=str, help="train this arm only")
+    parser.add_argument("--arm", type=str, help="train and score this arm only")
+    parser.add_argument("--devices", type=int, default=1, help="arms that run side by side, each on a GPU")
     parser.add_argument("--report-only", action="store_true", help="train nothing, report on what is there")
     common, options = parse(parser, arguments)
     root = Path(options.data_root)
@@ -119,27 +117,36 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
             raise InputError(f"arms: expected names of letters, digits, - and _, got {name!r}")
     if options.arm is not None and options.arm not in runs:
         raise InputError(f"--arm {options.arm}: expected one of {', '.join(runs)}")
-    scored = {name: root / folder for name, folder in options.scored.items()}
+    whole_number("--devices", options.devices, 1, MOST)
+    scored = {name: one if isinstance(one, Scored) else Scored(one) for name, one in options.scored.items()}
+    scored = {name: dataclasses.replace(one, folder=str(root / one.folder)) for name, one in scored.items()}
     return Experiment(Path(common.output_dir), runs, scored), options
 
 
 @with_line_errors("training.compare")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
     experiment, options = read_experiment(arguments)
     if int(os.environ.get("WORLD_SIZE", 1)) > 1:
         raise InputError(
-            "a comparison runs in one process: start one for each arm (--arm), each with a GPU "
-            "(CUDA_VISIBLE_DEVICES), instead of torchrun"
+            "a comparison runs in one process for each arm: take --devices, or start one for each arm (--arm) with a "
+            "GPU (CUDA_VISIBLE_DEVICES), instead of torchrun"
         )
-    for name in [] if options.report_only else [options.arm] if options.arm else experiment.runs:
-        if is_finished(experiment.runs[name]):
-            continue
+    todo = [options.arm] if options.arm else list(experiment.runs)
+    todo = [] if options.report_only else [name for name in todo if not is_finished(experiment.runs[name])]
+    if options.devices > 1 and not options.arm:
+        logs = {name: Path(experiment.runs[name].output_dir) / "output.txt" for name in todo}
+        if not run_side_by_side({name: [*arguments, "--arm", name] for name in todo}, logs, options.devices):
+            return 0
+        todo = []
+    for name in todo:
         print(f"arm {name}", flush=True)
         if train(experiment.runs[name]) is None:
             return 0
         torch.compiler.reset()  # the next arm cannot use the compiled network of this one
-    print(write_report(experiment.output_dir, experiment.runs, experiment.scored))
+    scoring = [options.arm] if options.arm else list(experiment.runs)
+    print(write_report(experiment.output_dir, experiment.runs, experiment.scored, scoring))
     return 0
 
 

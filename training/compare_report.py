@@ -6,8 +6,10 @@ import hashlib
 import json
 import math
 import statistics
+from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
@@ -16,16 +18,44 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.text_files import parse_json, read_object
 from lightfield_gs.models import SplatterNet
+from training.comparison import SIZE_PX
 from training.config import TrainingConfig
+from training.data.background import Choice
 from training.data.cache import fingerprint
 from training.data.objects import find_objects
 from training.evaluation import labelled, score_folder
+from training.ranges import check_ranges
 
 FLOORS = {"copy": "copy the input", "card": "flat card"}
 _SPLIT = "val"
+_TARGETS = ("cone_deg", "cone_margin", "elevation_deg", "target_data")  # fields that the report says in words
 LIMIT_BYTES = 64 << 20
 # The results of score_folder, for each arm and each scored folder.
 Scores = dict[str, dict[str, dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A folder of objects that runs are scored on in the end.
+
+    Args:
+        folder: the folder.
+        size_px: longer side of the pictures that are compared.
+        detail: how many times finer than the network's pictures the sheet of the source is: 1, 2 or 4; 0: no sheet.
+    """
+
+    folder: str
+    size_px: int = SIZE_PX
+    detail: Literal[0, 1, 2, 4] = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "scored: ", size_px=(16, 4096))
+
+    def identity(self, background: Choice) -> list[Any]:
+        """Return what decides the scores, beside the weights."""
+        objects = [self.folder, fingerprint(find_objects(Path(self.folder), _SPLIT), background)]
+        otherwise = [self.size_px, self.detail]
+        return objects if otherwise == [SIZE_PX, 0] else objects + otherwise
 
 
 def _final_weights(run: TrainingConfig) -> Path:
@@ -52,13 +82,16 @@ def is_finished(run: TrainingConfig) -> bool:
     return True
 
 
-def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, Tensor]) -> dict[str, Any]:
+def score_arm(
+    run: TrainingConfig, scored: dict[str, Scored], decoded: dict[Path, Tensor], now: bool = True
+) -> dict[str, Any] | None:
     """Return scores of a finished run in each folder.
 
     They stay beside the weights as long as the weights and the data are the same.
 
     Args:
         decoded: See score_folder.
+        now: Score it where that has not been done; False: return None then.
 
     Raises:
         InputError: the data cannot be used.
@@ -66,19 +99,27 @@ def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, 
     weights = _final_weights(run)
     of = {
         "weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
-        "data": {
-            name: [str(folder), fingerprint(find_objects(folder, _SPLIT), run.background)]
-            for name, folder in scored.items()
-        },
+        "data": {name: objects.identity(run.background) for name, objects in scored.items()},
     }
     kept = weights.with_name("final_scores.json")
     if kept.exists() and (known := read_object(kept, LIMIT_BYTES)).get("of") == of:
         return known["scores"]
+    if not now:
+        return None
     device = choose_device(run.device)
     net = SplatterNet.from_pretrained(weights).to(device)
     scores = {
-        name: score_folder(net, folder, split=_SPLIT, device=device, decoded=decoded, background=run.background)
-        for name, folder in scored.items()
+        name: score_folder(
+            net,
+            Path(objects.folder),
+            split=_SPLIT,
+            device=device,
+            decoded=decoded,
+            background=run.background,
+            size_px=objects.size_px,
+            detail=objects.detail or None,
+        )
+        for name, objects in scored.items()
     }
     with atomic_path(kept) as temporary:
         temporary.write_text(json.dumps({"of": of, "scores": scores}, indent=1) + "\n")
@@ -134,8 +175,15 @@ def _length(run: TrainingConfig) -> str:
     return f"{run.total_steps:,} steps, {samples:,} samples of {run.targets + 1} views"
 
 
+def _other_fields(arm: TrainingConfig, first: TrainingConfig) -> str:
+    """Return in words what an arm has otherwise than the first, beside its targets."""
+    names = arm.differences(json.loads(json.dumps(first.identity())))
+    others = [name for name in names if name not in _TARGETS]
+    return f"; other {', '.join(others)}" if others else ""
+
+
 def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
-    """The tables: PSNR / SSIM of every arm and floor by angle, and the leads of the first arm."""
+    """The tables: PSNR / SSIM of every arm and floor by angle, holes and ghosts, and the leads of the first arm."""
     run = next(iter(runs.values()))
     lines = [
         "# Targets inside the cone and all round",
@@ -146,7 +194,7 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
     ]
     lines += [
         f"- {name}: targets within {arm.azimuth_deg:g} degrees of azimuth and {arm.elevation_deg:g} of elevation "
-        f"of the source{'' if name in scores else '; not finished'}"
+        f"of the source{_other_fields(arm, run)}{'' if name in scores else '; not finished'}"
         for name, arm in runs.items()
     ]
     first, *others = scores
@@ -165,6 +213,12 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
         lines += ["", f"## {folder}", "", markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
         if skipped := report.get("skipped"):
             lines += ["", f"{len(skipped)} objects could not be scored: {', '.join(skipped)}"]
+        if "holes" in report:
+            rows = [
+                [label, *(f"{column[label]['holes']:.2f} / {column[label]['ghosts']:.2f}" for column in columns)]
+                for label, _ in labelled(report)
+            ]
+            lines += ["", markdown_table(["holes % / ghosts %", *scores], rows)]
         if others:
             rows = [
                 [label, *(lead_cell(lead[folder][label]) for lead in differences.values())]
@@ -195,7 +249,8 @@ def _save_plots(output: Path, scores: Scores, curves: dict[str, list[dict[str, f
     for arm, rows in ((arm, rows) for arm, rows in curves.items() if rows):
         axes.plot([row["step"] for row in rows], [row["psnr_db"] for row in rows], ".-", label=arm)
     axes.set(title="validation during training", xlabel="steps", ylabel="PSNR, dB")
-    axes.legend()
+    if axes.has_data():
+        axes.legend()
     save_figure(figure, output / "curves.png")
 
 
@@ -205,13 +260,21 @@ def save_figure(figure: Any, path: Path) -> None:
         figure.savefig(temporary, dpi=120)
 
 
-def write_report(output: Path, runs: dict[str, TrainingConfig], scored: dict[str, Path]) -> str:
-    """Score the arms that are finished, write report.json, report.md, angles.png, curves.png; returns the tables.
+def write_report(
+    output: Path, runs: dict[str, TrainingConfig], scored: dict[str, Scored], scoring: Collection[str]
+) -> str:
+    """Score arms that are finished, write report.json, report.md, angles.png, curves.png; return the tables.
 
-    Raises InputError when no arm is finished, and as is_finished and score_arm.
+    Args:
+        scoring: The arms to score; the report has the others where they have been scored.
+
+    Raises:
+        InputError: no arm is finished; or as is_finished and score_arm.
     """
     decoded: dict[Path, Tensor] = {}
-    scores = {name: score_arm(run, scored, decoded) for name, run in runs.items() if is_finished(run)}
+    finished = {name: run for name, run in runs.items() if is_finished(run)}
+    found = {name: score_arm(run, scored, decoded, name in scoring) for name, run in finished.items()}
+    scores = {name: scores_of_arm for name, scores_of_arm in found.items() if scores_of_arm is not None}
     if not scores:
         raise InputError(f"{output}: found no finished arm: run the command without --report-only first")
     curves = {name: read_curve(run) for name, run in runs.items()}

@@ -10,12 +10,13 @@ from typing import Literal
 
 from lightfield_gs.base.errors import InputError
 from training.data.background import Choice
-from training.data.plan import Augmentation
+from training.data.plan import Augmentation, check_zoom
 from training.losses import LossWeights
 from training.meshes.scenes import MeshOptions
 from training.ranges import MOST, check_ranges
 
 _FOLDERS = ("data", "target_data")
+_REMOVED = {"detail": 0.0}  # fields that runs were stored with, and the values that meant nothing
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,11 @@ class Stage:
         target_px: side of the target images; 0: as the source pictures.
         minutes: length by the clock in place of steps, compilation and scores included, over all starts of the run.
             Either all stages have minutes, or none has. The learning rate then follows the time.
+        detail: also draw what a photo shows with a sheet of detail this many times as fine as the source pictures: 1,
+            2 or 4; 0: not. Its loss (`composite`) is added to that of the network's own Gaussians. Pictures are made as
+            fine as the sheet, and the network sees them reduced, as it sees a photo.
+        scales: the network's own Gaussians are drawn at target_px divided by each of these, and their losses averaged.
+        target_zoom: range in place of the augmentation's; null: none.
     """
 
     steps: int = 0
@@ -36,6 +42,9 @@ class Stage:
     objects: int = 0
     target_px: int = 0
     minutes: float = 0.0
+    detail: Literal[0, 1, 2, 4] = 0
+    scales: tuple[int, ...] = (1,)
+    target_zoom: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.steps and self.minutes:
@@ -48,7 +57,19 @@ class Stage:
             image_size_px=(1, 8192),
             objects=(1, MOST),
             target_px=(0, 8192),
+            scales=(1, 64),
         )
+        if not self.scales or any(self.targets_px % scale for scale in self.scales):
+            raise InputError(
+                f"stages: scales: expected divisors of target_px, {self.targets_px}, got {list(self.scales)}"
+            )
+        if self.target_zoom is not None:
+            check_zoom(self.target_zoom, "stages: ")
+
+    @property
+    def targets_px(self) -> int:
+        """Side of the target images."""
+        return self.target_px or self.image_size_px
 
 
 @dataclass(frozen=True)
@@ -102,8 +123,7 @@ class TrainingConfig:
         initial_weights: checkpoint to start from, "pretrained" for the network in the package; it replaces model. "":
             none.
         symmetric: make the network symmetric (see ModelConfig), also where model or initial_weights do not.
-        detail: fraction of the steps, 0..1, that draw the predicted Gaussians under a sheet of the source picture's
-            own pixels, as photos are shown. The other steps draw them alone.
+        attention_px: sizes of feature maps that get self-attention beside those of model or initial_weights.
         trained: the whole network, or the head alone on fixed features of the U-Net. The head alone is quick, also on a
             CPU, and adapts a trained network to other targets.
         seed: of weights, samples, dropout and augmentation, 0..2^31 - 1.
@@ -133,6 +153,7 @@ class TrainingConfig:
         validation_objects: how many of its objects, spread evenly over the folder.
         optimizer: AdamW with linear warm-up and cosine decay.
         loss: weights of the terms of the loss, at least 0, not all 0.
+        composite: the same for pictures with the sheet of detail, in stages that draw it.
         augmentation: how examples are varied.
     """
 
@@ -144,7 +165,7 @@ class TrainingConfig:
     model: str = "default"
     initial_weights: str = ""
     symmetric: bool = False
-    detail: float = 0.0
+    attention_px: list[int] = field(default_factory=list)
     trained: Literal["network", "head"] = "network"
     seed: int = 0
     cone_deg: float = 40.0
@@ -166,6 +187,7 @@ class TrainingConfig:
     validation_objects: int = 24
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: LossWeights = field(default_factory=LossWeights)
+    composite: LossWeights = field(default_factory=LossWeights)
     augmentation: Augmentation = field(default_factory=Augmentation)
 
     def __post_init__(self) -> None:
@@ -180,7 +202,7 @@ class TrainingConfig:
             cone_margin=(0.0, 360.0),
             elevation_deg=(0.0, 180.0),
             neighbour_deg=(0.0, 180.0),
-            detail=(0.0, 1.0),
+            attention_px=(1, 8192),
             targets=(1, 1000),
             procedural=(0.0, 1.0),
             threads=(0, 4096),
@@ -268,6 +290,7 @@ class TrainingConfig:
             return sorted(self.identity())
         plain = TrainingConfig("unused", ["unused"], [Stage(1, 1, 1)])
         own, defaults = (json.loads(json.dumps(run.identity())) for run in (self, plain))
+        stored = {name: value for name, value in stored.items() if _REMOVED.get(name, ...) != value}
         stored = _filled(stored, defaults | {name: own[name] for name in _FOLDERS})
         stored["stages"] = [_filled(stage, defaults["stages"][0]) for stage in stored["stages"]]
         return sorted(name for name in own.keys() | stored.keys() if own.get(name) != stored.get(name))

@@ -44,10 +44,15 @@ def holes_and_ghosts(alpha: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
         alpha: rendered opacities [V,H,W].
         truth: true opacities [V,H,W].
     """
+    inside, outside = inside_and_outside(truth)
+    return _fraction((alpha < _SOLID) & inside, inside), _fraction((alpha > _GHOST) & outside, truth >= _OUTLINE)
+
+
+def inside_and_outside(truth: Tensor) -> tuple[Tensor, Tensor]:
+    """Return which pixels are inside the outline of true opacities [V,H,W] and which outside it, by some pixels."""
     there, size = truth >= _OUTLINE, max(truth.shape[1:])
     inside = ~_grown(~there, _scaled(_INSIDE_PX, size, _LONGER_SIDE_PX))
-    outside = ~_grown(there, _scaled(_OUTSIDE_PX, size, _LONGER_SIDE_PX))
-    return _fraction((alpha < _SOLID) & inside, inside), _fraction((alpha > _GHOST) & outside, there)
+    return inside, ~_grown(there, _scaled(_OUTSIDE_PX, size, _LONGER_SIDE_PX))
 
 
 def _scaled(length_px: int, size: int, given: int) -> int:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -62,8 +63,11 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
         [poses[partner] for partner in partners],
     )
     photographs = read_photographs(Path(config.photographs)) if config.photographs else None
+    views = ResidentViews(sets + target_sets, team.device)
+    if tell and team.leads:
+        _tell_pixels(config.stages, views)
     return BatchPlanner(
-        ResidentViews(sets + target_sets, team.device),
+        views,
         sampler,
         config.augmentation,
         partners,
@@ -96,8 +100,16 @@ def _tell(sets: list[CachedSet]) -> None:
         note(f"{len(doubts)} objects may teach nothing; the first: {doubts[0]}")
 
 
+def _tell_pixels(stages: list[Stage], views: ResidentViews) -> None:
+    """Note where a sheet of detail is finer than the stored views."""
+    finest = max(stage.detail * stage.image_size_px for stage in stages)
+    stored = float(np.median(views.squares[:, 2])) if len(views.squares) else finest
+    if stored < finest:
+        note(f"stages: detail: the sheet has {finest} px, objects of the stored views {stored:.0f} in the median")
+
+
 @contextmanager
-def _termination_noticed() -> Iterator[list[int]]:
+def termination_noticed() -> Iterator[list[int]]:
     """Collects SIGTERM and SIGINT in a list, so that the step under way can end and be saved."""
     received: list[int] = []
     former = {
@@ -127,8 +139,9 @@ def plans(planner: BatchPlanner, trainer: Trainer) -> Iterator[Planned]:
         if config.is_over(step, trainer.seconds):
             return None
         stage, drawn = config.stage_at(step, trainer.seconds)
-        sizes = (stage.image_size_px, stage.target_px)
-        return stage, pool.submit(planner.plan, step, drawn, stage.objects, *sizes, team.split(stage.objects))
+        sizes, part = (stage.image_size_px, stage.target_px), team.split(stage.objects)
+        finer = {"finer": max(1, stage.detail), "zoom": stage.target_zoom}
+        return stage, pool.submit(planner.plan, step, drawn, stage.objects, *sizes, part, **finer)
 
     with ThreadPoolExecutor(1) as pool:
         step = trainer.step
@@ -187,9 +200,13 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     _validate(trainer, log, decoded, config.is_over(trainer.step, trainer.seconds))
     log.resume_clock()
     begun = time.monotonic() - trainer.seconds
-    for plan, _, last in plans(planner, trainer):
+    former = None
+    for plan, stage, last in plans(planner, trainer):
+        if former not in (None, stage) and team.leads:
+            _save_weights(trainer, f"stage-{config.stages.index(former) + 1}.safetensors")
+        former = stage
         batch = make_batch(plan, planner.views, config.compile)
-        ahead = trainer.advance(batch, stop=bool(signals), seconds=time.monotonic() - begun)
+        ahead = trainer.advance(batch, stage, stop=bool(signals), seconds=time.monotonic() - begun)
         # A step is read while the next one runs, so that the device always has work. All processes read the same.
         stop = behind is not None and _record(behind, trainer, log)
         behind = ahead
@@ -207,6 +224,14 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     return True
 
 
+def _save_weights(trainer: Trainer, name: str) -> Path:
+    """Write the averaged weights into the run's folder; return their path."""
+    path = Path(trainer.config.output_dir) / name
+    notes = {"steps": str(trainer.step), "training": json.dumps(trainer.config.identity())}
+    trainer.average.average.save(path, notes)
+    return path
+
+
 def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
     """Do the work of train() as one of a team."""
     for stage in config.stages:
@@ -217,14 +242,12 @@ def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
     if team.leads:
         cut_log(output / "losses.jsonl", trainer.step)
         cut_log(output / "scores.jsonl", trainer.step + 1)
-    with _termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
+    with termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
         finished = _run(trainer, planner, log, signals)
         log.say_speed()
     if not (finished and team.leads):
         return None
-    weights = output / "model.safetensors"
-    trainer.average.average.save(weights, {"steps": str(trainer.step), "training": json.dumps(config.identity())})
-    return weights
+    return _save_weights(trainer, "model.safetensors")
 
 
 def train(config: TrainingConfig) -> Path | None:

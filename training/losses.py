@@ -10,6 +10,7 @@ from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.reference.metrics import ssim
+from training.coverage import inside_and_outside
 from training.ranges import check_ranges
 
 _LEAST_ERROR = 1e-4  # of an image, 40 dB: better ones count no more in the logarithm
@@ -32,6 +33,8 @@ class LossWeights:
         translucency: of half transparent pixels. Where the network cannot know whether a pixel is object, the squared
             error is least at the probability of that: a halo. This term makes it decide. Its weight against the weights
             of the squared errors sets how much sharper outlines get.
+        outline: of the error of the object's outline (not squared) inside and outside it, but for a band along it.
+            These are holes and ghosts. An error that is not squared is least at a decision too.
         roughness: of the roughness of depth.
     """
 
@@ -41,6 +44,7 @@ class LossWeights:
     ssim: float = 0.05
     alpha: float = 0.1
     translucency: float = 0.0
+    outline: float = 0.0
     roughness: float = 0.0
 
     def __post_init__(self) -> None:
@@ -94,6 +98,12 @@ def translucency(alpha: Tensor) -> Tensor:
     return (alpha * (1 - alpha)).mean()
 
 
+def outline_error(alpha: Tensor, truth: Tensor) -> Tensor:
+    """Return the mean error of opacities [B,V,H,W], counted where pixels are surely inside or outside the object."""
+    inside, outside = (mask.view_as(alpha) for mask in inside_and_outside(truth.flatten(0, 1)))
+    return ((alpha - truth).abs() * (inside | outside)).mean()
+
+
 def total_loss(
     images: Tensor,
     alpha: Tensor,
@@ -123,6 +133,8 @@ def total_loss(
         terms["ssim"] = 1 - ssim(images, wanted).mean()
     if weights.translucency:
         terms["translucency"] = translucency(alpha)
+    if weights.outline:
+        terms["outline"] = outline_error(alpha, targets[:, :, 3])
     if weights.roughness:
         terms["roughness"] = roughness(means, source)
     total = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()

@@ -26,11 +26,11 @@ RASTERIZER = ("rasterizer", "rasterizer backward")
 def _profile(config: TrainingConfig, steps: int, warm_up: int, team: Team) -> list[PartTime] | None:
     """Do the work of profile() as one of a team."""
     trainer, planner, behind = Trainer(config, team), make_planner(config, team), None
-    for plan, *_ in islice(plans(planner, trainer), warm_up + steps):
+    for plan, stage, _ in islice(plans(planner, trainer), warm_up + steps):
         if trainer.step == warm_up:
             trainer.marks = StepMarks(team.device)
             trainer.marks.mark("start")
-        ahead = trainer.advance(make_batch(plan, planner.views, config.compile))
+        ahead = trainer.advance(make_batch(plan, planner.views, config.compile), stage)
         if behind is not None:
             behind.read()
         behind = ahead

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.base.errors import InputError
 from training.command import with_line_errors
@@ -37,17 +39,48 @@ def parse(parser: ArgumentParser, arguments: list[str] | None) -> tuple[Training
         InputError: an argument is bad.
     """
     parser.add_argument("--config", action="config", help="YAML file with options")
+    options = _instantiated(parser, lambda: parser.parse_args(arguments))
+    return _config(options), options
+
+
+def overlaid(config: TrainingConfig, changes: dict[str, Any]) -> TrainingConfig:
+    """Return a configuration with other values of some fields; of a nested group of fields only those named change.
+
+    Raises:
+        InputError: there is no such field, or it cannot have the value.
+    """
+    from jsonargparse import ArgumentParser
+
+    parser = ArgumentParser(exit_on_error=False)
+    values = _merged(json.loads(json.dumps(dataclasses.asdict(config))), changes)
+    return _config(_instantiated(parser, lambda: parser.parse_object(values)))
+
+
+def _merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return values with changes, also in dictionaries inside."""
+    inside = {
+        name: _merged(values[name], value)
+        for name, value in changes.items()
+        if isinstance(value, dict) and isinstance(values.get(name), dict)
+    }
+    return values | changes | inside
+
+
+def _instantiated(parser: ArgumentParser, parsed: Callable[[], Namespace]) -> Namespace:
+    """Add the fields of TrainingConfig to a parser, let it parse, and build the parts of the configuration."""
     parser.add_class_arguments(TrainingConfig)
     instantiate = getattr(parser, "instantiate", None) or parser.instantiate_classes  # renamed in jsonargparse 4.49
     try:
-        options = instantiate(parser.parse_args(arguments))
+        return instantiate(parsed())
     except argparse.ArgumentError as error:
         message = " ".join(str(error).split())
         if "arms." in message:
             message += ": a configuration of several arms is for python -m training.compare"
         raise InputError(message) from None
-    fields = {field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)}
-    return TrainingConfig(**fields), options
+
+
+def _config(options: Namespace) -> TrainingConfig:
+    return TrainingConfig(**{field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)})
 
 
 @with_line_errors("training.train")

@@ -9,15 +9,14 @@ import json
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
-from lightfield_gs.models.detail import DetailLevel
-from training.config import TrainingConfig
+from training.config import Stage, TrainingConfig
 from training.data.batches import Batch
-from training.data.plan import made_up
 from training.distributed import Team
+from training.drawing import draw, drawings, seen_by_network
 from training.losses import total_loss
 from training.marks import NoMarks
-from training.rendering import render_views
 from training.schedule import WeightAverage, learning_rate, make_optimizer, progress
 
 
@@ -52,11 +51,29 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
         net = SplatterNet.from_pretrained(path)
     else:
         net = SplatterNet(ModelConfig.from_yaml(config.model))
+    if config.attention_px:
+        net = _with_attention(net, config.attention_px)
     if config.symmetric:  # has no weights of its own
         net.config = dataclasses.replace(net.config, symmetric=True)
     if config.trained == "head":
         net.unet.requires_grad_(False)
     return net
+
+
+def _with_attention(net: SplatterNet, sizes_px: list[int]) -> SplatterNet:
+    """Return the network with self-attention at more sizes of its features, which has no effect until it is trained.
+
+    Raises:
+        InputError: the network has no features of such a size.
+    """
+    unet, size = net.config.unet, net.config.image_size_px // net.config.patch_px
+    sizes = [size >> level for level in range(len(unet.multipliers))]
+    if other := sorted(set(sizes_px) - set(sizes)):
+        raise InputError(f"attention_px: expected sizes of {', '.join(map(str, sizes))} for this network, got {other}")
+    unet = dataclasses.replace(unet, attention_px=tuple(sorted({*unet.attention_px, *sizes_px}, reverse=True)))
+    more = SplatterNet(dataclasses.replace(net.config, unet=unet))
+    more.load_state_dict(net.state_dict(), strict=False)  # the rest is the new attention, whose output begins at zero
+    return more
 
 
 class Trainer:
@@ -84,35 +101,45 @@ class Trainer:
             self._loss = torch.compile(total_loss, dynamic=False)
         self._replica = team.replicated(self.net)
 
-    def advance(self, batch: Batch, stop: bool = False, seconds: float = 0.0) -> StepValues:
+    def advance(self, batch: Batch, stage: Stage | None = None, stop: bool = False, seconds: float = 0.0) -> StepValues:
         """Do one optimizer step on this process's part of a batch.
 
         On CUDA the step is queued, not finished, when this returns, but for the rasterizer's own waits.
 
         Args:
+            stage: Of the step; None: the first.
             stop: Whether this process has been told to end.
             seconds: Time that the run has taken so far.
         """
-        config, size, device, marks = self.config, batch.targets.shape[-1], self.team.device, self.marks
+        config, device, marks = self.config, self.team.device, self.marks
+        stage = stage or config.stages[0]
         marks.mark("batch")
         # Dropout must not depend on how often the run was resumed.
         torch.manual_seed((config.seed << 32) + self.step * self.team.size + self.team.rank)
         rate = learning_rate(self.step, progress(self.step, self.seconds, config), config.optimizer)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        level = self._level(batch)
-        under = () if level is None else (batch.source, level)
+        seen = seen_by_network(batch, stage)
         with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
-            gaussians = self._replica(batch.source, batch.source_intrinsics, *under)
+            cloud = self._replica(*seen)
         marks.mark("network")
-        images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
+        drawn = drawings(self.net, cloud, seen, batch, stage, config)
+        if stage.detail:
+            marks.mark("sheet")
+        pictures = [draw(drawing, batch) for drawing in drawn]
         marks.mark("rasterizer")
-        loss, terms = self._loss(
-            images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source, config.loss
-        )
+        losses = []
+        terms: dict[str, Tensor] = {}
+        for drawing, (images, alpha, targets) in zip(drawn, pictures):
+            loss, parts = self._loss(images, alpha, targets, batch.backgrounds, cloud.means, seen[0], drawing.weights)
+            losses.append(drawing.share * loss)
+            for name, term in parts.items():
+                name = drawing.name + name
+                terms[name] = terms.get(name, 0) + drawing.share * term
+            marks.mark_at_gradient(images, "loss backward")
+        loss = torch.stack(losses).sum()
         marks.mark("loss")
-        marks.mark_at_gradient(images, "loss backward")
-        marks.mark_at_gradient(gaussians.means, "rasterizer backward")
+        marks.mark_at_gradient(cloud.means, "rasterizer backward")
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         marks.mark("network backward")
@@ -125,17 +152,6 @@ class Trainer:
         values = {"loss": loss.detach(), "gradient_norm": norm, **terms}
         values |= {name: torch.full((), value, device=device) for name, value in told.items()}
         return StepValues(self.step - 1, rate, values, self.team)
-
-    def _level(self, batch: Batch) -> DetailLevel | None:
-        """Return how the next step lays the source pictures over their predictions; None: not at all.
-
-        Their pixels are as wide on the target as where it is magnified most, so that the sheet closes in all.
-        """
-        config = self.config
-        if not made_up(self.step + 1, config.detail)[-1]:
-            return None
-        magnified = batch.targets.shape[-1] / (batch.source.shape[-1] * config.augmentation.target_zoom[0])
-        return DetailLevel(1, magnified)
 
     def state(self) -> dict:
         """Everything that resuming needs."""

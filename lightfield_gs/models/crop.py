@@ -100,7 +100,7 @@ def crop_resize(image: Tensor, square: Square[int], size_px: int) -> Tensor:
     inside = image[:, max(0, square.top) : max(0, bottom), max(0, square.left) : max(0, right)]
     padding = (max(0, -square.left), max(0, right - width), max(0, -square.top), max(0, bottom - height))
     padded = F.pad(inside.float(), padding)
-    return _resized(padded, (size_px, size_px))
+    return resized(padded[None], (size_px, size_px))[0]
 
 
 def crop_resize_premultiplied(image: Tensor, square: Square[int], size_px: int) -> Tensor:
@@ -123,10 +123,10 @@ def crop_resize_premultiplied(image: Tensor, square: Square[int], size_px: int) 
     for top in range(rows.start, rows.stop, each):
         strip = premultiplied(image[top : min(rows.stop, top + each), max(0, square.left) : square.left + square.side])
         strip = F.pad(strip, (max(0, -square.left), max(0, square.left + square.side - image.shape[1])))
-        parts.append(_resized(strip, (strip.shape[1], size_px)))
+        parts.append(resized(strip[None], (strip.shape[1], size_px))[0])
     narrow = torch.cat(parts, 1)
     narrow = F.pad(narrow, (0, 0, max(0, -square.top), max(0, square.top + square.side - image.shape[0])))
-    return _resized(narrow, (size_px, size_px))
+    return resized(narrow[None], (size_px, size_px))[0]
 
 
 def premultiplied(photo: Tensor) -> Tensor:
@@ -137,11 +137,11 @@ def premultiplied(photo: Tensor) -> Tensor:
     return torch.cat([image[:3] * image[3:], image[3:]])
 
 
-def _resized(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """Resize an image [C,H,W] float32 to (height, width) with antialiasing."""
-    if tuple(image.shape[1:]) == size:
-        return image
-    return F.interpolate(image[None], size=size, mode="bilinear", antialias=True)[0]
+def resized(images: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resize images [B,C,H,W] float32 to (height, width) with antialiasing."""
+    if tuple(images.shape[2:]) == size:
+        return images
+    return F.interpolate(images, size=size, mode="bilinear", antialias=True)
 
 
 def crop_on_device(photo: Tensor, sizes_px: Sequence[int]) -> tuple[Tensor, list[Tensor]]:

@@ -91,12 +91,22 @@ class SplatterNet(nn.Module):
         raw = self._predicted(images, intrinsics, pixels)
         with torch.autocast(images.device.type, enabled=False):
             cloud = self.composer(raw, pixels)
-            if fine is None or level is None:
-                return cloud
-            if is_native(fine):
-                return lay_sheet(cloud, pixels, fine, intrinsics, self.config.layers, level)
-            texels = describe_pixels(fine, level.factor * intrinsics)
-            return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px)
+            return cloud if fine is None or level is None else self.composed(cloud, images, intrinsics, fine, level)
+
+    def composed(
+        self, cloud: Gaussians, images: Tensor, intrinsics: Tensor, fine: Tensor, level: DetailLevel
+    ) -> Gaussians:
+        """Lay the sheet over the network's own Gaussians; see forward. Differentiable, in float32.
+
+        Args:
+            cloud: [B,N,...] that forward gives without a level.
+            images, intrinsics, fine, level: of forward.
+        """
+        pixels = describe_pixels(images, intrinsics)
+        if is_native(fine):
+            return lay_sheet(cloud, pixels, fine, intrinsics, self.config.layers, level)
+        texels = describe_pixels(fine, level.factor * intrinsics)
+        return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px)
 
     def _predicted(self, images: Tensor, intrinsics: Tensor, pixels: Pixels) -> Tensor:
         """Return the composer's raw channels [B,C,H,W], float32."""

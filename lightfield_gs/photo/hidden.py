@@ -33,6 +33,8 @@ class HiddenConstants:
     same_depth: float = 0.1  # relative difference of depths up to which a pixel close by is of the same surface
     texture: float = 0.02  # length by the width: up to some 6 times it is texture, beyond it the first guess decides
     bend: float = 0.15  # largest relative change of disparity of a surface where it continues
+    # a far surface ends where the next one lies beyond this part of the way from the cover to it, in log z
+    comes_back: float = 0.6
     fringe_disparity: float = 0.97  # largest disparity of the fringe by that of the surface in front
 
 
@@ -48,6 +50,7 @@ class Hidden(NamedTuple):
         fringe: bool [H, W], the visible pixels of hole.
         disparity: [H, W], of the far surface in hole; of the photo elsewhere.
         image: [H, W, 3], first colours in hole.
+        nearest: [H, W], largest disparity of the far surface: it lies behind what covers it.
         linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows belong to one
             surface of `disparity`.
     """
@@ -56,6 +59,7 @@ class Hidden(NamedTuple):
     fringe: Tensor
     disparity: Tensor
     image: Tensor
+    nearest: Tensor
     linked: list[Tensor]
 
 
@@ -83,17 +87,17 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     mirrored = torch.where(mirrored >= 0, depth.shape[1] - 1 - mirrored, -1).flip(1)
     runs = [(source, distance), (mirrored, other.flip(1))]
     disparity = 1 / depth
-    covered = (source >= 0) | (mirrored >= 0)
+    covered = _tall(source >= 0) | _tall(mirrored >= 0)
     # At most a fringe off a covering pixel, and farther than it
     fringe = disparity < _C.fringe_disparity * max_filter(torch.where(covered, disparity, 0), _C.fringe_px)
     fringe &= ~covered
     hole = covered | fringe
     if not bool(hole.any()):
-        return Hidden(hole, fringe, disparity, image, [])
+        return Hidden(hole, fringe, disparity, image, torch.full_like(disparity, torch.inf), [])
     guess, slope = _continue_disparity(disparity, depth, focal_px, runs, covered)
     colours = _continue_colours(image, depth, runs, covered)
     # Held at the visible far surfaces: everything but the hole. Where the guess is torn, two surfaces meet.
-    linked = [joined_with(1 / guess.clamp_min(1e-30), dim, focal_px[1 - dim]) for dim in (0, 1)]
+    linked = [_linked(guess, hole, dim, focal_px[1 - dim]) for dim in (0, 1)]
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
     # In the fringe the depths may be mixed like the colours: the farthest one close by is of the far surface
     far = torch.where(hole & ~fringe, bent, torch.where(disparity > 0, disparity, torch.inf))
@@ -101,8 +105,8 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     nearest = torch.where(covered, _C.behind * disparity, torch.where(fringe, far, torch.inf))
     bent = torch.minimum(bent.clamp(guess * (1 - _C.bend), guess * (1 + _C.bend)), nearest)
     known = disparity[disparity > 0]
-    bent = bent.clamp(known.min(), known.max())
-    return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, linked)
+    nearest, bent = nearest.clamp_max(known.max()), bent.clamp(known.min(), known.max())
+    return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, nearest, linked)
 
 
 def fill_hidden(hidden: Hidden, depth: Tensor) -> Tensor:
@@ -121,13 +125,29 @@ def joined_with(depth: Tensor, dim: int, focal_px: float) -> Tensor:
     return joined(depth, focal_px) if dim == 1 else joined(depth.T, focal_px).T
 
 
+def _tall(covered: Tensor) -> Tensor:
+    """Return the covered pixels [H, W] of columns of three or more: fewer come of noise in the depths of a row."""
+    # Beyond the map counts as covered
+    beside = torch.nn.functional.pad(covered, (0, 0, 2, 2), value=True)
+    middles = beside[:-2] & beside[1:-1] & beside[2:]
+    return covered & (middles[:-2] | middles[1:-1] | middles[2:])
+
+
+def _linked(disparity: Tensor, hole: Tensor, dim: int, focal_px: float) -> Tensor:
+    """Return whether each pixel and the next are of one surface; first guesses in the hole differ from row to row."""
+    ratio = disparity.narrow(dim, 1, disparity.shape[dim] - 1) / disparity.narrow(dim, 0, disparity.shape[dim] - 1)
+    inside = hole.narrow(dim, 1, hole.shape[dim] - 1) & hole.narrow(dim, 0, hole.shape[dim] - 1)
+    similar = inside & ((ratio - 1).abs() < _C.same_depth)
+    return joined_with(1 / disparity.clamp_min(1e-30), dim, focal_px) | similar
+
+
 def _find_runs(depth: Tensor, focal_px: float) -> _Run:
     """Return the surfaces to the left of each pixel that continue to the right behind it."""
     height, width = depth.shape
     z = depth.T.contiguous()  # a column is a row: it is read again and again
     torn = ~joined(depth, focal_px).T
     nearer = z[1:] < z[:-1]
-    far, reach = z.new_zeros(height), z.new_zeros(height)
+    far, reach, cover = z.new_zeros(height), z.new_zeros(height), z.new_zeros(height)
     source = torch.full((width, height), -1, dtype=torch.int64, device=z.device)
     distance = torch.zeros((width, height), device=z.device)
     current, since = source[0].clone(), torch.zeros_like(far)
@@ -139,10 +159,14 @@ def _find_runs(depth: Tensor, focal_px: float) -> _Run:
         far = torch.where(begins, z[column - 1], far)
         current = torch.where(begins, column - 1, current)
         since = torch.where(begins, 1.0, since + 1)
+        cover = torch.where(begins, z[column], torch.minimum(cover, z[column]))
         ratio = far / z[column] - 1
         reach = torch.where(begins, 0.0, reach)
         reach = torch.maximum(reach, (focal_px * _C.widest_tan * ratio).clamp(max=most))
         ends = (since > reach + _C.fringe_px) | ~(z[column] < far)
+        # A slanted surface comes into view again a little nearer than it went out of view
+        comes_back = far**_C.comes_back * cover ** (1 - _C.comes_back)
+        ends |= torn[column - 1] & ~nearer[column - 1] & (z[column] > comes_back)
         current = torch.where(ends, -1, current)
         source[column], distance[column] = current, since
     return source.T.contiguous(), distance.T.contiguous()

@@ -39,7 +39,7 @@ class RgbdConstants:
     # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
     std_px: float = 0.65
     thickness_px: float = 0.1  # standard deviation across the surface, in pixels
-    steepest_hidden: float = 60.0  # slope up to which a hidden surface stays closed
+    steepest_hidden: float = 20.0  # slope up to which a hidden surface stays closed
     # slope of the last pixels before an edge: steeper ones would look like spikes from the side
     steepest_rim: float = 1.0
     opacity: float = 0.99  # opacity of an opaque pixel: the rasterizer makes no more of any
@@ -127,7 +127,7 @@ def from_depth(
     depth = snap_mixed(depth, focal)
     found = find_hidden(image[..., :3], depth, focal)
     behind = fill_hidden(found, depth)
-    parts = _layers(image, depth, opacity, found, behind, focal, centre)
+    parts = surface_layers(image, depth, opacity, found, behind, focal, centre)
     if any(margin_px):
         colours, z, outside = extend_with_margin(behind, 1 / found.disparity, margin_px, margin)
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
@@ -136,7 +136,7 @@ def from_depth(
     return from_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
-def _layers(
+def surface_layers(
     image: Tensor,
     depth: Tensor,
     opacity: Tensor,
@@ -145,7 +145,20 @@ def _layers(
     focal: tuple[float, float],
     centre: tuple[float, float],
 ) -> list[tuple[Tensor, ...]]:
-    """Return the Gaussians of the visible surface, of the soft outlines before it, and of the hidden layer."""
+    """Return the Gaussians of the visible surface, of the soft outlines before it, and of the hidden layer.
+
+    Args:
+        image: [H, W, 3 or 4].
+        depth: [H, W], sharp at its edges, NaN where nothing was measured.
+        opacity: [H, W].
+        found: The hidden layer.
+        behind: [H, W, 3], its colours.
+        focal: (fx, fy), pixels.
+        centre: (cx, cy), pixels.
+
+    Returns:
+        Three lists of the fields of Gaussians, as from_tensors takes them.
+    """
     colours = image[..., :3].clone()
     matte = find_matte(colours, depth, edges(depth, focal))
     is_near, rows, columns = matte.is_near, matte.rows, matte.columns
@@ -163,9 +176,9 @@ def _layers(
     rim[r, c], front[r, c] = matte.depth[before], matte.near[before]
     cover[r, c] *= coverage_to_opacity(matte.alpha[before], _C.std_px, _C.opacity) / _C.opacity
     parts.append(_surface_gaussians(torch.stack([r, c], 1), rim, cover, front, focal, centre))
-    parts.append(
-        _surface_gaussians(found.hole.nonzero(), 1 / found.disparity, opacity, behind, focal, centre, torn=False)
-    )
+    # Its slopes are its own: what covers it stands beside it where it ends
+    z = torch.where(found.hole, 1 / found.disparity, torch.nan)
+    parts.append(_surface_gaussians(found.hole.nonzero(), z, opacity, behind, focal, centre, torn=False))
     return parts
 
 

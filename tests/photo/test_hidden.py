@@ -50,6 +50,21 @@ def test_a_texture_goes_on_as_a_texture():
     assert (colours - image)[inner].abs().mean() < 0.15
 
 
+def test_a_slanted_plane_is_not_hidden_where_it_comes_into_view_again():
+    """It does so nearer to the camera than it went out of view."""
+    plane = 1 / (0.3 + 0.002 * COLUMNS)
+    found = find_hidden(torch.zeros(HEIGHT, WIDTH, 3), torch.where(SQUARE, 1.0, plane), (FOCAL, FOCAL))
+    assert found.hole[SQUARE].all() and not found.hole[30:60, 94:].any()
+
+
+def test_a_hidden_surface_is_smooth_where_depths_are_noisy():
+    """Rows that differ by 3 % are one surface: in between, Gaussians would be needles."""
+    noise = 0.03 * torch.rand(HEIGHT, 1, generator=torch.Generator().manual_seed(3))
+    found = find_hidden(torch.zeros(HEIGHT, WIDTH, 3), torch.where(SQUARE, 1.0, PLANE * (1 + noise)), (FOCAL, FOCAL))
+    middle = found.disparity[35:55, 70:80].log()
+    assert middle.diff(dim=0).abs().mean() < 0.15 * noise.log1p().diff(dim=0).abs().mean()
+
+
 def test_without_edges_nothing_is_hidden():
     found = find_hidden(torch.zeros(HEIGHT, WIDTH, 3), PLANE, (FOCAL, FOCAL))
     assert not found.hole.any() and from_depth(torch.zeros(HEIGHT, WIDTH, 3), PLANE).count == HEIGHT * WIDTH

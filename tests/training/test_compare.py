@@ -14,6 +14,7 @@ from training_runs import losses, run_config
 
 from lightfield_gs import InputError
 from lightfield_gs.io.text_files import config_path
+from lightfield_gs.models import ModelConfig
 from training import compare, compare_report, compare_trend, loop
 from training.compare import read_experiment
 from training.config import Stage, TrainingConfig
@@ -161,6 +162,23 @@ def test_the_whole_command(folder, capsys, monkeypatch):
     assert "another configuration" in capsys.readouterr().err
 
 
+def test_arms_run_side_by_side_and_may_change_any_field(folder, capsys):
+    """Two arms at a time; the third cannot be trained, which is said when the others are done."""
+    arms = {"a": {}, "b": {"seed": 3, "augmentation": {"mirror": 0.0}, "optimizer": {"learning_rate": 1e-4}}}
+    stages = [{"steps": 2, "image_size_px": 16, "objects": 2}]
+    command = arguments(folder, "side", stages=stages, arms=arms | {"c": {"photographs": "none"}})
+    experiment, _ = read_experiment(command)
+    assert experiment.runs["b"].augmentation == replace(experiment.runs["a"].augmentation, mirror=0.0)
+    assert experiment.runs["b"].optimizer == replace(experiment.runs["a"].optimizer, learning_rate=1e-4)
+    assert compare.main([*command, "--devices", "2"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "c: failed" in error and f"{folder}/none" in error
+    assert compare.main([*command, "--report-only"]) == 0
+    printed = capsys.readouterr().out
+    assert "- b: " in printed and "; other augmentation, optimizer, seed\n" in printed and "not finished" in printed
+    assert len(losses(folder / "side/a")) == len(losses(folder / "side/b")) == 2
+
+
 def test_an_arm_goes_on_where_it_broke_off(folder, monkeypatch):
     """A run that breaks off in its fourth step, after the checkpoint and the scores of the second."""
     assert compare.main([*arguments(folder, "whole"), "--arm", "constrained"]) == 0
@@ -245,6 +263,39 @@ def test_torchrun_is_refused(folder, capsys, monkeypatch):
     assert "instead of torchrun" in capsys.readouterr().err
 
 
+def test_runs_are_scored_at_other_sizes_with_detail(folder, capsys):
+    """The source view has more of the photo under the sheet; scores without it stay valid beside those with it."""
+    scored = {"near": "val", "detail": {"folder": "val", "size_px": 64, "detail": 2}}
+    command = arguments(folder, "detail", arms={"a": {}}, scored=scored, validation="")
+    assert compare.main(command) == 0
+    printed = capsys.readouterr().out
+    assert "## detail" in printed and "| holes % / ghosts % | a |" in printed
+    of = json.loads((folder / "detail/a/final_scores.json").read_text())["of"]["data"]
+    assert of["detail"] == [*of["near"], 64, 2]
+    found = json.loads((folder / "detail/report.json").read_text())["scores"]["a"]
+    assert found["detail"]["source"]["psnr_db"] > found["near"]["source"]["psnr_db"] + 1
+
+
+@pytest.mark.parametrize("name", ["arms", "composite-arms", "table2-meshes"])
+def test_shipped_comparisons_on_meshes_can_be_read(name):
+    experiment, _ = read_experiment(["--config", str(config_path("training", name)), "--data_root", "elsewhere"])
+    first, *others = experiment.runs.values()
+    assert first.meshes.folder == "elsewhere/meshes" and not first.data
+    assert all(objects.folder.startswith("elsewhere/objects/") for objects in experiment.scored.values())
+    for run in others:
+        changed = set(run.differences(json.loads(json.dumps(first.identity()))))
+        assert changed in (
+            {"meshes"},
+            {"stages"},
+            {"attention_px"},
+            {"stages", "composite"},
+            {"cone_margin"},
+            {"cone_deg", "cone_margin", "elevation_deg"},
+        )
+        assert sum(stage.minutes for stage in run.stages) == sum(stage.minutes for stage in first.stages)
+        assert ModelConfig.from_yaml(run.model).image_size_px == run.stages[0].image_size_px
+
+
 @pytest.mark.parametrize("name", ["compare", "compare-small"])
 def test_shipped_comparisons_can_be_read(name):
     path = config_path("training", name)
@@ -256,6 +307,6 @@ def test_shipped_comparisons_can_be_read(name):
     assert experiment.runs["sphere"].target_data == ["elsewhere/train_sphere"]
     assert "arms" in yaml.safe_load(path.read_text())
     with pytest.raises(InputError):
-        read_experiment(["--config", str(path), "--arms", "{a: {seed: 1}}"])
+        read_experiment(["--config", str(path), "--arms", "{a: {sead: 1}}"])
     with pytest.raises(InputError, match="arms: a: cone_margin must be"):
         read_experiment(["--config", str(path), "--arms", "{a: {cone_margin: -1}}"])

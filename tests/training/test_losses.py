@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from lightfield_gs.reference.metrics import gradient_psnr_db, psnr_db, ssim
-from training.losses import LossWeights, composite, gradient_error, roughness, total_loss, translucency
+from training.losses import LossWeights, composite, gradient_error, outline_error, roughness, total_loss, translucency
 
 
 def test_psnr_of_a_constant_error():
@@ -52,6 +52,15 @@ def test_loss_is_the_weighted_sum_of_its_terms():
     assert float(terms["colour"]) == pytest.approx(0.01, abs=1e-6)
     assert float(terms["alpha"]) == pytest.approx(0.04, abs=1e-6)
     assert float(total) == pytest.approx(2 * 0.01 + 0.5 * float(terms["ssim"]) + 3 * 0.04, abs=1e-6)
+
+
+def test_outline_error_leaves_a_band_along_the_outline_out():
+    """Of 512 px: 2 px inside the square and 4 px outside it."""
+    truth, alpha = torch.zeros(1, 1, 512, 512), torch.zeros(1, 1, 512, 512)
+    truth[..., 100:200, 100:300] = 1
+    assert float(outline_error(alpha, truth)) * 512**2 == pytest.approx(96 * 196, rel=1e-5)
+    alpha[..., 50, 50], alpha[..., 97, 150], alpha[..., 95, 150] = 0.25, 1, 0.5
+    assert float(outline_error(alpha, truth)) * 512**2 == pytest.approx(96 * 196 + 0.75, rel=1e-5)
 
 
 def test_the_logarithm_of_errors_is_that_of_each_image():

@@ -98,6 +98,7 @@ def test_a_run_by_the_clock_ends_with_scores_also_when_it_was_stopped(small_set)
     assert lines[: len(first)] == first and rates[-1] < 0.1 * max(rates)
     (scores,) = (small_set / "timed/scores.jsonl").read_text().splitlines()
     assert json.loads(scores)["step"] == len(lines)
+    assert (small_set / "timed/stage-1.safetensors").exists()
     assert torch.load(small_set / "timed/last.pt", weights_only=True)["seconds"] >= 4.8
 
 

@@ -1,7 +1,6 @@
 """The weights after a step: the schedule, the average, and the start of a network."""
 
 import dataclasses
-from itertools import islice
 
 import pytest
 import torch
@@ -9,28 +8,48 @@ from photo_cases import TINY, tiny_net
 from safetensors.torch import load_file
 from training_runs import finish, run_config
 
+from lightfield_gs import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
+from lightfield_gs.models.crop import Square, crop_resize
 from training import average, train
 from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.data.batches import make_batch
 from training.distributed import Team, join_team
+from training.drawing import draw, drawings, seen_by_network
 from training.loop import make_planner, plans
+from training.losses import total_loss
 from training.schedule import WeightAverage, learning_rate, progress
 from training.trainer import Trainer
 
 
-def test_a_share_of_the_steps_is_under_the_sheet_of_detail(small_set):
-    """With half of them the first is as without, and the second has another loss, which teaches the network."""
+def test_a_stage_draws_what_a_photo_shows_beside_the_cloud(small_set):
+    """The network sees the picture as a photo is reduced, the sheet has all of it, and both losses are added up."""
+    stage = {"steps": 2, "image_size_px": 16, "objects": 2, "target_px": 32, "detail": 2, "scales": [1, 2]}
+    path = run_config(small_set, "sheet", stages=[stage], composite={"outline": 0.5}, bfloat16=False, dropout=0.0)
+    config = train.read_config(["--config", str(path)])
     alone = Team(torch.device("cpu"))
-    steps = []
-    for detail in (0.0, 0.5):
-        config = train.read_config(["--config", str(run_config(small_set, f"detail-{detail}", detail=detail))])
-        trainer, planner = Trainer(config, alone), make_planner(config, alone)
-        batches = (make_batch(plan, planner.views) for plan, *_ in islice(plans(planner, trainer), 2))
-        steps.append([trainer.advance(batch).read() for batch in batches])
-    plain, under = steps
-    assert under[0] == plain[0] and under[1]["loss"] != plain[1]["loss"]
-    assert under[1]["gradient_norm"] > 0
+    trainer, planner = Trainer(config, alone), make_planner(config, alone)
+    (plan, stage, last), _ = plans(planner, trainer)
+    assert not last
+    batch = make_batch(plan, planner.views)
+    seen, camera = seen_by_network(batch, stage)
+    square = Square(0, 0, 32)
+    torch.testing.assert_close(seen[1], crop_resize(batch.source[1], square, 16))
+    fx, fy, cx, cy = batch.source_intrinsics[1].tolist()
+    torch.testing.assert_close(camera[1], torch.tensor(square.intrinsics((fx, fy), (cx, cy), 16)))
+    cloud = trainer.net(seen, camera)
+    *clouds, composed = drawings(trainer.net, cloud, (seen, camera), batch, stage, config)
+    assert [drawing.reduced for drawing in clouds] == [1, 2] and clouds[0].gaussians is cloud
+    assert composed.gaussians.means.shape[1] == 32 * 32 + cloud.means.shape[1]
+    losses = []
+    for drawing in (*clouds, composed):
+        images, alpha, targets = draw(drawing, batch)
+        assert images.shape[-1] == targets.shape[-1] == 32 // drawing.reduced
+        arguments = (batch.backgrounds, cloud.means, seen, drawing.weights)
+        losses.append(total_loss(images, alpha, targets, *arguments)[0].item())
+    values = trainer.advance(batch, stage).read()
+    assert values["loss"] == pytest.approx((losses[0] + losses[1]) / 2 + losses[2], rel=1e-5)
+    assert values["gradient_norm"] > 0 and values["composite_outline"] > 0 and "outline" not in values
 
 
 def test_learning_rate_warms_up_and_falls_by_a_cosine():
@@ -89,6 +108,25 @@ def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(smal
     assert found.config.symmetric
     changed = {name for name, weights in found.half().state_dict().items() if not torch.equal(weights, former[name])}
     assert changed == {"head.weight", "head.bias"}
+
+
+def test_attention_that_is_added_begins_without_effect(small_set, tmp_path):
+    """The packaged network with attention at 32 px too fits into 15 MB, and predicts as before."""
+    path = run_config(small_set, "unused", stages=[{"steps": 1, "image_size_px": 128, "objects": 1}])
+    config = train.read_config(["--config", str(path), "--initial_weights", "pretrained"])
+    alone, size = Team(torch.device("cpu")), 128
+    pictures = torch.rand(1, 4, size, size), torch.tensor([[1.4 * size] * 2 + [size / 2] * 2])
+    former, more = (
+        Trainer(dataclasses.replace(config, attention_px=sizes), alone).average.average for sizes in ([], [32])
+    )
+    assert more.config.unet.attention_px == (32, 16)
+    with torch.no_grad():
+        torch.testing.assert_close(more(*pictures).means, former(*pictures).means)
+    more.save(tmp_path / "more.safetensors")
+    assert (tmp_path / "more.safetensors").stat().st_size < 15e6
+    assert SplatterNet.from_pretrained(tmp_path / "more.safetensors").config == more.config
+    with pytest.raises(InputError, match="attention_px: expected sizes of 64, 32, 16, 8 .* got .33."):
+        Trainer(dataclasses.replace(config, attention_px=[33]), alone)
 
 
 def test_a_head_is_trained_on_features_without_dropout(small_set):

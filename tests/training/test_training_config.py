@@ -160,7 +160,9 @@ def test_a_run_that_was_stored_before_a_field_existed_has_its_default():
     config = TrainingConfig("out", ["data"], [Stage(5, 16, 2)])
     stored = json.loads(json.dumps(config.identity()))
     del stored["symmetric"], stored["augmentation"]["noise"], stored["stages"][0]["minutes"]
+    stored["detail"] = 0.0  # a field that was removed
     assert config.differences(stored) == []
+    assert config.differences(stored | {"detail": 0.5}) == ["detail"]
     stored["augmentation"]["mirror"] = 0.25
     assert config.differences(stored | {"seed": 3}) == ["augmentation", "seed"]
     assert "stages" in config.differences(None) and "unet" in config.differences(stored | {"unet": {}})

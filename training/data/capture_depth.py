@@ -15,10 +15,11 @@ import torch
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
-from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
 from training.command import with_line_errors
 
 _COVERED = 0.1  # alpha from which on a pixel has a depth: what is dark in a photograph may be hardly covered by a fit
@@ -39,25 +40,34 @@ def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> 
     photographs = read_capture(capture)
     if name not in photographs.names:
         raise InputError(f"{capture}: expected one of its photographs, {', '.join(photographs.names)}, got {name!r}")
+    cameras = photograph_camera(photographs, name, gaussians := read_scene(scene).gaussians)
+    z = photograph_depth(gaussians, cameras).numpy()
+    if np.isnan(z).all():
+        raise InputError(f"{scene}: shows nothing where {name} was taken; is it fitted to {capture}?")
+    with atomic_path(output) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, depth=z.astype(np.float16), focallength_px=np.float32(cameras.focal_px[0, 0]))
+    return float(np.nanmin(z)), float(np.nanmax(z))
+
+
+def photograph_camera(photographs: Capture, name: str, gaussians: Gaussians) -> Cameras:
+    """Return the camera of a photograph in the axes of a scene that was fitted to the capture."""
     index = photographs.names.index(name)
     fx, fy, cx, cy = photographs.intrinsics[index]
-    gaussians = read_scene(scene).gaussians
     pose = photographs.world_to_camera[index].copy()
     pose[:3, 3] += pose[:3, :3] @ np.asarray(gaussians.origin)
-    cameras = Cameras(
+    return Cameras(
         torch.from_numpy(pose[None]).float(),
         torch.tensor([[fx, fy]]).float(),
         torch.tensor([[cx, cy]]).float(),
         *photographs.sizes_px[index].tolist(),
     )
-    with torch.no_grad():
-        _, alpha, depth, _ = render(gaussians, cameras, alpha=True, depth=True)
-    z = _medians(torch.where(alpha[0] >= _COVERED, depth[0], torch.nan)).numpy()
-    if np.isnan(z).all():
-        raise InputError(f"{scene}: shows nothing where {name} was taken; is it fitted to {capture}?")
-    with atomic_path(output) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, depth=z.astype(np.float16), focallength_px=np.float32(fx))
-    return float(np.nanmin(z)), float(np.nanmax(z))
+
+
+@torch.no_grad()
+def photograph_depth(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:
+    """Return the depths [H, W] of a scene in its only camera's view, medians of 7 x 7 pixels, NaN where nothing is."""
+    _, alpha, depth, _ = render(gaussians, cameras, alpha=True, depth=True)
+    return _medians(torch.where(alpha[0] >= _COVERED, depth[0], torch.nan))
 
 
 def _medians(z: torch.Tensor) -> torch.Tensor:

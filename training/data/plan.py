@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.models.crop import Square
 from training.data.photographs import PhotoPlan, draw_faults
@@ -61,17 +62,19 @@ class Augmentation:
             mirror=(0.0, 1.0),
             colour=(0.0, 1.0),
             source_jitter=(0.0, 0.5),
-            target_zoom=(0.01, 100.0),
             pose_error_deg=(0.0, 180.0),
             blur_px=(0.0, 100.0),
             noise=(0.0, 1.0),
             outline_px=(0.0, 100.0),
         )
-        if not self.target_zoom[0] <= self.target_zoom[1]:
-            raise InputError(
-                "augmentation.target_zoom: expected the smaller number first, got "
-                f"{self.target_zoom[0]:g}, {self.target_zoom[1]:g}"
-            )
+        check_zoom(self.target_zoom, "augmentation.")
+
+
+def check_zoom(zoom: tuple[float, float], where: str) -> None:
+    """Raise InputError unless `target_zoom` is a range of positive sides; where: text before the field's name."""
+    low, high = (real_number(f"{where}target_zoom", side, 0.01, 100.0) for side in zoom)
+    if not low <= high:
+        raise InputError(f"{where}target_zoom: expected the smaller number first, got {low:g}, {high:g}")
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,22 @@ class BatchPlan:
     procedural: ProceduralExamples | None
     meshes: MeshPlan | None
     photo: PhotoPlan | None
+
+
+class Sizes(NamedTuple):
+    """How large the pictures of a step are.
+
+    Attributes:
+        source_px: Side of the input pictures as they are made.
+        target_px: Side of the targets.
+        zoom: Range of the target crops' sides, see Augmentation.
+        finer: How many times larger the input pictures are than what the network sees. Faults are as many times larger.
+    """
+
+    source_px: int
+    target_px: int
+    zoom: tuple[float, float]
+    finer: int
 
 
 def relative_cameras(camera_to_world: np.ndarray, source_to_world: np.ndarray) -> np.ndarray:
@@ -160,17 +179,28 @@ class BatchPlanner:
         self._largest = views.squares[:, 2].max(initial=1)
 
     def plan(
-        self, step: int, start: int, count: int, source_px: int, target_px: int = 0, part: slice = slice(None)
+        self,
+        step: int,
+        start: int,
+        count: int,
+        source_px: int,
+        target_px: int = 0,
+        part: slice = slice(None),
+        finer: int = 1,
+        zoom: tuple[float, float] | None = None,
     ) -> BatchPlan:
         """Return the plan of a step.
 
         Args:
             start: Number of examples before the step.
             count: Number of examples in the step.
-            source_px, target_px: Side of the input pictures and of the targets (0: the same).
+            source_px, target_px: Side of the pictures that the network sees, and of the targets (0: the same).
             part: The examples to plan; example i of the step is the same in every part.
+            finer: The input pictures are made so many times larger.
+            zoom: Range of the target crops' sides; None: that of the augmentation.
         """
-        sizes, made = (source_px, target_px or source_px), made_up(count, self.procedural)
+        sizes = Sizes(finer * source_px, target_px or source_px, zoom or self.augmentation.target_zoom, finer)
+        made = made_up(count, self.procedural)
         meshes = made_up(count, self._meshes.options.fraction if self._meshes else 0)
         kinds = (made & ~meshes, meshes, ~made & ~meshes)
         new, rendered, old = (np.arange(count)[part][chosen[part]] for chosen in kinds)
@@ -181,19 +211,19 @@ class BatchPlanner:
             sizes,
             procedural=self._made(step, count, new, sizes),
             meshes=self._rendered(step, count, rendered, sizes),
-            photo=self._faults(step, count, np.concatenate([old, new, rendered])),
+            photo=self._faults(step, count, np.concatenate([old, new, rendered]), finer),
         )
 
-    def _rendered(self, step: int, count: int, wanted: np.ndarray, sizes: tuple[int, int]) -> MeshPlan | None:
+    def _rendered(self, step: int, count: int, wanted: np.ndarray, sizes: Sizes) -> MeshPlan | None:
         """The examples `wanted` of a step's `count`, rendered from meshes."""
         if self._meshes is None or not len(wanted):
             return None
         drawn = self._draw(step, count, wanted)
         mirror = drawn["mirror"][:, 0] < self.augmentation.mirror
-        framing = Framing(*self._framing(drawn), self._backgrounds(drawn), mirror, self.augmentation.colour)
-        return self._meshes.plan(self.sampler.rng(step, 5), wanted, count, sizes, framing)
+        framing = Framing(*self._framing(drawn, sizes), self._backgrounds(drawn), mirror, self.augmentation.colour)
+        return self._meshes.plan(self.sampler.rng(step, 5), wanted, count, sizes[:2], framing)
 
-    def _made(self, step: int, count: int, wanted: np.ndarray, sizes: tuple[int, int]) -> ProceduralExamples | None:
+    def _made(self, step: int, count: int, wanted: np.ndarray, sizes: Sizes) -> ProceduralExamples | None:
         """The examples `wanted` of a step's `count`, of the block that they are drawn with."""
         if not len(wanted):
             return None
@@ -203,22 +233,20 @@ class BatchPlanner:
             self._block(step - step % steps, steps, count, tuple(wanted), sizes), slice(first, first + len(wanted))
         )
 
-    def _new_block(
-        self, first: int, steps: int, count: int, wanted: tuple[int, ...], sizes: tuple[int, int]
-    ) -> ProceduralBlock:
+    def _new_block(self, first: int, steps: int, count: int, wanted: tuple[int, ...], sizes: Sizes) -> ProceduralBlock:
         """The examples `wanted` of each of some steps, whichever of them is asked for."""
         made, wanted, numbers = made_up(count, self.procedural), np.array(wanted), range(first, first + steps)
         rows = np.searchsorted(np.flatnonzero(made), wanted)
         seeds = np.concatenate([self.sampler.rng(step, 3).random((made.sum(), NUMBERS))[rows] for step in numbers])
         steps_drawn = [self._draw(step, count, wanted) for step in numbers]
         drawn = {name: np.concatenate([one[name] for one in steps_drawn]) for name in steps_drawn[0]}
-        framing, backgrounds = self._framing(drawn), self._backgrounds(drawn)
+        framing, backgrounds = self._framing(drawn, sizes), self._backgrounds(drawn)
         return ProceduralBlock(
-            draw_objects(seeds, self.sampler.cone_deg, sizes, framing, backgrounds, self._photographs)
+            draw_objects(seeds, self.sampler.cone_deg, sizes[:2], framing, backgrounds, self._photographs)
         )
 
     def _plan_views(
-        self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: tuple[int, int], **others: Any
+        self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: Sizes, **others: Any
     ) -> BatchPlan:
         """The plan of the examples with stored views; there may be none. others: the plan's remaining fields."""
         indices = np.array([choice.object_index for choice in choices], int)
@@ -228,9 +256,9 @@ class BatchPlanner:
         rows, images = (np.concatenate([sources[:, None]] * times + [targets], 1) for times in (1, 2))
         mirror, width = drawn["mirror"] < self.augmentation.mirror, self.views.widths_px[images]
         left, top, side = np.moveaxis(self.views.squares[images].astype(np.float64), -1, 0)
-        crops = _framed(Square(np.where(mirror, width - left - side, left), top, side), *self._framing(drawn))
+        crops = _framed(Square(np.where(mirror, width - left - side, left), top, side), *self._framing(drawn, sizes))
         fx, fy, cx, cy = np.moveaxis(self.views.intrinsics[images], -1, 0)
-        sides = np.array([sizes[0]] + [sizes[1]] * (images.shape[1] - 1))
+        sides = np.array([sizes.source_px] + [sizes.target_px] * (images.shape[1] - 1))
         intrinsics = crops.intrinsics((fx, fy), (np.where(mirror, width - cx, cx), cy), sides)
         poses = self.views.camera_to_world[rows]
         cameras = self._turned(relative_cameras(poses, poses[:, :1]), drawn["turn"])
@@ -246,15 +274,15 @@ class BatchPlanner:
             world_to_camera=_floats(np.where(mirror[..., None, None], mirrored(cameras), cameras)),
             backgrounds=_floats(self._backgrounds(drawn)),
             window_px=self._window_px,
-            source_px=sizes[0],
-            target_px=sizes[1],
+            source_px=sizes.source_px,
+            target_px=sizes.target_px,
             taps=self._taps(sizes),
             **others,
         )
 
-    def _taps(self, sizes: tuple[int, int]) -> int:
+    def _taps(self, sizes: Sizes) -> int:
         """Of a BatchPlan: a filter's two sides are as wide as a pixel of the image that shrinks most."""
-        zooms = (1 + self.augmentation.source_jitter, max(self.augmentation.target_zoom))
+        zooms = (1 + self.augmentation.source_jitter, max(sizes.zoom))
         shrunk = [max(2, np.rint(self._largest * zoom)) / size for zoom, size in zip(zooms, sizes)]
         return 2 * math.ceil(max(1, *shrunk)) + 2
 
@@ -285,15 +313,16 @@ class BatchPlanner:
         cameras[:, 1:, :3] = turns @ cameras[:, 1:, :3]
         return cameras
 
-    def _faults(self, step: int, count: int, order: np.ndarray) -> PhotoPlan | None:
-        """Return the faults of the examples `order` of a step, in that order."""
+    def _faults(self, step: int, count: int, order: np.ndarray, finer: int) -> PhotoPlan | None:
+        """Return the faults of the examples `order` of a step, in that order; finer: see Sizes."""
         limits = (self.augmentation.blur_px, self.augmentation.noise, self.augmentation.outline_px)
         if not any(limits):
             return None
-        faults = draw_faults(self.sampler.rng(step, 4), count, *limits)
+        blur_px, noise, outline_px = limits
+        faults = draw_faults(self.sampler.rng(step, 4), count, finer * blur_px, noise, finer * outline_px)
         return PhotoPlan(*(values[order] for values in vars(faults).values()))
 
-    def _framing(self, drawn: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def _framing(self, drawn: dict[str, np.ndarray], sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
         """Return sides [B,I] of the crops of all images, and shifts [B,I,2] of their centres right and down.
 
         Both are in units of the square round the object. The input is cropped as a photo would be, moved and resized a
@@ -301,7 +330,7 @@ class BatchPlanner:
         square.
         """
         jitter = (2 * drawn["jitter"] - 1) * self.augmentation.source_jitter
-        low, high = self.augmentation.target_zoom
+        low, high = sizes.zoom
         sides = low + (high - low) * drawn["zoom"]
         room = (2 * drawn["place"].reshape(*sides.shape, 2) - 1) * (np.abs(sides - 1) / 2)[..., None]
         return (np.concatenate([1 + jitter[:, :1], sides], 1), np.concatenate([jitter[:, None, 1:], room], 1))

@@ -137,7 +137,7 @@ def render_pictures(
     samples = _Samples(meshes, scene, shadow_maps, compiled)
     depth, normals = samples.geometry()
     nearest, first = _of_pixels(torch.where(depth > 0, depth, torch.inf)).min(-1)
-    draws = torch.where(samples.winner < 0, -1, samples.surfaces.draw[samples.winner])
+    draws = F.pad(samples.surfaces.draw, (0, 1), value=-1)[samples.winner]  # the last one where there is no surface
     return Pictures(
         _means(samples.images()),
         torch.where(nearest < torch.inf, nearest, 0),

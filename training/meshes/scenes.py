@@ -46,6 +46,8 @@ class MeshOptions:
         patterned: fraction of the objects, 0..1, in random colours and solid patterns.
         photographed: fraction of the objects, 0..1, that wear pieces of the run's photographs, where there are some.
         shadows: fraction of the scenes, 0..1, whose key light throws soft shadows.
+        towards_centre: exponent of the targets' distances from the source within the cone, 1..10. With 1 all directions
+            are alike, with larger ones targets are nearer to the source.
     """
 
     folder: str = ""
@@ -56,12 +58,13 @@ class MeshOptions:
     patterned: float = 0.2
     photographed: float = 0.2
     shadows: float = 0.0
+    towards_centre: float = 1.0
 
     def __post_init__(self) -> None:
         shares = dict.fromkeys(
             ("fraction", "objects_per_scene", "random_light", "patterned", "photographed"), (0.0, 1.0)
         )
-        check_ranges(self, "meshes.", scale=(0.1, 1.0), **shares)
+        check_ranges(self, "meshes.", scale=(0.1, 1.0), shadows=(0.0, 1.0), towards_centre=(1.0, 10.0), **shares)
         if not sum(self.objects_per_scene):
             raise InputError("meshes.objects_per_scene: expected a number above 0, got none")
         if not self.scale[0] <= self.scale[1]:
@@ -186,9 +189,8 @@ class _Drawn:
         turned = turned * np.stack([np.where(framing.mirror, -1, 1), *np.ones((2, len(tilt)))], -1)[:, None, None]
         self._to_source = turned @ to_scene
         self._to_source[..., 2, 3] += DISTANCE
-        azimuth, elevation = (
-            np.radians(limit) * u.between(-1, 1, framing.backgrounds.shape[1]) for limit in scenes._cone_deg
-        )
+        numbers = [u.between(-1, 1, framing.backgrounds.shape[1]) for _ in scenes._cone_deg]
+        azimuth, elevation = _directions(*numbers, tilt, np.radians(scenes._cone_deg), self._options.towards_centre)
         azimuth[:, 0] = elevation[:, 0] = 0
         cameras = orbit(azimuth, elevation, tilt, roll)
         self.cameras = np.concatenate([cameras[:, :1], cameras], 1)
@@ -284,6 +286,24 @@ class _Drawn:
             _floats(values[chosen].reshape(-1, values.shape[-1])) for values in (owns, looks, skins)
         )
         return first, own_rows, patterns, skin_rows
+
+
+def _directions(
+    across: np.ndarray, up: np.ndarray, tilt: np.ndarray, limits: np.ndarray, exponent: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return azimuths and elevations [B,V] from the source, radians, spread over the sphere about the upright axis.
+
+    Args:
+        across, up: [B,V], uniform numbers in -1..1.
+        tilt: [B,1], elevation of the source.
+        limits: Largest azimuth and elevation; beyond the poles there is nothing.
+        exponent: See MeshOptions.towards_centre.
+    """
+    low, high, middle = (np.sin(np.clip(tilt + side * limits[1], -np.pi / 2, np.pi / 2)) for side in (-1, 1, 0))
+    height = low + (high - low) * (up + 1) / 2 - middle
+    reach = np.maximum(np.where(height < 0, middle - low, high - middle), 1e-9)
+    height *= np.abs(height / reach) ** (exponent - 1)
+    return limits[0] * across * np.abs(across) ** (exponent - 1), np.arcsin(np.clip(middle + height, -1, 1)) - tilt
 
 
 def _placed(
