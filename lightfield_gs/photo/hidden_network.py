@@ -6,6 +6,7 @@ of this guess. training.hidden trains it on compositions of meshes and photograp
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ _BLOCKS_UP = (1, 2, 2, 1)
 _DILATIONS = (1, 2, 4)  # of the blocks at the lowest level: a hole of 150 px is seen from both sides
 _INPUTS, _OUTPUTS = 11, 4
 _STRIDE = 2 ** len(_CHANNELS)
+_MOST_PIXELS = 1 << 20  # of a picture that the network sees; half a second on two cores
 _DISPARITY = 0.1  # log disparity of one unit of output
 _FARTHEST_LOG = 2.0  # largest difference of log disparity that the network sees
 
@@ -115,6 +117,8 @@ class HiddenNet(nn.Module):
 def paint_hidden(net: HiddenNet, image: Tensor, depth: Tensor, found: Hidden) -> tuple[Hidden, Tensor]:
     """Return the hidden layer with the network's disparities, and its colours [H,W,3].
 
+    A large photo is painted at a smaller size: the network's changes are made larger, not the photo.
+
     Args:
         image: [H,W,3], the photo, 0..1.
         depth: [H,W], its z, sharp at edges.
@@ -123,17 +127,25 @@ def paint_hidden(net: HiddenNet, image: Tensor, depth: Tensor, found: Hidden) ->
     guess = solve_membrane(found.image, found.hole, found.linked)
     if not bool(found.hole.any()):
         return found, guess
-    seen = HiddenInput(
-        image=image.movedim(2, 0)[None],
-        log_disparity=-depth.log()[None],
-        guess=guess.movedim(2, 0)[None],
-        guess_log_disparity=found.disparity.log()[None],
-        hole=found.hole[None],
-        fringe=found.fringe[None],
-    )
-    colours, changed = net(seen)
-    disparity = torch.where(found.hole, torch.minimum(changed[0].exp(), found.nearest), found.disparity)
-    return found._replace(disparity=disparity), colours[0].movedim(0, 2).clamp(0, 1)
+    height, width = depth.shape
+    factor = math.ceil(math.sqrt(height * width / _MOST_PIXELS))
+    colours = torch.cat([image, guess], 2).movedim(2, 0)[None]
+    depths = torch.stack([-depth.log(), found.disparity.log()])[None]
+    masks = torch.stack([found.hole, found.fringe])[None]
+    if factor > 1:
+        padding = (0, -width % factor, 0, -height % factor)
+        colours = F.avg_pool2d(F.pad(colours, padding, mode="replicate"), factor)
+        depths, masks = (F.max_pool2d(part.float(), factor, ceil_mode=True) for part in (depths, masks))
+    hole, fringe = (masks > 0)[0]
+    seen = HiddenInput(colours[:, :3], depths[:, 0], colours[:, 3:], depths[:, 1], hole[None], fringe[None])
+    painted, log_disparity = net(seen)
+    change = torch.cat([painted - seen.guess, (log_disparity - seen.guess_log_disparity)[:, None]], 1)
+    if factor > 1:
+        change = F.interpolate(change, scale_factor=factor, mode="bilinear", align_corners=False)
+    change = change[0, :, :height, :width].movedim(0, 2)
+    disparity = torch.minimum(found.disparity * change[..., 3].exp(), found.nearest)
+    painted = torch.where(found.hole[..., None], guess + change[..., :3], guess)
+    return found._replace(disparity=torch.where(found.hole, disparity, found.disparity)), painted.clamp(0, 1)
 
 
 class _Block(nn.Module):
