@@ -187,4 +187,6 @@ def _planes(seen: HiddenInput) -> Tensor:
     # What textures are made of: the same for the same size, on every device
     noise = torch.randn(hole.shape[1:], generator=torch.Generator().manual_seed(0)).to(hole).expand_as(hole)
     maps = torch.stack([hole, seen.fringe.to(hole), *depths, 0.5 * noise], 1)
-    return torch.cat([seen.image - 0.5, seen.guess - 0.5, maps], 1)
+    # Colours of what covers a surface say nothing of it, those of the fringe do
+    visible = torch.where((seen.hole & ~seen.fringe)[:, None], seen.guess, seen.image)
+    return torch.cat([visible - 0.5, seen.guess - 0.5, maps], 1)
