@@ -37,7 +37,7 @@ import torch
 from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.errors import InputError, named
 from training.command import with_line_errors
-from training.compare_report import is_finished, write_report
+from training.compare_report import Scored, is_finished, write_report
 from training.config import TrainingConfig
 from training.loop import train
 from training.ranges import MOST
@@ -56,7 +56,7 @@ class Experiment:
 
     output_dir: Path
     runs: dict[str, TrainingConfig]
-    scored: dict[str, Path]
+    scored: dict[str, Scored]
 
 
 def _arm_config(common: TrainingConfig, name: str, changes: dict[str, Any], data_root: Path) -> TrainingConfig:
@@ -97,7 +97,12 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
         prog="python -m training.compare", description=__doc__, exit_on_error=False, formatter_class=Help
     )
     parser.add_argument("--arms", type=dict[str, dict[str, Any]], required=True, help="the other fields of each arm")
-    parser.add_argument("--scored", type=dict[str, str], required=True, help="folders to score on in the end")
+    parser.add_argument(
+        "--scored",
+        type=dict[str, str | Scored],
+        required=True,
+        help="folders to score on in the end, or each with folder, size_px (128) and detail (0) of training.evaluate",
+    )
     parser.add_argument("--data_root", type=str, default=".", help="folder that paths of images are relative to")
     parser.add_argument("--arm", type=str, help="train and score this arm only")
     parser.add_argument("--devices", type=int, default=1, help="arms that run side by side, each on a GPU")
@@ -113,7 +118,8 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
     if options.arm is not None and options.arm not in runs:
         raise InputError(f"--arm {options.arm}: expected one of {', '.join(runs)}")
     whole_number("--devices", options.devices, 1, MOST)
-    scored = {name: root / folder for name, folder in options.scored.items()}
+    scored = {name: one if isinstance(one, Scored) else Scored(one) for name, one in options.scored.items()}
+    scored = {name: dataclasses.replace(one, folder=str(root / one.folder)) for name, one in scored.items()}
     return Experiment(Path(common.output_dir), runs, scored), options
 
 

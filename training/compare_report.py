@@ -7,8 +7,9 @@ import json
 import math
 import statistics
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
@@ -17,10 +18,13 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.text_files import parse_json, read_object
 from lightfield_gs.models import SplatterNet
+from training.comparison import SIZE_PX
 from training.config import TrainingConfig
+from training.data.background import Choice
 from training.data.cache import fingerprint
 from training.data.objects import find_objects
 from training.evaluation import labelled, score_folder
+from training.ranges import check_ranges
 
 FLOORS = {"copy": "copy the input", "card": "flat card"}
 _SPLIT = "val"
@@ -28,6 +32,30 @@ _TARGETS = ("cone_deg", "cone_margin", "elevation_deg", "target_data")  # fields
 LIMIT_BYTES = 64 << 20
 # The results of score_folder, for each arm and each scored folder.
 Scores = dict[str, dict[str, dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A folder of objects that runs are scored on in the end.
+
+    Args:
+        folder: the folder.
+        size_px: longer side of the pictures that are compared.
+        detail: how many times finer than the network's pictures the sheet of the source is: 1, 2 or 4; 0: no sheet.
+    """
+
+    folder: str
+    size_px: int = SIZE_PX
+    detail: Literal[0, 1, 2, 4] = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "scored: ", size_px=(16, 4096))
+
+    def identity(self, background: Choice) -> list[Any]:
+        """Return what decides the scores, beside the weights."""
+        objects = [self.folder, fingerprint(find_objects(Path(self.folder), _SPLIT), background)]
+        otherwise = [self.size_px, self.detail]
+        return objects if otherwise == [SIZE_PX, 0] else objects + otherwise
 
 
 def _final_weights(run: TrainingConfig) -> Path:
@@ -55,7 +83,7 @@ def is_finished(run: TrainingConfig) -> bool:
 
 
 def score_arm(
-    run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, Tensor], now: bool = True
+    run: TrainingConfig, scored: dict[str, Scored], decoded: dict[Path, Tensor], now: bool = True
 ) -> dict[str, Any] | None:
     """Return scores of a finished run in each folder.
 
@@ -71,10 +99,7 @@ def score_arm(
     weights = _final_weights(run)
     of = {
         "weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
-        "data": {
-            name: [str(folder), fingerprint(find_objects(folder, _SPLIT), run.background)]
-            for name, folder in scored.items()
-        },
+        "data": {name: objects.identity(run.background) for name, objects in scored.items()},
     }
     kept = weights.with_name("final_scores.json")
     if kept.exists() and (known := read_object(kept, LIMIT_BYTES)).get("of") == of:
@@ -84,8 +109,17 @@ def score_arm(
     device = choose_device(run.device)
     net = SplatterNet.from_pretrained(weights).to(device)
     scores = {
-        name: score_folder(net, folder, split=_SPLIT, device=device, decoded=decoded, background=run.background)
-        for name, folder in scored.items()
+        name: score_folder(
+            net,
+            Path(objects.folder),
+            split=_SPLIT,
+            device=device,
+            decoded=decoded,
+            background=run.background,
+            size_px=objects.size_px,
+            detail=objects.detail or None,
+        )
+        for name, objects in scored.items()
     }
     with atomic_path(kept) as temporary:
         temporary.write_text(json.dumps({"of": of, "scores": scores}, indent=1) + "\n")
@@ -149,7 +183,7 @@ def _other_fields(arm: TrainingConfig, first: TrainingConfig) -> str:
 
 
 def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
-    """The tables: PSNR / SSIM of every arm and floor by angle, and the leads of the first arm."""
+    """The tables: PSNR / SSIM of every arm and floor by angle, holes and ghosts, and the leads of the first arm."""
     run = next(iter(runs.values()))
     lines = [
         "# Targets inside the cone and all round",
@@ -179,6 +213,12 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
         lines += ["", f"## {folder}", "", markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
         if skipped := report.get("skipped"):
             lines += ["", f"{len(skipped)} objects could not be scored: {', '.join(skipped)}"]
+        if "holes" in report:
+            rows = [
+                [label, *(f"{column[label]['holes']:.2f} / {column[label]['ghosts']:.2f}" for column in columns)]
+                for label, _ in labelled(report)
+            ]
+            lines += ["", markdown_table(["holes % / ghosts %", *scores], rows)]
         if others:
             rows = [
                 [label, *(lead_cell(lead[folder][label]) for lead in differences.values())]
@@ -209,7 +249,8 @@ def _save_plots(output: Path, scores: Scores, curves: dict[str, list[dict[str, f
     for arm, rows in ((arm, rows) for arm, rows in curves.items() if rows):
         axes.plot([row["step"] for row in rows], [row["psnr_db"] for row in rows], ".-", label=arm)
     axes.set(title="validation during training", xlabel="steps", ylabel="PSNR, dB")
-    axes.legend()
+    if axes.has_data():
+        axes.legend()
     save_figure(figure, output / "curves.png")
 
 
@@ -220,7 +261,7 @@ def save_figure(figure: Any, path: Path) -> None:
 
 
 def write_report(
-    output: Path, runs: dict[str, TrainingConfig], scored: dict[str, Path], scoring: Collection[str]
+    output: Path, runs: dict[str, TrainingConfig], scored: dict[str, Scored], scoring: Collection[str]
 ) -> str:
     """Score arms that are finished, write report.json, report.md, angles.png, curves.png; return the tables.
 

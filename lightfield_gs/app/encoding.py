@@ -360,6 +360,8 @@ def _metadata(options: EncodeOptions, scene: LoadedScene, panel: Panel, rig: Rig
             encoding[name] = file_facts(path)
     if photo.is_estimated:
         encoding["depth"] = {"model": photo.depth_network}
+    elif photo.is_flat:
+        encoding["depth"] = "flat"
     maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
     return {
         "software": software(),

@@ -21,7 +21,8 @@ from lightfield_gs.base.options import (
     Views,
 )
 
-AUTO = Path("auto")  # in place of the file of --depth: a network estimates the depths
+# In place of the file of --depth: a network estimates the depths, or the photo is a plane
+AUTO, FLAT = Path("auto"), Path("flat")
 WHITE = (1.0, 1.0, 1.0)
 
 
@@ -104,7 +105,7 @@ class PhotoOptions:
         checkpoint: weights of the network.
         detail: factor of the photo's resolution on the object, "auto", or "none" for the network's own colours.
         detail_budget: most Gaussians of the detail "auto".
-        depth: file of the depth map, or AUTO.
+        depth: file of the depth map, AUTO or FLAT.
         depth_model: name or folder of the network of AUTO.
         depth_kind: meaning of the map's numbers.
         depth_range: distances at the ends of the map's full scale, near and far.
@@ -146,7 +147,12 @@ class PhotoOptions:
     @property
     def depth_file(self) -> Path | None:
         """The file of the depth map; None where there is none or a network estimates it."""
-        return None if self.is_estimated else self.depth
+        return None if self.is_estimated or self.is_flat else self.depth
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the whole photo is a plane."""
+        return self.depth == FLAT
 
     @property
     def depth_network(self) -> str:

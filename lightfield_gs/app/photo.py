@@ -12,13 +12,14 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions
+from lightfield_gs.app.options import AUTO, FLAT, LookOptions, PhotoOptions
 from lightfield_gs.app.photo_depth import (
     depth_beside,
     depth_by_network,
     depth_camera,
     depth_from_file,
     depth_within,
+    flat_depth,
     has_depth,
     is_depth_inside,
 )
@@ -54,7 +55,7 @@ class ReadPhoto:
 
     Attributes:
         path: of the photo.
-        options: those given, or with the depth AUTO where no object could be cut out.
+        options: those given, or with the depth AUTO or FLAT where no object could be cut out.
         photo: its pixels.
         is_whole: whether the whole photo is shown, not an object in it.
         depth: the depth map of a whole photo. None: a network estimates it.
@@ -108,10 +109,11 @@ def photo_scene(
         return _scene_of_whole(source, panel, look, device, watch)
     with _trying(source.path, source.refused):
         scene = _scene_of_whole(source, panel, look, device, watch)
-    note(
-        f"{source.refused.reason}: it is shown as a whole scene, as with --depth auto; for one object give --mask FILE "
-        "or --remove-background"
-    )
+    if source.options.is_flat:
+        how = "it is shown flat, as with --depth flat; for estimated depth give --depth auto"
+    else:
+        how = "it is shown as a whole scene, as with --depth auto"
+    note(f"{source.refused.reason}: {how}; for one object give --mask FILE or --remove-background")
     return scene
 
 
@@ -151,7 +153,7 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
         if side is not None:
             words = f"{error.reason}; {ways[0]}; to show all of it as one photo, give depth=auto"
             raise InputError("; ".join([words, *ways[1:]])) from None
-        refused = NoCutOut(error.reason, "; ".join([str(error).removeprefix(error.reason), *ways]))
+        refused = NoCutOut(error.reason, "; ".join([str(error).removeprefix(error.reason), *ways]), error.is_page)
         for_network = (options.checkpoint, options.detail, options.detail_budget)
         if any(value is not None for value in for_network):
             raise refused from None
@@ -210,9 +212,14 @@ def _scene_of_object(source: ReadPhoto, panel: Panel, device: str, watch: Stopwa
 
 
 def _read_whole_instead(path: Path, options: PhotoOptions, refused: NoCutOut) -> ReadPhoto:
-    """Read the whole photo, for estimated depths. Raises `refused` where no network for depths is installed."""
+    """Read the whole photo: a page is flat, and others are for estimated depths.
+
+    Raises `refused` where no network for depths is installed.
+    """
     from lightfield_gs.photo.depth_network import is_installed
 
+    if refused.is_page:
+        return replace(_read_whole(path, replace(options, depth=FLAT)), refused=refused)
     if not is_installed():
         raise refused
     with _trying(path, refused):
@@ -262,9 +269,11 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     )
     reduce_photo(photo, _MOST_WHOLE_PX)
     notes = embedded_notes(path, is_depth_used=is_inside or not options.is_estimated)
-    notes += [] if side else _notes_on_eyes(path, colour)
+    notes += [] if side or options.is_flat else _notes_on_eyes(path, colour)
     if options.is_estimated:
         depth = None
+    elif options.is_flat:
+        depth = flat_depth(photo)
     elif is_inside:
         depth = depth_within(path, options, photo)
     elif side is not None:
@@ -348,7 +357,7 @@ def _place(
             about_middle=options.is_in_row,
         )
 
-    found = placed(options.fit or "auto")
+    found = placed(options.fit or ("contain" if options.is_flat else "auto"))
     rest = "made up" if found.fit == "cover" else "its blurred, darker continuation"
     words = f"fit {found.fit}: {found.cropped:.0%} of it cropped, {found.made_up:.0%} of the panel {rest}"
     is_given = options.fit not in (None, "auto")

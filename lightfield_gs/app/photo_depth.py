@@ -74,6 +74,15 @@ def is_depth_inside(path: Path, options: PhotoOptions) -> bool:
     return find_embedded_depth(path) is not None
 
 
+def flat_depth(photo: Photo) -> DepthMap:
+    """Return the depth map of a plane."""
+    import numpy as np
+
+    from lightfield_gs.photo.depth import DepthMap
+
+    return DepthMap(np.ones(photo.pixels.shape[:2], np.float32), None, "flat, in the panel's plane", [])
+
+
 def depth_from_file(path: Path, options: PhotoOptions, photo: Photo) -> DepthMap:
     """Read the depth map of --depth, at the photo's size. Raises InputError."""
     from lightfield_gs.photo.depth import read_numbers

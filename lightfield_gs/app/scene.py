@@ -101,6 +101,9 @@ def _check_photo_options(photo: PhotoOptions) -> None:
         _refuse(photo, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
     else:
         _refuse(photo, ("depth_model",), "is for --depth auto")
+    if photo.is_flat:
+        names = ("depth_kind", "depth_range", "depth_scale", "depth_invalid")
+        _refuse(photo, names, "is about a depth map, and --depth flat has none")
     if photo.mask is None and not has_map:
         _refuse(photo, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if photo.intrinsics is not None and min(photo.intrinsics[:2]) <= 0:

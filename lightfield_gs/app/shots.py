@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
-from lightfield_gs.app.options import AUTO, PhotoOptions, SceneOptions
+from lightfield_gs.app.options import AUTO, FLAT, PhotoOptions, SceneOptions
 from lightfield_gs.app.photo import ReadPhoto, photo_rig
 from lightfield_gs.app.photo_depth import steady_estimates
 from lightfield_gs.app.scene import (
@@ -177,8 +177,8 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     first = load_scene(own, options.render, look, panel, device, watch)
     if first.photo is None:
         raise InputError(f"{first.path} is a file of Gaussians; a sequence takes pictures")
-    if first.photo.options.is_estimated:  # also where no object is cut out
-        photo = replace(photo, depth=AUTO)
+    if first.photo.options.depth in (AUTO, FLAT):  # also where no object is cut out
+        photo = replace(photo, depth=first.photo.options.depth)
     if first.photo.placed is not None and photo.is_in_row:
         photo = replace(photo, fit=first.photo.placed.fit)
     messages = [*paired, *halved, *(note for part in parts.values() for note in part.notes)]

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from lightfield_gs.app.encoding import Encoding, use_threads
-from lightfield_gs.app.options import AUTO, EncodeOptions, PanelOptions
+from lightfield_gs.app.options import AUTO, FLAT, EncodeOptions, PanelOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.video import VideoOptions, video_target
 from lightfield_gs.base.cli_messages import Stopwatch, as_options
@@ -168,7 +168,7 @@ class EncodeTask:
 
     def _is_kept(self) -> bool:
         """Note the hashes of the inputs; return whether the outputs were made of the same."""
-        files = [path for path in self.files() if path not in (None, AUTO)]
+        files = [path for path in self.files() if path not in (None, AUTO, FLAT)]
         source = files[0]  # the input alone; the readers of the other files describe their faults better
         self.inputs = {str(path): facts(str(path)) for path in files if path == source or Path(str(path)).exists()}
         if self.known is None or not self.known.outputs:

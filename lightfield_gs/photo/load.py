@@ -50,6 +50,10 @@ class CutOutConstants:
     thing: float = 0.02
     things_of_page: int = 6
     most_of_page: float = 0.4  # fraction of the largest thing, at most
+    # The same for letters, beside which a page may have a large picture
+    letter: float = 0.0002
+    letters_of_page: int = 50
+    most_of_picture: float = 0.6
     few_levels: int = 16  # level, of 255, of the brightest pixel below which a mask numbers things
 
 
@@ -156,11 +160,12 @@ class NoCutOut(InputError):
 
     Attributes:
         reason: Why, without the remedies.
+        is_page: Whether the photo shows a page or a screen.
     """
 
-    def __init__(self, reason: str, remedies: str):
+    def __init__(self, reason: str, remedies: str, is_page: bool = False):
         super().__init__(f"{reason}{remedies}")
-        self.reason = reason
+        self.reason, self.is_page = reason, is_page
 
 
 @dataclass
@@ -343,14 +348,14 @@ def _cut_from_background(path: str | Path, photo: Photo, alpha: np.ndarray | Non
             f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"
         )
         return covered, _BY_ALPHA
+    if covered is None and _is_page(cut.alpha):
+        raise NoCutOut(f"{path} shows many things on a plain background, as a page or a screen does", _TO_SHOW_IT, True)
     if cut.faded > _C.most_faded or cut.holes > _C.most_holes:
         raise NoCutOut(
             f"{path}: the object is hardly different from its plain background: "
             f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone",
             f"; {_OTHER_CUT_OUTS}",
         )
-    if covered is None and _is_page(cut.alpha):
-        raise NoCutOut(f"{path} shows many things on a plain background, as a page or a screen does", _TO_SHOW_IT)
     if cut.holes > _C.many_holes:
         photo.notes.append(
             f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
@@ -381,11 +386,10 @@ def _is_page(alpha: np.ndarray) -> bool:
     masses = np.sort(components.sums(alpha))[::-1]
     if not len(masses):
         return False
-    return bool(
-        (masses >= _C.thing * masses.sum()).sum() >= _C.things_of_page
-        and masses[0] < _C.most_of_page * masses.sum()
-        or masses[0] < _C.thing * masses.sum()
-    )
+    parts = masses / masses.sum()
+    has_things = (parts >= _C.thing).sum() >= _C.things_of_page and parts[0] < _C.most_of_page
+    has_letters = (parts >= _C.letter).sum() >= _C.letters_of_page and parts[0] < _C.most_of_picture
+    return bool(has_things or has_letters or parts[0] < _C.thing)
 
 
 def _inversion_note(name: str, alpha: np.ndarray) -> list[str]:

@@ -41,7 +41,7 @@ class MarginConstants:
     colour_blurs: tuple[float, float, float] = (0.015, 0.06, 0.2)
     darkest: float = 0.45  # brightness of a blurred margin far from the photo, by the photo's
     dark_at: float = 0.12  # distance at which it is as dark, as a fraction of the photo's longer side
-    most_cropped: float = 0.34  # fraction of a photo without a subject; if cropping would take more, all of it is shown
+    most_cropped: float = 0.34  # of a photo without a whole subject; if cropping would take more, all of it is shown
 
 
 _C = MarginConstants()
@@ -87,8 +87,8 @@ def fit_to_panel(
         principal_point_px: (cx, cy), pixels of the photo.
         panel: The panel.
         fit: "cover": the photo fills the panel, and the rest is cropped; "contain": the whole photo is on the panel;
-            "auto": cover about the subject, or contain if the subject would be cropped. Without a subject, contain if
-            more than a third of the photo would be.
+            "auto": cover about the subject, or contain if the subject would be cropped. Without a subject, or with one
+            that both sides of the photo cut off, contain if more than a third of the photo would be.
         widest_tan: tan(cone / 2) of the outermost views; None: the panel's.
         zoom: Factor of the size of the picture.
         on_near: Whether the zero plane may move to a subject afterwards, which is anywhere from near to the depth of
@@ -149,19 +149,22 @@ def _choose_fit(depth: Tensor, scales: tuple[float, float], about_middle: bool) 
         scales: Pixels of the panel by pixels of the photo at which the photo is as wide and as high as the panel.
         about_middle: See fit_to_panel.
     """
-    height, width = depth.shape
-    whole = width / 2, height / 2
-    shown = [size * own / max(scales) for size, own in zip((width, height), scales)]
+    sizes = depth.shape[1], depth.shape[0]
+    whole = sizes[0] / 2, sizes[1] / 2
+    may_crop = 1 - min(scales) / max(scales) <= _C.most_cropped
     box = subject_box(depth)
     if box is None:
-        cropped = 1 - min(scales) / max(scales)
-        return ("contain" if cropped > _C.most_cropped else "cover"), whole
-    wanted = whole if about_middle else ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
-    x, y = (min(max(at, part / 2), size - part / 2) for at, part, size in zip(wanted, shown, (width, height)))
-    reach = [part / 2 + 1e-6 for part in shown]
-    if any(at - far > first or at + far < last for at, far, first, last in zip((x, y), reach, box[:2], box[2:])):
-        return "contain", whole
-    return "cover", (x, y)
+        return ("cover" if may_crop else "contain"), whole
+    middle = []
+    for size, scale, centre, low, high in zip(sizes, scales, whole, box[:2], box[2:]):
+        half = size * scale / max(scales) / 2
+        at = centre if about_middle else min(max((low + high) / 2, half), size - half)
+        is_whole = at - half <= low + 1e-6 and at + half >= high - 1e-6
+        is_cut_off = low <= 0 and high >= size  # by the photo itself
+        if not is_whole and not (may_crop and is_cut_off):
+            return "contain", whole
+        middle.append(at)
+    return "cover", (middle[0], middle[1])
 
 
 def extend_with_margin(

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from command_line import run
+from command_line import complaint, run
 from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
 from photo_cases import tiny_net
 from PIL import Image
 from plain_photos import COLUMNS, HEIGHT, ROWS, THING, WIDTH, photo, picture, round_thing, save
 
+from lightfield_gs import cli
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import write_image
 from lightfield_gs.models.crop import Square, object_square
@@ -136,6 +137,10 @@ def test_a_page_is_no_object(tmp_path, what):
     page[27 * 2 :] = 1
     page[100:200, 60:140] = page[100:200, 200:260] = 0.2, 0.6, 0.1
     assert load_photo(save(tmp_path / "things.png", page))[150, 100, 3] == 1
+    for offset in np.ndindex(2, 2):
+        page[10 + offset[0] :: 20, 10 + offset[1] :: 15] = 0  # letters beside a picture
+    with pytest.raises(NoCutOut, match="many things on a plain background"):
+        load_photo(save(tmp_path / "letters.png", page))
 
 
 def test_soft_shadows_are_no_part_of_the_object(tmp_path):
@@ -198,6 +203,20 @@ def test_encode_says_what_it_took_the_photo_for(folder, capsys):
         "a.jpg: 60 x 80, turned by its Exif orientation 6, m.png turned with it, a mask of 0 and 1, cut "
         "out by m.png, fills 48.8% of the picture, 60 x 39 pixels, detail 2: the object's square at 64 x 64 px"
     )
+
+
+def test_a_page_is_flat_without_any_network(folder, capsys):
+    page = np.ones((60, 80, 3))
+    for row, column in np.random.default_rng(0).permutation(list(np.ndindex(11, 15)))[:90]:
+        page[5 * row + 3 : 5 * row + 5, 5 * column + 3 : 5 * column + 6] = 0.1
+    save(folder / "page.png", page)
+    assert cli.main("encode page.png -o own.png --panel p.yaml".split()) == 0
+    output = capsys.readouterr()
+    assert "flat, in the panel's plane" in output.out and "for estimated depth give --depth auto" in output.err
+    run(capsys, "encode page.png -o given.png --panel p.yaml --depth flat")
+    own, given = (np.asarray(Image.open(name)) for name in ("own.png", "given.png"))
+    assert np.array_equal(own, given)
+    assert "--depth flat has none" in complaint(capsys, "encode page.png -o o.png --depth flat --depth-scale 2")
 
 
 # Large photos

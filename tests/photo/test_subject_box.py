@@ -66,6 +66,12 @@ def test_a_subject_as_wide_as_the_photo_is_shown_whole():
     assert [fitted(on_the_ground(0, 0), width, 100)[1].fit for width in (105, 90)] == ["cover", "contain"]
 
 
+def test_a_subject_that_the_photo_cuts_off_may_be_cropped_by_a_third():
+    close = on_the_ground(30, 130, 0, HEIGHT)
+    close[:, 30:130] -= 0.3
+    assert [fitted(close, 180, height)[1].fit for height in (90, 70)] == ["cover", "contain"]
+
+
 def test_a_blurred_margin_is_a_darker_continuation_that_repeats_nothing():
     image = torch.full((HEIGHT, WIDTH, 3), 0.5)
     image[40:80, 60:120] = torch.tensor([1.0, 0.8, 0.0])

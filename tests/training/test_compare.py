@@ -263,17 +263,32 @@ def test_torchrun_is_refused(folder, capsys, monkeypatch):
     assert "instead of torchrun" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["arms", "table2-meshes"])
+def test_runs_are_scored_at_other_sizes_with_detail(folder, capsys):
+    """The source view has more of the photo under the sheet; scores without it stay valid beside those with it."""
+    scored = {"near": "val", "detail": {"folder": "val", "size_px": 64, "detail": 2}}
+    command = arguments(folder, "detail", arms={"a": {}}, scored=scored, validation="")
+    assert compare.main(command) == 0
+    printed = capsys.readouterr().out
+    assert "## detail" in printed and "| holes % / ghosts % | a |" in printed
+    of = json.loads((folder / "detail/a/final_scores.json").read_text())["of"]["data"]
+    assert of["detail"] == [*of["near"], 64, 2]
+    found = json.loads((folder / "detail/report.json").read_text())["scores"]["a"]
+    assert found["detail"]["source"]["psnr_db"] > found["near"]["source"]["psnr_db"] + 1
+
+
+@pytest.mark.parametrize("name", ["arms", "composite-arms", "table2-meshes"])
 def test_shipped_comparisons_on_meshes_can_be_read(name):
     experiment, _ = read_experiment(["--config", str(config_path("training", name)), "--data_root", "elsewhere"])
     first, *others = experiment.runs.values()
-    assert first.meshes.folder == "elsewhere/meshes" and not first.data and first.validation.startswith("elsewhere/")
+    assert first.meshes.folder == "elsewhere/meshes" and not first.data
+    assert all(objects.folder.startswith("elsewhere/objects/") for objects in experiment.scored.values())
     for run in others:
         changed = set(run.differences(json.loads(json.dumps(first.identity()))))
         assert changed in (
             {"meshes"},
             {"stages"},
             {"attention_px"},
+            {"stages", "composite"},
             {"cone_margin"},
             {"cone_deg", "cone_margin", "elevation_deg"},
         )

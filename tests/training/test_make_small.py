@@ -95,7 +95,7 @@ def test_configurations_take_the_folders_that_the_command_makes(small, capsys):
     run = read_config(["--config", str(CONFIGS / "cpu.yaml")])
     assert {*run.data, run.validation} <= made
     experiment, _ = read_experiment(["--config", str(CONFIGS / "compare-small.yaml")])
-    folders = {str(folder) for folder in experiment.scored.values()}
+    folders = {objects.folder for objects in experiment.scored.values()}
     for arm in experiment.runs.values():
         folders |= {*arm.data, *arm.target_data, arm.validation}
     assert folders <= made and "data/small/train_sphere" in folders

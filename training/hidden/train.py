@@ -66,8 +66,7 @@ class HiddenTrainer:
     def advance(self, example: Example) -> dict[str, float]:
         """Take a step on examples, and return its report."""
         config = self.config.optimizer
-        position = max(min(self.step, config.warmup_steps), round(self.progress() * self.config.steps))
-        rate = learning_rate(position, self.config.steps, config)
+        rate = learning_rate(self.step, self.progress(), config)
         half = torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda")
         with half:
             colours, log_disparity = self.net(example.seen())

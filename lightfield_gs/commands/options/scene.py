@@ -77,11 +77,12 @@ def add_depth(add: Add) -> None:
     add(
         "--depth",
         type=Path,
-        metavar="FILE|auto",
+        metavar="FILE|auto|flat",
         help="depth map of the photo, of the same shape; the whole scene is then shown, without the network of "
         "the object. A grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz "
         "of numbers [H,W]; auto: a network of transformers estimates it (pip install "
-        "'lightfield-gs[photo]'; it downloads 99 MB once)",
+        "'lightfield-gs[photo]'; it downloads 99 MB once); flat: the whole photo is a plane in the panel, as pages and "
+        "screenshots are by themselves",
     )
     add_depth_model(add)
     add(
