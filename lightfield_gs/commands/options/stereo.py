@@ -16,7 +16,7 @@ def add_stereo(add: Callable[..., argparse.Action]) -> None:
         choices=STEREO_LAYOUTS,
         help="pictures of two eyes in place of the image of a panel. sbs: side by side; half-sbs: the same, squeezed "
         "to one picture's width; tab: left eye on top; mpo: two pictures in one .mpo; anaglyph: for red and cyan "
-        "glasses; left-right: two files. What players read in a name is appended: _LRF_Full_SBS, _half_2x1, _LR_Full_TAB",
+        "glasses; left-right: two files. Names get what players read: _LRF_Full_SBS, _half_2x1, _LR_Full_TAB",
     )
     add(
         "--eye-distance",
