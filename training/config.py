@@ -142,8 +142,8 @@ class TrainingConfig:
             `python -m training.data.gather_photographs` makes a folder. "": none.
         bfloat16: run the U-Net in bfloat16.
         device: cpu, cuda, or auto (cuda where there is one).
-        compile: let torch.compile make kernels for the network, its loss and its batches. That takes a minute or two at
-            the start of every stage and process.
+        compile: let torch.compile make kernels for the network, its loss and its batches. That takes one to four
+            minutes at the start of every stage and process.
         threads: of torch; 0 leaves the default. Resuming gives the same losses to the last digit on a CPU, with the
             same number of threads and of processes. On a machine that is busy with other work, 1 can be several times
             faster than more: threads wait for the slowest of them.

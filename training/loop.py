@@ -243,6 +243,8 @@ def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
         cut_log(output / "losses.jsonl", trainer.step)
         cut_log(output / "scores.jsonl", trainer.step + 1)
     with termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
+        if config.compile:
+            log.say("compiling kernels for this machine: the first step takes one to four minutes")
         finished = _run(trainer, planner, log, signals)
         log.say_speed()
     if not (finished and team.leads):

@@ -13,6 +13,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
 from training.config import Stage, TrainingConfig
 from training.data.batches import Batch
+from training.data.fusing import keep_compile_workers
 from training.distributed import Team
 from training.drawing import draw, drawings, seen_by_network
 from training.losses import total_loss
@@ -97,6 +98,7 @@ class Trainer:
         self._weights = [weights for weights in self.net.parameters() if weights.requires_grad]
         self._loss = total_loss
         if config.compile:  # sizes change between stages only
+            keep_compile_workers()
             self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)
             self._loss = torch.compile(total_loss, dynamic=False)
         self._replica = team.replicated(self.net)

@@ -17,6 +17,7 @@ from lightfield_gs.base.options import (
     MapOrientation,
     Method,
     QualityName,
+    StereoLayout,
     Views,
 )
 
@@ -177,6 +178,23 @@ class SceneOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class StereoOptions:
+    """Pictures of two eyes, in place of the image of a panel.
+
+    Attributes:
+        stereo: how they are stored. None: the image of a panel is asked for.
+        eye_distance: between the eyes, mm.
+        screen_size: diagonal of the screen, inches.
+        eye_size: width and height of the picture of one eye, pixels. None: 1920 x 1080.
+    """
+
+    stereo: StereoLayout | None = None
+    eye_distance: float = 63.0
+    screen_size: float = 27.0
+    eye_size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class EncodeOptions:
     """One input that becomes the image of a panel.
 
@@ -192,6 +210,7 @@ class EncodeOptions:
         save_rig, save_gaussians: files for the rig and the scene.
         preview: folder for preview pictures.
         stats: whether to print statistics.
+        stereo: pictures of two eyes in place of the image.
     """
 
     output: Path
@@ -214,6 +233,7 @@ class EncodeOptions:
     save_gaussians: Path | None = None
     preview: Path | None = None
     stats: bool = False
+    stereo: StereoOptions = field(default_factory=StereoOptions)
 
     def outputs(self) -> list[Path | None]:
         """Return all files to write; None for files not asked for."""

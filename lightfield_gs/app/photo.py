@@ -353,6 +353,7 @@ def _place(
             fit,
             widest_tan=amount * math.tan(math.radians(cone) / 2),
             zoom=look.zoom or 1,
+            pan=look.pan or (0.0, 0.0),
             on_near=True,
             about_middle=options.is_in_row,
         )

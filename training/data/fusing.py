@@ -20,6 +20,19 @@ def fused(function: Function, wanted: bool, dynamic: bool = False) -> Function:
     return cast(Function, _compiled(function, dynamic)) if wanted else function
 
 
+def keep_compile_workers() -> None:
+    """Let the processes of torch.compile that make kernels wait for work however long it takes.
+
+    torch 2.11 ends them after 60 seconds without work, which the tracing of a network can take. On an H100 a training
+    run then waited for them for ever.
+    """
+    from torch._inductor import config
+
+    if hasattr(config, "quiesce_async_compile_pool"):
+        config.quiesce_async_compile_pool = False
+
+
 @cache
 def _compiled(function: Callable, dynamic: bool) -> Callable:
+    keep_compile_workers()
     return torch.compile(function, dynamic=dynamic)
