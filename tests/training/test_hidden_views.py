@@ -1,4 +1,4 @@
-"""Scores of hidden surfaces beside a photograph: a square before a wall of one colour, photographed by three cameras."""
+"""Scores of hidden surfaces beside a photograph: a square before a wall of one colour, seen by three cameras."""
 
 import numpy as np
 import pytest
