@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _STARTS = (b"GIF8", b"RIFF", b"\x89PNG", b"II*\0", b"MM\0*", b"\xff\xd8\xff")
 _FORMATS = ("GIF", "WEBP", "PNG", "TIFF", "JPEG")  # the reader of JPEG recognizes MPO
 _MOST_PIXELS = 1 << 26  # of a picture in memory
-_SECOND_EYES = ("Multi-Frame Image (Disparity)", "Multi-Frame Image (Multi-Angle)")
+_SECOND_EYES = ("(Disparity)", "(Multi-Angle)")  # ends of Pillow's names, whose beginnings differ between versions
 # Errors that Pillow and its plugins raise for damaged files, beside its DecompressionBombError
 _RAISED = (
     OSError,
@@ -99,7 +99,7 @@ def _has_second_eye(path: Path, image: Image.Image) -> bool:
     """Tell whether the second picture of an MPO is another eye's, not a preview, gain map or depth map of a phone."""
     entries = getattr(image, "mpinfo", {}).get(_MP_ENTRIES, ())
     kinds = [entry.get("Attribute", {}).get("MPType") for entry in entries]
-    if any(kind in _SECOND_EYES for kind in kinds):
+    if any(str(kind).endswith(_SECOND_EYES) for kind in kinds):
         return True
     size, mode = image.size, image.mode
     image.seek(1)
