@@ -13,7 +13,6 @@ from lightfield_gs.base.options import (
     Compression,
     DepthInvalid,
     DepthKind,
-    Device,
     Fit,
     MapOrientation,
     Method,
@@ -209,7 +208,8 @@ class EncodeOptions:
         scene, panel, camera, look, render: see there.
         cameras: file with one camera for each view, in place of a rig.
         view_map: file with the view of each sub-pixel, in place of the lens.
-        method, memory_budget, views, quality, device, threads: see `lightfield_gs.encode`.
+        method, memory_budget, views, quality, threads: see `lightfield_gs.encode`.
+        device: auto, cpu, cuda, webgpu or webgpu:N.
         bit_depth: bits of a sample in the file. None: 8, or 32 for .exr.
         compression: of the file.
         save_rig, save_gaussians: files for the rig and the scene.
@@ -230,7 +230,7 @@ class EncodeOptions:
     memory_budget: int | None = None
     views: Views = "integer"
     quality: QualityName = "exact"
-    device: Device = "auto"
+    device: str = "auto"
     threads: int | None = None
     bit_depth: int | None = None
     compression: Compression = "fast"

@@ -47,6 +47,7 @@ ONLY_FOR: dict[str, Method] = {
     "memory_budget": "sorted",
     "quality": "direct",
     "out": "direct",
+    "device": "direct",
 }
 
 # The network that estimates depth (Yang et al., "Depth Anything V2", 2024), by its name on huggingface.co. The larger

@@ -11,7 +11,7 @@ from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
 from lightfield_gs.app.stereo import refuse_stereo, write_stereo
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
-from lightfield_gs.commands.options.panel import add_device, add_encoding
+from lightfield_gs.commands.options.panel import add_drawing_device, add_encoding
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.stereo import add_stereo
 
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add_encoding(add)
-    add_device(add)
+    add_drawing_device(add)
     add("--save-rig", type=Path, metavar="YAML", help="write the rig of the image")
     add(
         "--save-gaussians",

@@ -71,7 +71,7 @@ def test_a_pair_that_was_drawn_gives_its_depth_back(tmp_path, drawn):
     "layout, name", [("sbs", "a_2x1.png"), ("half-sbs", "a_half_2x1.png"), ("tab", "a_TAB.png"), ("jps", "a.jps")]
 )
 def test_near_is_near_whatever_the_file(tmp_path, drawn, layout, name):
-    """Distances of unknown cameras lie between assumed ends, in the right order: the left eye's picture is the left one."""
+    """Distances of unknown cameras lie between assumed ends; the left eye's picture is the left one."""
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     eyes, truth, _ = drawn
     path = tmp_path / name
