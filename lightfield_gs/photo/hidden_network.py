@@ -6,6 +6,7 @@ of this guess. training.hidden trains it on compositions of meshes and photograp
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,8 @@ _BLOCKS_UP = (1, 2, 2, 1)
 _DILATIONS = (1, 2, 4)  # of the blocks at the lowest level: a hole of 150 px is seen from both sides
 _INPUTS, _OUTPUTS = 11, 4
 _STRIDE = 2 ** len(_CHANNELS)
+_MOST_PIXELS = 1 << 20  # of a picture that the network sees; half a second on two cores
+_AROUND_PX = 96  # of the photo round its holes that the network sees
 _DISPARITY = 0.1  # log disparity of one unit of output
 _FARTHEST_LOG = 2.0  # largest difference of log disparity that the network sees
 
@@ -115,6 +118,9 @@ class HiddenNet(nn.Module):
 def paint_hidden(net: HiddenNet, image: Tensor, depth: Tensor, found: Hidden) -> tuple[Hidden, Tensor]:
     """Return the hidden layer with the network's disparities, and its colours [H,W,3].
 
+    The network sees the part of the photo round its holes. Of a large one it sees a smaller picture: its changes are
+    then made larger, not the photo.
+
     Args:
         image: [H,W,3], the photo, 0..1.
         depth: [H,W], its z, sharp at edges.
@@ -123,17 +129,34 @@ def paint_hidden(net: HiddenNet, image: Tensor, depth: Tensor, found: Hidden) ->
     guess = solve_membrane(found.image, found.hole, found.linked)
     if not bool(found.hole.any()):
         return found, guess
-    seen = HiddenInput(
-        image=image.movedim(2, 0)[None],
-        log_disparity=-depth.log()[None],
-        guess=guess.movedim(2, 0)[None],
-        guess_log_disparity=found.disparity.log()[None],
-        hole=found.hole[None],
-        fringe=found.fringe[None],
-    )
-    colours, changed = net(seen)
-    disparity = torch.where(found.hole, torch.minimum(changed[0].exp(), found.nearest), found.disparity)
-    return found._replace(disparity=disparity), colours[0].movedim(0, 2).clamp(0, 1)
+    rows, columns = (_range_around(found.hole.any(dim)) for dim in (1, 0))
+    hole, first, disparity = (part[rows, columns] for part in (found.hole, guess, found.disparity))
+    height, width = hole.shape
+    factor = math.ceil(math.sqrt(height * width / _MOST_PIXELS))
+    colours = torch.cat([image[rows, columns], first], 2).movedim(2, 0)[None]
+    depths = torch.stack([-depth[rows, columns].log(), disparity.log()])[None]
+    masks = torch.stack([hole, found.fringe[rows, columns]])[None]
+    if factor > 1:
+        padding = (0, -width % factor, 0, -height % factor)
+        colours = F.avg_pool2d(F.pad(colours, padding, mode="replicate"), factor)
+        depths, masks = (F.max_pool2d(part.float(), factor, ceil_mode=True) for part in (depths, masks))
+    seen = HiddenInput(colours[:, :3], depths[:, 0], colours[:, 3:], depths[:, 1], *(masks > 0).unbind(1))
+    painted, log_disparity = net(seen)
+    change = torch.cat([painted - seen.guess, (log_disparity - seen.guess_log_disparity)[:, None]], 1)
+    if factor > 1:
+        change = F.interpolate(change, scale_factor=factor, mode="bilinear", align_corners=False)
+    change = change[0, :, :height, :width].movedim(0, 2)
+    guess[rows, columns] = torch.where(hole[..., None], first + change[..., :3], first).clamp(0, 1)
+    nearer = torch.minimum(disparity * change[..., 3].exp(), found.nearest[rows, columns])
+    behind = found.disparity.clone()
+    behind[rows, columns] = torch.where(hole, nearer, disparity)
+    return found._replace(disparity=behind), guess
+
+
+def _range_around(wanted: Tensor) -> slice:
+    """Return the range of the elements [N] that are True, and _AROUND_PX on both sides."""
+    places = wanted.nonzero()
+    return slice(max(0, int(places[0]) - _AROUND_PX), int(places[-1]) + 1 + _AROUND_PX)
 
 
 class _Block(nn.Module):
@@ -164,4 +187,6 @@ def _planes(seen: HiddenInput) -> Tensor:
     # What textures are made of: the same for the same size, on every device
     noise = torch.randn(hole.shape[1:], generator=torch.Generator().manual_seed(0)).to(hole).expand_as(hole)
     maps = torch.stack([hole, seen.fringe.to(hole), *depths, 0.5 * noise], 1)
-    return torch.cat([seen.image - 0.5, seen.guess - 0.5, maps], 1)
+    # Colours of what covers a surface say nothing of it, those of the fringe do
+    visible = torch.where((seen.hole & ~seen.fringe)[:, None], seen.guess, seen.image)
+    return torch.cat([visible - 0.5, seen.guess - 0.5, maps], 1)

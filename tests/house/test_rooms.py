@@ -17,6 +17,7 @@ ROOMS = (
     "lightfield_gs.scene",
     "lightfield_gs.io.scenes",
     "lightfield_gs.rasterizer",
+    "lightfield_gs.webgpu",
     "lightfield_gs.models",
     "lightfield_gs.panels",
     "lightfield_gs.encoding",

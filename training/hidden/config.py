@@ -26,7 +26,7 @@ class HiddenLossWeights:
 
     colour: float = 1.0
     gradient: float = 0.5
-    texture: float = 4.0
+    texture: float = 1.0
     depth: float = 0.5
     adversarial: float = 0.0
 
@@ -48,7 +48,7 @@ class HiddenConfig:
         seconds: time of the whole run over all resumptions, after which it ends early; 0: no limit.
         batch: examples of a step.
         batches: batches that are drawn at once.
-        uses: how often each drawn batch is used, mirrored every other time.
+        uses: how often each drawn batch is used, in mirror images and with other colours.
         compositions: ranges of the compositions.
         optimizer: AdamW and its schedule.
         loss: weights of the terms.
@@ -69,7 +69,7 @@ class HiddenConfig:
     seconds: float = 0.0
     batch: int = 24
     batches: int = 2
-    uses: int = 2
+    uses: int = 4
     compositions: CompositionOptions = field(default_factory=CompositionOptions)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: HiddenLossWeights = field(default_factory=HiddenLossWeights)

@@ -41,7 +41,7 @@ def _painted(net: HiddenNet) -> Fill:
 
 
 def _print_row(name: str, values: dict[str, float]) -> None:
-    print(f"{name:<28}" + "".join(f"{filling} {value:6.2f}   " for filling, value in values.items()), flush=True)
+    print(f"{name:<34}" + "".join(f"{filling} {value:6.2f}   " for filling, value in values.items()), flush=True)
 
 
 def _score_captures(captures: list[list[str]], fills: dict[str, Fill], sheet: Path | None) -> None:

@@ -19,6 +19,7 @@ from training.hidden.faults import draw_softness, estimated, photographed, softe
 
 _BETWEEN = 16  # rows without depths between pictures that are searched as one: more than any window of the search
 _FRINGE_PX = 3
+_CHANNELS = ([0, 1, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0])  # orders of the channels, for further uses
 _SAME_SURFACE = 0.25  # difference of log disparity up to which the second surface is the one that the search means
 
 
@@ -54,9 +55,11 @@ class Example(NamedTuple):
             self.image, -self.depth.log(), self.guess, self.guess_disparity.log(), self.hole, self.fringe
         )
 
-    def part(self, chosen: slice, mirrored: bool = False) -> Example:
-        """Return some of the examples, left and right exchanged if wanted."""
+    def part(self, chosen: slice, use: int = 0) -> Example:
+        """Return some of the examples: other ones for each use, by mirror images and by exchanged channels."""
+        order, mirrored = _CHANNELS[use // 2 % len(_CHANNELS)], use % 2 == 1
         parts = (value[chosen] if isinstance(value, Tensor) else value for value in self)
+        parts = (value[:, order] if isinstance(value, Tensor) and value.ndim == 4 else value for value in parts)
         return Example(*(value.flip(-1) if mirrored and isinstance(value, Tensor) else value for value in parts))
 
 

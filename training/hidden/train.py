@@ -129,7 +129,7 @@ def _examples(config: HiddenConfig, source: Compositions, step: int) -> Iterator
         drawn = make_examples(source.make(rng, config.batch * config.batches, config.compile), rng)
         for place in range(first, steps_of_set):
             use, part = divmod(place, config.batches)
-            yield drawn.part(slice(part * config.batch, (part + 1) * config.batch), use % 2 == 1)
+            yield drawn.part(slice(part * config.batch, (part + 1) * config.batch), use)
             step += 1
 
 

@@ -46,7 +46,8 @@ class SideViews:
     def __init__(self, capture: Path, scene: Path, name: str) -> None:
         photographs, gaussians = read_capture(capture), read_scene(scene).gaussians
         camera = photograph_camera(photographs, name, gaussians)
-        self._image = torch.from_numpy(photographs.image(photographs.names.index(name)).astype(np.float32) / 255)
+        image = torch.from_numpy(photographs.image(photographs.names.index(name)).astype(np.float32) / 255)
+        self._image = _matched(image, *(part[0] for part in _views(gaussians, camera)))
         self._focal = (float(camera.focal_px[0, 0]), float(camera.focal_px[0, 1]))
         self._centre = (float(camera.principal_point_px[0, 0]), float(camera.principal_point_px[0, 1]))
         self._depth = snap_mixed(photograph_depth(gaussians, camera), self._focal)
@@ -77,6 +78,17 @@ class SideViews:
         errors = (views - self.truths).square().mean(-1)
         pairs = zip(ANGLES_DEG, errors.split(2), self._open.split(2))
         return {deg: float(-10 * error[is_open].mean().log10()) for deg, error, is_open in pairs}
+
+
+def _matched(image: Tensor, wanted: Tensor, alpha: Tensor) -> Tensor:
+    """Return the photograph with the exposure of the scene: the best gain and offset of each channel."""
+    there = alpha > _SEEN
+    result = image.clone()
+    for channel in range(3):
+        own = torch.stack([image[..., channel], torch.ones_like(alpha)], -1)
+        gain = torch.linalg.lstsq(own[there], wanted[..., channel][there][:, None]).solution
+        result[..., channel] = (own @ gain)[..., 0].clamp(0, 1)
+    return result
 
 
 def _joined(parts: list[tuple[Tensor, ...]]) -> Gaussians:

@@ -8,7 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.parser import background_or_auto, byte_size, camera_choice, numbers, threads, within
+from lightfield_gs.commands.options.parser import (
+    background_or_auto,
+    byte_size,
+    camera_choice,
+    drawing_device,
+    numbers,
+    threads,
+    within,
+)
 from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
 from lightfield_gs.panels.panel import DEFAULT_PANEL
@@ -162,6 +170,18 @@ def add_device(add: Add) -> None:
         choices=DEVICES,
         default="auto",
         help="device of network and rasterizer (default auto: cuda if there is a GPU and this build can use it)",
+    )
+
+
+def add_drawing_device(add: Add) -> None:
+    """Add the option of the device for commands that WebGPU can draw for."""
+    add(
+        "--device",
+        type=drawing_device,
+        default="auto",
+        metavar="{auto,cpu,cuda,webgpu[:N]}",
+        help="device of network and rasterizer; webgpu draws on a GPU of any maker, N of `info --devices`, and the "
+        "network stays on the CPU (default auto: cuda if there is a GPU and this build can use it)",
     )
 
 
