@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
+VULKAN_PACKAGES := libvulkan1 mesa-vulkan-drivers
 ARM_PACKAGES := g++-aarch64-linux-gnu qemu-user
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
@@ -54,7 +55,7 @@ PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
 BESIDE := --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 SKIPPED := build/skipped
 
-test: setup
+test: setup $(VENV)/.vulkan
 	@mkdir -p build && rm -f $(SKIPPED)
 	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) $(BESIDE) -m "not alone and not wheel and not cuda_emulated" tests
 	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) -m alone tests
@@ -189,6 +190,11 @@ $(VENV)/.system:
 	$(call system_packages,$(DEBIAN_PACKAGES),CMake downloads GLM and Highway where they are missing)
 	@command -v c++ >/dev/null || { echo "make: no C++ compiler; install g++ (Debian: sudo apt-get install g++)"; exit 1; }
 	@mkdir -p $(VENV) && touch $@
+
+# Mesa's lavapipe, a GPU that is a program, for the tests of WebGPU. They are skipped where it cannot be installed.
+$(VENV)/.vulkan: | $(VENV)/.system
+	-$(call system_packages,$(VULKAN_PACKAGES),tests of WebGPU are skipped)
+	@touch $@
 
 # The cross compiler and QEMU. Highway is a library: Debian has it for ARM once dpkg knows of that kind of processor,
 # which is not changed here, and CMake downloads it elsewhere.

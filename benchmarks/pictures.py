@@ -23,6 +23,7 @@ from lightfield_gs.io.atomic import atomic_path  # noqa: E402
 EYES = "--eyes=-536,536,3"  # 15 degrees to the left, in the middle, 15 degrees to the right, at 2 m
 DEMOS = ("scene", "depth")  # the demo's third picture is of one of the photos
 GAP_PX = 12
+CELL_PX = (320, 360)  # height and width of a picture on the front page
 MOST_BYTES = 390_000
 QUALITIES = (85, 75, 65, 60, 55, 45, 35)
 FRONT = ("catstatue_rgba", "bird_rgba", "chair", "robot", "hamburger")  # of README.md
@@ -50,8 +51,8 @@ def main() -> None:
         save(beside(eyes(before / f"{name}.png"), eyes(after / f"{name}.png")), folder / f"side-{name}.webp")
     rows = [[strip(eyes(folder / f"{name}.png"), 780) for folder in (before, after)] for name in shown]
     save(stack([stack(row, 1) for row in rows], 0), given.pages / "defaults.webp")
-    rows = [[thumbnail(photos[name], 360), strip(eyes(after / f"{name}.png"), 1080, True)] for name in FRONT]
-    save(stack([stack(centred(row), 1) for row in rows], 0), given.pages / "photos.webp")
+    cells = [np.concatenate([thumbnail(photos[name]), front(eyes(after / f"{name}.png"))], 1) for name in FRONT]
+    save(stack(cells, 0), given.pages / "photos.webp")
     pairs = [strip(eyes(after / f"{name}{kind}.png"), 1400, True) for name in DETAILED for kind in ("-none", "")]
     save(stack(pairs, 0), given.pages / "detail.webp")
 
@@ -138,12 +139,30 @@ def strip(pictures: list[np.ndarray], width_px: int, cut: bool = False) -> np.nd
     return resized(joined, width_px)
 
 
-def thumbnail(photo: Path, side_px: int) -> np.ndarray:
-    """Return a photo on white, its longer side this long."""
+def front(pictures: list[np.ndarray]) -> np.ndarray:
+    """Return what three eyes see of an object, each in a cell of the front page, on its own background."""
+    part = box(pictures)
+    return np.concatenate([in_cell(picture[part], picture[0, 0]) for picture in pictures], 1)
+
+
+def thumbnail(photo: Path) -> np.ndarray:
+    """Return the object of a photo in a cell of the front page, on white."""
     image = Image.open(photo).convert("RGBA")
-    white = Image.new("RGBA", image.size, "white")
-    flat = np.asarray(Image.alpha_composite(white, image).convert("RGB"))
-    return resized(flat, round(side_px * image.width / max(image.size)))
+    flat = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
+    is_there = image.getchannel("A").point(lambda alpha: 255 * (alpha > 127))
+    white = np.full(3, 255, np.uint8)
+    return in_cell(np.asarray(flat.crop(is_there.getbbox()).convert("RGB")), white)
+
+
+def in_cell(picture: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """Return a picture as large as a cell with its margins can show it, in the middle of a ground."""
+    height, width = picture.shape[:2]
+    scale = min((part - 2 * GAP_PX) / size for part, size in zip(CELL_PX, (height, width), strict=True))
+    small = resized(picture, round(scale * width))
+    cell = np.broadcast_to(ground, (*CELL_PX, 3)).copy()
+    top, left = ((part - size) // 2 for part, size in zip(CELL_PX, small.shape, strict=False))
+    cell[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return cell
 
 
 def resized(picture: np.ndarray, width_px: int) -> np.ndarray:
@@ -152,17 +171,6 @@ def resized(picture: np.ndarray, width_px: int) -> np.ndarray:
     return np.asarray(
         Image.fromarray(picture).resize((width_px, round(height * width_px / width)), Image.Resampling.LANCZOS)
     )
-
-
-def centred(row: list[np.ndarray]) -> list[np.ndarray]:
-    """Return pictures on white at the height of the highest, the first 360 pixels wide at least."""
-    height = max(picture.shape[0] for picture in row)
-    found = []
-    for picture in row:
-        down, across = height - picture.shape[0], max(0, 360 - picture.shape[1])
-        sides = ((down // 2, down - down // 2), (across // 2, across - across // 2), (0, 0))
-        found.append(np.pad(picture, sides, constant_values=255))
-    return found
 
 
 def stack(pictures: list[np.ndarray], axis: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from lightfield_gs.app.scene import (
     read_source,
 )
 from lightfield_gs.base.cli_messages import Stopwatch, note
-from lightfield_gs.base.device import choose_device, to_numpy
+from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import ONLY_FOR
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
@@ -31,6 +31,7 @@ from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.png import CompressedImage, compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import scene_facts
+from lightfield_gs.webgpu.devices import choose_drawing_device
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -67,7 +68,7 @@ class Encoding:
         self.bits = _check_files(options)
         check_options(options)
         self.panel = load_panel(options.panel)
-        self.device = choose_device(options.device)
+        self.device, self._webgpu = choose_drawing_device(options.device)
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
         self.scene: LoadedScene
@@ -157,6 +158,7 @@ class Encoding:
             stats=stats,
             antialiased=render.antialiased,
             view_filter=render.view_filter,
+            device=self._webgpu,
             **self._sorted_views,
         )
 
@@ -224,6 +226,10 @@ class Encoding:
 def check_options(options: EncodeOptions) -> None:
     """Raise InputError where options exclude each other."""
     check_scene_options(options.scene, options.camera)
+    if options.method != "direct" and options.device.startswith("webgpu"):
+        raise InputError(
+            f"--device {options.device} draws by --method direct, not {options.method}: leave out one of them"
+        )
     quality = None if options.quality == "exact" else options.quality
     given = {"cameras": options.cameras, "view_map": options.view_map, "memory_budget": options.memory_budget}
     for name, value in {**given, "quality": quality}.items():

@@ -13,11 +13,12 @@ from lightfield_gs.base.options import (
     Compression,
     DepthInvalid,
     DepthKind,
-    Device,
     Fit,
     MapOrientation,
     Method,
     QualityName,
+    StereoInput,
+    StereoLayout,
     Views,
 )
 
@@ -116,6 +117,8 @@ class PhotoOptions:
         fov: angle of the longer side, degrees.
         intrinsics: fx, fy, cx, cy in pixels.
         fit: how the photo fills a panel of another shape.
+        stereo_in: where the two eyes' pictures of a stereo pair are. None: as its file says; "none": it is one photo.
+        swap_eyes: whether the right eye's picture comes first, or not first where the file says so.
         is_in_row: whether pictures that follow are fitted as this one: about their middle, not about its subject.
     """
 
@@ -137,6 +140,8 @@ class PhotoOptions:
     fov: float | None = None
     intrinsics: tuple[float, ...] | None = None
     fit: Fit | None = None
+    stereo_in: StereoInput | None = None
+    swap_eyes: bool = False
     is_in_row: bool = False
 
     @property
@@ -178,6 +183,23 @@ class SceneOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class StereoOptions:
+    """Pictures of two eyes, in place of the image of a panel.
+
+    Attributes:
+        stereo: how they are stored. None: the image of a panel is asked for.
+        eye_distance: between the eyes, mm.
+        screen_size: diagonal of the screen, inches.
+        eye_size: width and height of the picture of one eye, pixels. None: 1920 x 1080.
+    """
+
+    stereo: StereoLayout | None = None
+    eye_distance: float = 63.0
+    screen_size: float = 27.0
+    eye_size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class EncodeOptions:
     """One input that becomes the image of a panel.
 
@@ -186,12 +208,14 @@ class EncodeOptions:
         scene, panel, camera, look, render: see there.
         cameras: file with one camera for each view, in place of a rig.
         view_map: file with the view of each sub-pixel, in place of the lens.
-        method, memory_budget, views, quality, device, threads: see `lightfield_gs.encode`.
+        method, memory_budget, views, quality, threads: see `lightfield_gs.encode`.
+        device: auto, cpu, cuda, webgpu or webgpu:N.
         bit_depth: bits of a sample in the file. None: 8, or 32 for .exr.
         compression: of the file.
         save_rig, save_gaussians: files for the rig and the scene.
         preview: folder for preview pictures.
         stats: whether to print statistics.
+        stereo: pictures of two eyes in place of the image.
     """
 
     output: Path
@@ -206,7 +230,7 @@ class EncodeOptions:
     memory_budget: int | None = None
     views: Views = "integer"
     quality: QualityName = "exact"
-    device: Device = "auto"
+    device: str = "auto"
     threads: int | None = None
     bit_depth: int | None = None
     compression: Compression = "fast"
@@ -214,6 +238,7 @@ class EncodeOptions:
     save_gaussians: Path | None = None
     preview: Path | None = None
     stats: bool = False
+    stereo: StereoOptions = field(default_factory=StereoOptions)
 
     def outputs(self) -> list[Path | None]:
         """Return all files to write; None for files not asked for."""

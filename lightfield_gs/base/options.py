@@ -19,6 +19,8 @@ Fit = Literal["auto", "cover", "contain"]
 Compression = Literal["fast", "small"]
 Detail = Literal["auto", 1, 2, 4]
 Device = Literal["auto", "cpu", "cuda"]
+StereoInput = Literal["sbs", "half-sbs", "tab", "half-tab", "two", "none"]
+StereoLayout = Literal["sbs", "half-sbs", "tab", "mpo", "anaglyph", "left-right"]
 
 METHODS: tuple[Method, ...] = get_args(Method)
 VIEWS: tuple[Views, ...] = get_args(Views)
@@ -35,6 +37,8 @@ FITS: tuple[Fit, ...] = get_args(Fit)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 DETAILS: tuple[Detail, ...] = get_args(Detail)
 DEVICES: tuple[Device, ...] = get_args(Device)
+STEREO_INPUTS: tuple[StereoInput, ...] = get_args(StereoInput)
+STEREO_LAYOUTS: tuple[StereoLayout, ...] = get_args(StereoLayout)
 
 # Arguments that only one method of `encode` takes; the options of the command have the same names
 ONLY_FOR: dict[str, Method] = {
@@ -43,6 +47,7 @@ ONLY_FOR: dict[str, Method] = {
     "memory_budget": "sorted",
     "quality": "direct",
     "out": "direct",
+    "device": "direct",
 }
 
 # The network that estimates depth (Yang et al., "Depth Anything V2", 2024), by its name on huggingface.co. The larger

@@ -9,9 +9,11 @@ from typing import Any
 from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
+from lightfield_gs.app.stereo import refuse_stereo, write_stereo
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
-from lightfield_gs.commands.options.panel import add_device, add_encoding
+from lightfield_gs.commands.options.panel import add_drawing_device, add_encoding
 from lightfield_gs.commands.options.parser import read_options
+from lightfield_gs.commands.options.stereo import add_stereo
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add_encoding(add)
-    add_device(add)
+    add_drawing_device(add)
     add("--save-rig", type=Path, metavar="YAML", help="write the rig of the image")
     add(
         "--save-gaussians",
@@ -45,11 +47,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "also left-eye.png and right-eye.png, if the panel has a pixel pitch and a viewing distance",
     )
     add("--stats", action="store_true", help="print statistics of drawn and skipped parts")
+    add_stereo(add)
 
 
 def run(args: argparse.Namespace) -> None:
     """Encode args.input into args.output. Raises InputError."""
-    encoding = Encoding(read_options(EncodeOptions, args), Stopwatch(args.began))
+    options, watch = read_options(EncodeOptions, args), Stopwatch(args.began)
+    refuse_stereo(options.stereo)
+    if options.stereo.stereo is not None:
+        write_stereo(options, watch)
+        return
+    encoding = Encoding(options, watch)
     if args.threads is not None:
         use_threads(args.threads)
     encoding.read()

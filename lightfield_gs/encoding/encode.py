@@ -26,12 +26,14 @@ from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats, count_culled
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
+from lightfield_gs.webgpu.devices import adapter_index, draw_direct
 
 DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024
 _MOST_BYTES = 1 << 62
 _BY_A_RIG = ": the other methods draw the panel's own views by a rig"
-_WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_RIG, "out": ""}
+_ON_WEBGPU = ": the other methods are drawn where the Gaussians are, on the CPU or on CUDA"
+_WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_RIG, "out": "", "device": _ON_WEBGPU}
 
 
 def encode(
@@ -52,6 +54,7 @@ def encode(
     out: Tensor | None = None,
     antialiased: bool = False,
     view_filter: float = 0.0,
+    device: str | None = None,
 ) -> Tensor:
     """Draw the image [H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
 
@@ -91,6 +94,9 @@ def encode(
             size then blur along the rows. Without the filter an eye between views sees separate copies. The zero plane
             stays sharp (Zwicker et al., "Antialiasing for automultiscopic 3D displays", 2006). Each splat is widened by
             the variance of the box, and its opacity is lowered by the compensation. Takes as long as antialiased.
+        device: of "direct": "webgpu" or "webgpu:N" draws by WebGPU on adapter N of `lightfield-gs info --devices`.
+            Gaussians and image then lie on the CPU. Bytes are those of the CPU to 1/255, at every quality. It draws
+            neither gradients nor "float64". None: where the Gaussians are.
 
     Returns:
         The image, of the type of `output`.
@@ -100,11 +106,24 @@ def encode(
     """
     check_types(method, views, output, gaussians, panel, rig, cameras, stats, antialiased)
     quality, view_filter, threads, memory_budget = check_together(
-        method, views, output, rig, cameras, quality, view_filter, threads, memory_budget, view_map=view_map, out=out
+        method,
+        views,
+        output,
+        rig,
+        cameras,
+        quality,
+        view_filter,
+        threads,
+        memory_budget,
+        view_map=view_map,
+        out=out,
+        device=device,
     )
     continuous, as_bytes = views == "continuous", output == "uint8"
     if out is not None:
         check_out(out, output, panel, gaussians.device)
+    if device is not None:
+        check_webgpu(device, output, gaussians)
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     fields = gaussians.fields().values()
     colour = background_tensor(background, gaussians.means).reshape(-1)
@@ -112,7 +131,11 @@ def encode(
         if method == "sorted":
             refuse_gradients("method 'sorted'")
         refuse_with_gradients(
-            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
+            quality=not quality.is_exact,
+            threads=threads is not None,
+            stats=stats is not None,
+            out=out is not None,
+            device=device is not None,
         )
         if method == "classic":
             refuse_with_gradients(view_filter=view_filter > 0)
@@ -125,7 +148,10 @@ def encode(
         with torch.no_grad():
             with counters.stage("plan"):
                 job = DirectRender(fields, colour, camera, antialiased)
-            image = job.draw(as_bytes, quality, counters, threads, out)
+            if device is None:
+                image = job.draw(as_bytes, quality, counters, threads, out)
+            else:
+                image = draw_direct(device, job, as_bytes, quality, counters, out)
     elif method == "classic":
         aperture = view_aperture(panel, cast(Rig, rig), view_filter)
         options = DTYPES[output], threads, counters, antialiased, aperture
@@ -252,6 +278,18 @@ def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -
         raise InputError(
             "out must begin at an even address on CUDA, got a part of another tensor at an odd one; give "
             "a tensor of its own"
+        )
+
+
+def check_webgpu(device: str, output: Output, gaussians: Gaussians) -> None:
+    """Raise InputError where WebGPU cannot draw such an image, or `device` is no name of one of its adapters."""
+    expect("device", device, str)
+    adapter_index(device)
+    if output == "float64":
+        raise InputError(f"device={device!r} draws output 'uint8' or 'float32': 'float64' needs device=None")
+    if gaussians.device.type != "cpu":
+        raise InputError(
+            f"device={device!r} takes Gaussians on the CPU, got {gaussians.device}: use gaussians.to('cpu')"
         )
 
 

@@ -96,8 +96,11 @@ def checked_scene(gaussians: Gaussians, panel: Panel) -> Gaussians:
 
 
 def focus_on_subject(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
-    """Return the rig with its zero plane at the nearest subject in the middle; unchanged where nothing is there."""
-    found = visibility.subject_depth(gaussians.detach(), panel, rig)
+    """Return the rig with its zero plane at the nearest subject in the middle of a photo's scene.
+
+    It is unchanged where nothing is there.
+    """
+    found = visibility.subject_depth(gaussians.detach(), panel, rig, before_wall=True)
     return rig if found is None else replace(rig, zero_depth=found)
 
 

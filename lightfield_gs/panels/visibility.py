@@ -60,14 +60,20 @@ class VisibilityConstants:
 _CONSTANTS = VisibilityConstants()
 
 
-def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
+def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig, before_wall: bool = False) -> float | None:
     """Return the depth of the nearest subject in the middle of the centre camera's picture, scene units.
+
+    Args:
+        gaussians: One set.
+        panel: The panel.
+        rig: A rig with the centre camera.
+        before_wall: Whether a subject of a shallow scene is its nearer half, as of a photo that ends at a wall.
 
     Returns:
         View-space z; None where the camera sees nothing.
     """
     surfaces = _disparities(gaussians, panel, rig)
-    return None if surfaces is None else _subject_front(*surfaces)
+    return None if surfaces is None else _subject_front(*surfaces, before_wall)
 
 
 def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
@@ -85,10 +91,13 @@ def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | 
     return _subject_front(*surfaces)
 
 
-def _subject_front(disparities: Tensor, weights: Tensor) -> float:
+def _subject_front(disparities: Tensor, weights: Tensor, before_wall: bool = False) -> float:
     """Return the median depth of the surfaces that are hardly farther than the nearest."""
     front = _nearest(disparities, weights, _CONSTANTS.front_fraction)
-    subject = disparities >= front / _CONSTANTS.subject_depth
+    back = front / _CONSTANTS.subject_depth
+    if before_wall:
+        back = max(back, (front + float(torch.quantile(disparities, _CONSTANTS.depth_tail))) / 2)
+    subject = disparities >= back
     return 1 / _nearest(disparities[subject], weights[subject], 0.5)
 
 

@@ -74,6 +74,7 @@ def fit_to_panel(
     *,
     widest_tan: float | None = None,
     zoom: float = 1.0,
+    pan: tuple[float, ...] = (0.0, 0.0),
     on_near: bool = False,
     about_middle: bool = False,
 ) -> PanelFit:
@@ -90,7 +91,8 @@ def fit_to_panel(
             "auto": cover about the subject, or contain if the subject would be cropped. Without a subject, or with one
             that both sides of the photo cut off, contain if more than a third of the photo would be.
         widest_tan: tan(cone / 2) of the outermost views; None: the panel's.
-        zoom: Factor of the size of the picture.
+        zoom: Factor of the size of the picture, which the margin allows for.
+        pan: Shift of the picture to the right and down, in widths and heights of the panel; likewise.
         on_near: Whether the zero plane may move to a subject afterwards, which is anywhere from near to the depth of
             the picture's middle; the margin is enough for that.
         about_middle: Whether "auto" crops about the photo's middle, as for a picture of a video. It is contain if that
@@ -123,8 +125,9 @@ def fit_to_panel(
     moves = np.abs(1 - zeros / np.quantile(known, _C.side_quantiles)).max() if len(known) else 0.0
     shown = panel.width_px / sizes[0] / zoom, panel.height_px / sizes[1] / zoom
     beyond = focal_px[0] * tan * moves + _C.more_px, _C.more_px
-    before = [half / 2 - at + more for half, at, more in zip(shown, middle, beyond)]
-    after = [half / 2 + at - size + more for half, at, size, more in zip(shown, middle, (width, height), beyond)]
+    seen = [at - moved * part for at, moved, part in zip(middle, pan, shown)]
+    before = [part / 2 - at + more for part, at, more in zip(shown, seen, beyond)]
+    after = [part / 2 + at - size + more for part, at, size, more in zip(shown, seen, (width, height), beyond)]
     most = (_C.widest * width, _C.widest * height) * 2
     margin = [math.ceil(min(max(part, 0), limit)) for part, limit in zip((*before, *after), most)]
     kept = min(1.0, shown[0] / width) * min(1.0, shown[1] / height)

@@ -38,7 +38,7 @@ class Stats:
     gaussians_drawn: int = 0  # in all images
     pruned: int = 0  # of a light field, see Quality
     colour_error: float = 0.0
-    kernel: str | None = None  # that drew a light field on CUDA
+    kernel: str | None = None  # that drew a light field on CUDA or by WebGPU
     skipped: dict[str, Any] = field(default_factory=dict)  # of a light field, see skipped_lines
 
     @contextmanager
@@ -84,18 +84,18 @@ class Stats:
         self.work_bytes += counters.scratch_bytes
 
     def report(self, gaussians: int, subpixels: int) -> dict[str, Any]:
-        """Return the stats of `encode`; evaluations are not counted on CUDA.
+        """Return the stats of `encode`; evaluations are not counted on a GPU.
 
         Args:
             gaussians: Number of Gaussians in the scene.
             subpixels: Number of sub-pixels of the panel.
         """
-        on_cuda = self.device is not None and self.device.type == "cuda"
+        on_gpu = self.kernel is not None or self.device is not None and self.device.type == "cuda"
         found: dict[str, Any] = {
             "stages_ms": dict(self.stages_ms),
             "pairs": self.intersections,
-            "evaluations": None if on_cuda else self.evaluations,
-            "evaluations_per_subpixel": None if on_cuda else self.evaluations / subpixels,
+            "evaluations": None if on_gpu else self.evaluations,
+            "evaluations_per_subpixel": None if on_gpu else self.evaluations / subpixels,
             "work_bytes": self.work_bytes,
             "gaussians_culled": gaussians - self.gaussians_drawn // max(self.images, 1),
             "colour_error": self.colour_error,

@@ -217,6 +217,14 @@ def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
     assert json.loads(read_info("o.exr").metadata["encoding"])["depth"]["file"] == "depth.exr"
 
 
+def test_the_plane_is_in_a_thin_subject_before_a_near_wall():
+    depth = np.full((60, 120), 1.6, np.float32)
+    depth[:, 54:66] = 1.25
+    placed = fit_to_panel(torch.from_numpy(depth), (100, 100), (60, 30), PANEL, on_near=True)
+    gaussians = lf.from_depth(np.full((60, 120, 3), 0.5, np.float32), depth, (100, 100), (60, 30))
+    assert focus_on_subject(placed.rig, gaussians, PANEL).zero_depth == pytest.approx(1.25, rel=0.02)
+
+
 def test_every_way_to_say_the_depth(folder, capsys):
     write_scene()
     depth = read_image("depth.exr")[..., 0].astype(np.float64)

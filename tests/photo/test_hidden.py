@@ -94,16 +94,18 @@ def test_opacities_cover_as_much_as_they_should():
     assert torch.allclose(covered, wanted.double(), atol=2e-3)
 
 
-@pytest.mark.parametrize("fit", ["cover", "contain"])
-def test_all_views_are_covered(fit):
+@pytest.mark.parametrize("fit, pan", [("cover", (0, 0)), ("contain", (0, 0)), ("cover", (0.3, -0.2))])
+def test_all_views_are_covered(fit, pan):
     """On a panel of another shape no view of the cone shows anything but the scene."""
     image = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(1))
     image, depth = before_the_plane(image * 0.3 + 0.3)
     panel = replace(lf.Panel.load("toy-8v"), width_px=100, height_px=140)
-    placed = fit_to_panel(depth, (FOCAL, FOCAL), (WIDTH / 2, HEIGHT / 2), panel, fit)
+    placed = fit_to_panel(depth, (FOCAL, FOCAL), (WIDTH / 2, HEIGHT / 2), panel, fit, pan=pan)
     assert (placed.cropped > 0.5) == (fit == "cover") and (placed.made_up > 0.4) == (fit == "contain")
     gaussians = from_depth(image, depth, (FOCAL, FOCAL), margin_px=placed.margin_px)
-    alphas = lf.render(gaussians, placed.rig.cameras_at(panel, [0.0, 4.0, 8.0]), alpha=True).alpha
+    x, y = placed.rig.principal_point_px
+    rig = replace(placed.rig, principal_point_px=(x + pan[0] * panel.width_px, y + pan[1] * panel.height_px))
+    alphas = lf.render(gaussians, rig.cameras_at(panel, [0.0, 4.0, 8.0]), alpha=True).alpha
     assert (alphas < 0.9).float().mean() < 0.002
 
 

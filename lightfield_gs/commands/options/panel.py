@@ -8,8 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.parser import background_or_auto, byte_size, camera_choice, numbers, threads, within
+from lightfield_gs.commands.options.parser import (
+    background_or_auto,
+    byte_size,
+    camera_choice,
+    drawing_device,
+    numbers,
+    threads,
+    within,
+)
 from lightfield_gs.commands.options.scene import add_scene
+from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
 from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.scene.axes import UP_AXES
 
@@ -44,9 +53,9 @@ def add_panel(add: Add, purpose: str) -> None:
     """
     add(
         "--panel",
-        default=DEFAULT_PANEL,
         metavar="PANEL",
-        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})",
+        help="a Looking Glass visual.json, a .yaml, the name of a profile, or of a Looking Glass display "
+        f"({', '.join(DISPLAY_KINDS)}) (default: the display that is connected, else {DEFAULT_PANEL})",
     )
     add_device_serial(add)
     add_viewing_distance(add, f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
@@ -161,6 +170,18 @@ def add_device(add: Add) -> None:
         choices=DEVICES,
         default="auto",
         help="device of network and rasterizer (default auto: cuda if there is a GPU and this build can use it)",
+    )
+
+
+def add_drawing_device(add: Add) -> None:
+    """Add the option of the device for commands that WebGPU can draw for."""
+    add(
+        "--device",
+        type=drawing_device,
+        default="auto",
+        metavar="{auto,cpu,cuda,webgpu[:N]}",
+        help="device of network and rasterizer; webgpu draws on a GPU of any maker, N of `info --devices`, and the "
+        "network stays on the CPU (default auto: cuda if there is a GPU and this build can use it)",
     )
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, get_type_hints
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEVICES
 
 # Options whose values may begin with a minus sign
 _VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--eyes", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
@@ -59,6 +60,13 @@ def join_values(arguments: Iterable[str]) -> list[str]:
         else:
             out.append(argument)
     return out
+
+
+def drawing_device(text: str) -> str:
+    """Parse auto, cpu, cuda, webgpu or webgpu:N."""
+    if text in DEVICES or re.fullmatch(r"webgpu(:\d{1,3})?", text):
+        return text
+    raise argparse.ArgumentTypeError(f"invalid choice: '{text}' (choose from {', '.join(DEVICES)}, webgpu, webgpu:N)")
 
 
 def numbers(count: int):

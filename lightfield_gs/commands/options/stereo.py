@@ -1,0 +1,41 @@
+"""Options of pictures for two eyes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from lightfield_gs.base.options import STEREO_LAYOUTS
+from lightfield_gs.commands.options.parser import whole_numbers, within
+
+
+def add_stereo(add: Callable[..., argparse.Action]) -> None:
+    """Add the options of the layout of two eyes' pictures, of the screen, and of the eyes before it."""
+    add(
+        "--stereo",
+        choices=STEREO_LAYOUTS,
+        help="pictures of two eyes in place of the image of a panel. sbs: side by side; half-sbs: the same, squeezed "
+        "to one picture's width; tab: left eye on top; mpo: two pictures in one .mpo; anaglyph: for red and cyan "
+        "glasses; left-right: two files. Names get what players read: _LRF_Full_SBS, _half_2x1, _LR_Full_TAB",
+    )
+    add(
+        "--eye-distance",
+        type=within(20, 120, "mm"),
+        default=63.0,
+        metavar="MM",
+        help="of --stereo: distance between the eyes (default 63)",
+    )
+    add(
+        "--screen-size",
+        type=within(0.5, 2000, "inches"),
+        default=27.0,
+        metavar="INCHES",
+        help="of --stereo: diagonal of the screen (default 27); with --viewing-distance (default: 0.875 of it) it sets "
+        "the depth that does not strain the eyes",
+    )
+    add(
+        "--eye-size",
+        type=whole_numbers(2, 16384, "x", 2),
+        metavar="WIDTHxHEIGHT",
+        help="of --stereo: pixels of one eye's picture (default 1920x1080)",
+    )

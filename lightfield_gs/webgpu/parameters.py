@@ -1,0 +1,113 @@
+"""The numbers of a frame as csrc/webgpu/frame.wgsl takes them, and how the panel is cut into boxes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightfield_gs import _core
+from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
+
+BOX_ROWS, TILE_WIDTH, BOX_LENSES = 16, 32, 16  # as in csrc/webgpu/footprint.wgsl
+ORDINALS = (0, 2, 3, 6)  # tilings in the order of cost_of_splat in csrc/webgpu/project.wgsl; 0: tiles of pixels
+LENS_WIDTHS = 6.0, 200.0  # sub-pixels, of lenses that boxes are made of: not less than the ordinals of a box
+_WORD = 0xFFFFFFFF
+PARAMS_BYTES = 4 * (12 * 4 + 5 * 4 + _core.CELL_SUBPIXELS * 4)
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """How a panel is cut into boxes.
+
+    Attributes:
+        ordinals: Sub-pixels of a lens in a box; 0: tiles of pixels.
+        across, down, groups: Number of boxes.
+        first_lens: Number of the first lens of the first box.
+    """
+
+    ordinals: int
+    across: int
+    down: int
+    groups: int
+    first_lens: int = 0
+
+    @staticmethod
+    def of(lens: Lens, ordinals: int) -> Boxes:
+        """Return the boxes of a panel."""
+        down = -(-lens.height_px // BOX_ROWS)
+        if not ordinals:
+            return Boxes(0, -(-lens.width_px // TILE_WIDTH), down, 1)
+        corners = [
+            (place + 3 * row * lens.slant_tan + lens.phase) / lens.line_number
+            for place in (0, 3 * lens.width_px)
+            for row in (0, lens.height_px)
+        ]
+        first = math.floor(min(corners)) - 1
+        across = -(-(math.ceil(max(corners)) + 1 - first) // BOX_LENSES)
+        return Boxes(ordinals, across, down, -(-(math.floor(lens.line_number) + 1) // ordinals), first)
+
+
+def tilings(lens: Lens) -> tuple[int, ...]:
+    """Return the ordinals of the tilings that a panel allows; boxes of lenses need stripes."""
+    fit = LENS_WIDTHS[0] <= lens.line_number <= LENS_WIDTHS[1]
+    return ORDINALS if fit and not lens.cell_phases else ORDINALS[:1]
+
+
+def pack_params(
+    camera: LenticularCamera,
+    antialiased: bool,
+    degree: int,
+    count: int,
+    background: np.ndarray,
+    tolerance: float,
+    boxes: Boxes,
+    rows: tuple[int, int],
+    room: tuple[int, int, int, int],
+) -> bytes:
+    """Return the struct Params of csrc/webgpu/frame.wgsl. Means are in the axes of the centre camera already.
+
+    Args:
+        camera: Of the panel.
+        antialiased: See encoding.encode.
+        degree: Of the harmonics.
+        count: Of the Gaussians.
+        background: [3], 0..1.
+        tolerance: Error allowed in colours.
+        boxes: Of the panel.
+        rows: First row of boxes of this pass, and one behind the last.
+        room: For pairs, colours, large splats and chunks of long lists.
+    """
+    lens = camera.lens
+    pose = np.asarray(camera.world_to_camera, np.float64).reshape(4, 4)
+    turn = np.zeros((3, 4))
+    turn[:, :3] = pose[:3, :3]
+    reach = lens.native().reach()
+    start, step = (value / reach if reach > 0 else 0.0 for value in (lens.offset_start, lens.offset_step))
+    floats = [
+        *np.eye(4)[:3].ravel(),
+        *turn.ravel(),
+        *camera.intrinsics,
+        *camera.limits[:4],
+        *(reach, 1 / camera.zero_depth, start, step),
+        *(*background, 0.0),
+        *(lens.line_number, lens.slant_tan, lens.phase, boxes.first_lens),
+        *(camera.aperture, float(antialiased), tolerance, 0.0),
+    ]
+    phases = [word for phase in lens.phases for word in _words(phase)]
+    words = [
+        *(lens.width_px, lens.height_px, lens.views, count),
+        *(*phases, int(lens.continuous), degree),
+        *(boxes.across, rows[1] - rows[0], boxes.groups, rows[0]),
+        *room,
+    ]
+    cells = np.zeros((_core.CELL_SUBPIXELS, 4), np.uint32)
+    for k, (phase, channel) in enumerate(zip(lens.cell_phases, lens.cell_channels)):
+        cells[k, :3] = (*_words(phase), channel)
+    return np.array(floats, np.float32).tobytes() + np.array(words, np.uint32).tobytes() + cells.tobytes()
+
+
+def _words(phase: int) -> tuple[int, int]:
+    """Return the low and the high word of 64 bits."""
+    return phase & _WORD, phase >> 32
