@@ -17,6 +17,7 @@ from lightfield_gs.base.options import (
     MapOrientation,
     Method,
     QualityName,
+    StereoInput,
     StereoLayout,
     Views,
 )
@@ -116,6 +117,8 @@ class PhotoOptions:
         fov: angle of the longer side, degrees.
         intrinsics: fx, fy, cx, cy in pixels.
         fit: how the photo fills a panel of another shape.
+        stereo_in: where the two eyes' pictures of a stereo pair are. None: as its file says; "none": it is one photo.
+        swap_eyes: whether the right eye's picture comes first, or not first where the file says so.
         is_in_row: whether pictures that follow are fitted as this one: about their middle, not about its subject.
     """
 
@@ -137,6 +140,8 @@ class PhotoOptions:
     fov: float | None = None
     intrinsics: tuple[float, ...] | None = None
     fit: Fit | None = None
+    stereo_in: StereoInput | None = None
+    swap_eyes: bool = False
     is_in_row: bool = False
 
     @property

@@ -23,9 +23,11 @@ from lightfield_gs.app.photo_depth import (
     has_depth,
     is_depth_inside,
 )
+from lightfield_gs.app.photo_pair import guessed_pair, pair_of, read_pair_photo
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Fit
+from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
 if TYPE_CHECKING:
@@ -135,6 +137,8 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
     from lightfield_gs.photo.load import NoCutOut, cut_out_photo
 
     picture = read_picture(path)
+    if not quilt_in_name(path) and (guess := guessed_pair(options, picture)) is not None:
+        return _read_pair(path, options, guess)
     side = depth_side(picture.pixels)
     notes = _other_ways(path, picture, side)
     try:
@@ -193,7 +197,7 @@ def _notes_on_eyes(path: Path, picture: Picture) -> list[str]:
         return []
     return [
         f"{path}: it looks like a stereo pair, two eyes' pictures {layout}, and is taken for one photo; give one of "
-        "them alone"
+        "them alone, or --stereo-in to take its depth from both"
     ]
 
 
@@ -246,6 +250,8 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     from lightfield_gs.photo.load import cut_out_photo, reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
 
+    if (pair := pair_of(path, options)) is not None:
+        return _read_pair(path, options, pair)
     picture = read_picture(path)
     is_inside = is_depth_inside(path, options)
     side = None
@@ -281,6 +287,12 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     else:
         depth = depth_from_file(cast(Path, options.depth), options, photo)
     return ReadPhoto(path, options, photo, is_whole=True, depth=depth, notes=notes)
+
+
+def _read_pair(path: Path, options: PhotoOptions, pair: PairLayout) -> ReadPhoto:
+    """Read a stereo pair, which is shown whole, with the depths of both eyes."""
+    options, photo, depth = read_pair_photo(path, options, pair, _MOST_WHOLE_PX)
+    return ReadPhoto(path, options, photo, is_whole=True, depth=depth)
 
 
 def _scene_of_whole(

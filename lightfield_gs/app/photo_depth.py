@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.options import PhotoOptions
+from lightfield_gs.app.photo_pair import pair_of
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
 from lightfield_gs.photo.side_by_side import is_rgbd_name
@@ -61,7 +62,9 @@ def _network_device(device: str) -> Device:
 
 def has_depth(path: Path, options: PhotoOptions) -> bool:
     """Return whether a photo has depths: in a file, beside it, inside its file, or estimated."""
-    return options.depth is not None or options.rgbd is not None or is_rgbd_name(path) or is_depth_inside(path, options)
+    if options.depth is not None or options.rgbd is not None or is_rgbd_name(path):
+        return True
+    return pair_of(path, options) is not None or is_depth_inside(path, options)
 
 
 def is_depth_inside(path: Path, options: PhotoOptions) -> bool:

@@ -10,6 +10,7 @@ from lightfield_gs.app.cameras import CameraChoice, apply_look, chosen_rig, file
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
+from lightfield_gs.app.photo_pair import check_pair_options
 from lightfield_gs.base.cli_messages import Stopwatch, note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import check_output_path
@@ -24,10 +25,10 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
 _DEPTH_OPTIONS: tuple[str, ...] = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "pixel_aspect", "fov")
-_DEPTH_OPTIONS += ("intrinsics", "fit")
+_DEPTH_OPTIONS += ("intrinsics", "fit", "swap_eyes")
 _NETWORK_OPTIONS = ("checkpoint", "detail", "detail_budget")
 _PHOTO_OPTIONS: tuple[str, ...] = ("mask", "remove_background", "checkpoint", "depth", "depth_model", "rgbd")
-_PHOTO_OPTIONS += ("map_orientation", "detail", "detail_budget", "clean_edges")
+_PHOTO_OPTIONS += ("stereo_in", "map_orientation", "detail", "detail_budget", "clean_edges")
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
 
 
 def _check_photo_options(photo: PhotoOptions) -> None:
+    check_pair_options(photo)
     is_estimated, has_map = photo.is_estimated, photo.depth_file is not None
     if photo.depth is not None:
         _refuse(photo, ("rgbd",), "takes the place of --depth")

@@ -19,6 +19,7 @@ Fit = Literal["auto", "cover", "contain"]
 Compression = Literal["fast", "small"]
 Detail = Literal["auto", 1, 2, 4]
 Device = Literal["auto", "cpu", "cuda"]
+StereoInput = Literal["sbs", "half-sbs", "tab", "half-tab", "two", "none"]
 StereoLayout = Literal["sbs", "half-sbs", "tab", "mpo", "anaglyph", "left-right"]
 
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -36,6 +37,7 @@ FITS: tuple[Fit, ...] = get_args(Fit)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 DETAILS: tuple[Detail, ...] = get_args(Detail)
 DEVICES: tuple[Device, ...] = get_args(Device)
+STEREO_INPUTS: tuple[StereoInput, ...] = get_args(StereoInput)
 STEREO_LAYOUTS: tuple[StereoLayout, ...] = get_args(StereoLayout)
 
 # Arguments that only one method of `encode` takes; the options of the command have the same names

@@ -45,6 +45,7 @@ _AVIF_BRANDS = (b"avif", b"avis")
 # ISO/IEC 23008-12, annex B, and MIAF; files of other brands are films or something else
 _BRANDS = (*_AVIF_BRANDS, b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2")
 _MOST_BYTES = 1 << 28
+_META_BYTES = 1 << 16  # where the properties of a HEIC stand
 _BRAND_BYTES = 128  # read for the brands: they hold a dozen and more
 _ORIENTATION_TAG = 0x0112
 
@@ -227,3 +228,64 @@ def read_heif_depth(path: Path) -> HeifDepth | None:
                 dict(depth.info["metadata"]),
             )
     return None
+
+
+# Further pictures
+
+
+def read_further_picture(path: Path, number: int) -> np.ndarray:
+    """Return picture `number` of an MPO or a HEIC, uint8 [H, W, C], as stored; of a HEIC upright; raise InputError."""
+    with contextlib.ExitStack() as stack:
+        if is_heif(path):
+            image = stack.enter_context(open_heif(path, lambda width, height: None))
+        else:
+            image = stack.enter_context(_open(path, str(path)))
+        stack.enter_context(pillow_errors(f"{path}: its picture {number + 1} is damaged"))
+        image.seek(number)
+        if image.width * image.height > _MOST_PIXELS:
+            raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {_MOST_PIXELS}")
+        return np.array(image.convert("RGB"))
+
+
+@dataclass(frozen=True)
+class HeifPairCameras:
+    """The cameras of a stereo pair in a HEIC (ISO/IEC 23008-12).
+
+    Attributes:
+        focal: Focal length by the width of the picture; None: not stated.
+        centre: Principal point by width and height.
+        baseline_m: Distance between the cameras, metres; None: not stated.
+    """
+
+    focal: float | None
+    centre: tuple[float, float]
+    baseline_m: float | None
+
+
+def heif_pair_cameras(path: Path) -> HeifPairCameras | None:
+    """Return the cameras of the two pictures of a HEIC, None for those without a group of two eyes ('ster')."""
+    with path.open("rb") as file:
+        start = file.read(_META_BYTES)
+    group = start.find(b"ster")
+    if group < 0 or b"grpl" not in start[:group] or start[group + 12 : group + 16] != b"\0\0\0\2":
+        return None
+    focal, centre, places = None, (0.5, 0.5), []
+    for at in _boxes(start, b"cmin"):
+        flags = int.from_bytes(start[at + 1 : at + 4], "big")
+        unit = 1 << ((flags & 0x1F00) >> 8)
+        values = [value / unit for value in struct.unpack_from(">3i", start, at + 4)]
+        focal, centre = (values[0], (values[1], values[2])) if focal is None else (focal, centre)
+    for at in _boxes(start, b"cmex"):
+        flags = start[at + 3]
+        places.append(struct.unpack_from(">i", start, at + 4)[0] if flags & 1 else 0)
+    apart = max(places, default=0) - min(places, default=0)
+    return HeifPairCameras(focal, centre, apart * 1e-6 if apart else None)
+
+
+def _boxes(data: bytes, name: bytes) -> Iterator[int]:
+    """Yield where the contents of boxes of this type begin, whose numbers fit."""
+    at = data.find(name)
+    while at >= 0:
+        if 16 <= int.from_bytes(data[at - 4 : at], "big") <= 64 and len(data) >= at + 24:
+            yield at + 4
+        at = data.find(name, at + 4)

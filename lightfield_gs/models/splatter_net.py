@@ -100,7 +100,10 @@ class SplatterNet(nn.Module):
 
         Args:
             cloud: [B,N,...] that forward gives without a level.
-            images, intrinsics, fine, level: of forward.
+            images: of forward.
+            intrinsics: of forward.
+            fine: of forward.
+            level: of forward.
         """
         pixels = describe_pixels(images, intrinsics)
         if is_native(fine):

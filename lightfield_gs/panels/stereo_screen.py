@@ -83,13 +83,14 @@ def eye_geometry(panel: Panel, rig: Rig) -> dict[str, object]:
         rig: In scene units.
 
     Returns:
-        focal_px and principal_point_px of the left eye's camera, baseline and zero_depth.
+        focal_px, principal_point_px and width_px of the left eye's camera, baseline and zero_depth.
     """
     (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
     left, right = (float(rig.offset(x, panel)) for x in LEFT_RIGHT)
     return {
         "focal_px": [fx, fy],
         "principal_point_px": [cx + fx / rig.zero_depth * left, cy],
+        "width_px": panel.width_px,
         "baseline": right - left,
         "zero_depth": rig.zero_depth,
     }

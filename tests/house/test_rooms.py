@@ -24,6 +24,7 @@ ROOMS = (
     "lightfield_gs.reference",
     "lightfield_gs.photo",
     "lightfield_gs.show",
+    "lightfield_gs.displays",
     "lightfield_gs.video",
     "lightfield_gs.view_sets",
     "lightfield_gs.fitting",

@@ -14,6 +14,7 @@ from lightfield_gs.base.options import (
     DETAILS,
     FITS,
     MAP_ORIENTATIONS,
+    STEREO_INPUTS,
 )
 from lightfield_gs.commands.options.parser import numbers, within
 
@@ -120,6 +121,7 @@ def add_depth(add: Add) -> None:
         "--depth-range is 1,1.6 if not given. Names like photo_rgbd.png and maps inside a phone's .jpg "
         "need no option",
     )
+    add_pair(add)
     add(
         "--map-orientation",
         choices=MAP_ORIENTATIONS,
@@ -148,6 +150,23 @@ def add_depth(add: Add) -> None:
         "corner of the first pixel",
     )
     add_fit(add)
+
+
+def add_pair(add: Add) -> None:
+    """Add the options of where the pictures of two eyes are in a stereo photo."""
+    add(
+        "--stereo-in",
+        choices=STEREO_INPUTS,
+        help="the two eyes' pictures of a stereo photo, whose depth comes of both (pip install "
+        "'lightfield-gs[stereo]'): side by side, one above the other, either squeezed to half; two: pictures of their "
+        "own in the file; none: it is one photo (default: by the file's metadata, its name, as photo_half_2x1.png, or "
+        "its halves)",
+    )
+    add(
+        "--swap-eyes",
+        action="store_true",
+        help="of a stereo photo: the right eye's picture comes first, where near and far look exchanged",
+    )
 
 
 def add_depth_model(add: Add) -> None:

@@ -1,0 +1,151 @@
+"""Stereo pairs as photos: the depth of a pair that was drawn, which eye is which, and what files say of themselves."""
+
+import io
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from rgbd_scene import view
+
+import lightfield_gs as lf
+from lightfield_gs.app.options import PhotoOptions
+from lightfield_gs.app.photo import read_photo
+from lightfield_gs.app.photo_pair import pair_of
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.stereo import join_eyes, render_eyes
+from lightfield_gs.io.images import write_image
+from lightfield_gs.io.jpeg_pairs import write_jpeg, write_mpo
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.panels.stereo_screen import LEFT_RIGHT, StereoScreen, eye_geometry
+from lightfield_gs.photo.rgbd import from_depth
+from lightfield_gs.photo.stereo_pair import find_pair
+
+WIDTH, HEIGHT, FOCAL = 256, 192, 224.0
+
+
+def textured(offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The scene with texture that can be matched, and its depths."""
+    colours, depth, points = view(WIDTH, HEIGHT, FOCAL, offset)
+    x, y = points[..., :1], points[..., 1:2]
+    waves = np.sin(40 * x + 3 * np.sin(13 * y)) * np.sin(36 * y + 2 * np.sin(11 * x))
+    return (colours + 0.25 * waves).clip(0, 1).astype(np.float32), depth.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """The pictures of two eyes, the left one's true depths, and how they hang together."""
+    image, depth = textured()
+    gaussians = from_depth(image, depth, (FOCAL, FOCAL))
+    panel = StereoScreen(WIDTH, HEIGHT).panel()
+    rig = Rig(np.eye(4), (FOCAL, FOCAL), (WIDTH / 2, HEIGHT / 2), 1.6)
+    truth = lf.render(gaussians, rig.cameras_at(panel, LEFT_RIGHT[:1]), depth=True).depth[0].numpy()
+    return (
+        render_eyes(gaussians, panel, rig),
+        truth,
+        {"stereo": json.dumps({"layout": "mpo"} | eye_geometry(panel, rig))},
+    )
+
+
+def error_of(z: np.ndarray, truth: np.ndarray) -> float:
+    """Mean relative difference of distances, off the border that one eye alone sees."""
+    inner = (slice(8, -8), slice(WIDTH // 8, -WIDTH // 8))
+    return float(np.abs(z[inner] / truth[inner] - 1).mean())
+
+
+def test_a_pair_that_was_drawn_gives_its_depth_back(tmp_path, drawn):
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    eyes, truth, record = drawn
+    write_mpo(tmp_path / "a.mpo", [eye.numpy() for eye in eyes], record)
+    read = read_photo(tmp_path / "a.mpo", PhotoOptions())
+    assert "its two pictures, two pictures, the first picture is the left eye's" in read.depth.description
+    assert error_of(read.depth.z, truth) < 0.02
+    assert read.is_whole and read.options.intrinsics[:2] == (FOCAL, FOCAL) and read.options.intrinsics[2] < WIDTH / 2
+
+
+@pytest.mark.parametrize(
+    "layout, name", [("sbs", "a_2x1.png"), ("half-sbs", "a_half_2x1.png"), ("tab", "a_TAB.png"), ("jps", "a.jps")]
+)
+def test_near_is_near_whatever_the_file(tmp_path, drawn, layout, name):
+    """Distances of unknown cameras lie between assumed ends; the left eye's picture is the left one."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    eyes, truth, _ = drawn
+    path = tmp_path / name
+    if layout == "jps":
+        write_jpeg(path, join_eyes(eyes, "sbs").numpy(), {})
+    else:
+        write_image(path, join_eyes(eyes, layout).numpy())
+    read = read_photo(path, PhotoOptions())
+    z = read.depth.z
+    assert z.shape == (HEIGHT, WIDTH) and "put at z 1.6 and 1 (assumed; depth_range=)" in read.depth.description
+    inner = (slice(8, -8), slice(WIDTH // 8, -WIDTH // 8))
+    assert np.corrcoef(1 / z[inner].ravel(), 1 / truth[inner].ravel())[0, 1] > 0.95
+    swapped = read_photo(path, PhotoOptions(swap_eyes=True)).depth.z
+    assert np.corrcoef(1 / swapped[inner].ravel(), 1 / truth[inner].ravel())[0, 1] < -0.5
+
+
+def test_right_eyes_before_the_panel_see_the_right_picture(tmp_path, drawn):
+    """Of a scene made of a pair, by `simulate`: what is near is to the right for the left eye, as in the pair."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    eyes, _, record = drawn
+    write_mpo(tmp_path / "a.mpo", [eye.numpy() for eye in eyes], record)
+    read = read_photo(tmp_path / "a.mpo", PhotoOptions())
+    fx, fy, cx, cy = read.options.intrinsics
+    gaussians = from_depth(read.photo.floats(), read.depth.z, (fx, fy), (cx, cy))
+    panel = lf.Panel(3 * WIDTH, 3 * HEIGHT, 24, 9.0, 0.0, cone_deg=20, viewing_distance_mm=600, pixel_pitch_mm=0.15)
+    rig = Rig(np.eye(4), (3 * fx, 3 * fy), (3 * cx, 3 * cy), 2.2)
+    image = lf.encode(gaussians, panel, rig).numpy()
+    left, right = (simulate(image, panel, (x, 0, 600)).mean(2)[60:130] for x in (-31.5, 31.5))
+    ball = slice(100, 170)  # before the panel's plane
+    shifts = range(-12, 13)
+    apart = [np.abs(left[:, ball] - np.roll(right, shift, 1)[:, ball]).mean() for shift in shifts]
+    assert shifts[int(np.argmin(apart))] > 0
+
+
+def test_pictures_that_do_not_match_are_refused_with_a_way_out(tmp_path):
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    noise = np.random.default_rng(0).integers(0, 255, (96, 256, 3), np.uint8)
+    write_image(tmp_path / "a_sbs.png", noise)
+    with pytest.raises(InputError, match="do not match .* give depth=FILE, or stereo_in=none"):
+        read_photo(tmp_path / "a_sbs.png", PhotoOptions())
+
+
+def test_eyes_at_other_heights_are_made_level(drawn):
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
+    from lightfield_gs.photo.stereo_matching import match_eyes
+
+    left, right = (eye.numpy() for eye in drawn[0])
+    turn = cv2.getRotationMatrix2D((WIDTH / 2, HEIGHT / 2), 1.0, 1.0) + np.array([[0, 0, 0], [0, 0, 4.0]])
+    moved = cv2.warpAffine(right, turn, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE)
+    inner = (slice(16, -16), slice(WIDTH // 8, -WIDTH // 8))
+    plain, found = match_eyes("a", left, right), match_eyes("a", left, moved)
+    assert plain.raised_px == 0 and 4 < found.raised_px < 8
+    assert np.abs(found.shifts - plain.shifts)[inner].mean() < 1
+
+
+def test_files_say_where_the_eyes_are(tmp_path, drawn):
+    """A chunk sTER of either order, a segment of JPS, names; an ordinary photo says nothing."""
+    pair = join_eyes(drawn[0], "sbs").numpy()
+    file = io.BytesIO()
+    Image.fromarray(pair).save(file, "PNG")
+    data = file.getvalue()
+    for order in (0, 1):
+        chunk = struct.pack(">I4sB", 1, b"sTER", order)
+        crc = zlib.crc32(chunk[4:])
+        (tmp_path / "b.png").write_bytes(data[:33] + chunk + struct.pack(">I", crc) + data[33:])
+        found = find_pair(tmp_path / "b.png")
+        assert (found.kind, found.is_swapped, found.source) == ("sbs", order == 0, "its chunk sTER")
+        (tmp_path / "b.png").unlink()
+    write_jpeg(tmp_path / "a.jps", pair, {})
+    assert find_pair(tmp_path / "a.jps").is_swapped is False
+    write_jpeg(tmp_path / "plain.jpg", pair, {})
+    (tmp_path / "plain.jpg").rename(tmp_path / "c.jps")
+    assert find_pair(tmp_path / "c.jps").is_swapped is True
+    write_image(tmp_path / "photo.png", pair)
+    assert find_pair(tmp_path / "photo.png") is None
+    assert pair_of(tmp_path / "photo.png", PhotoOptions(stereo_in="tab")).kind == "tab"
+    assert pair_of(Path("a_2x1.png"), PhotoOptions(stereo_in="none")) is None
