@@ -14,7 +14,7 @@ from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import StereoLayout
+from lightfield_gs.base.options import DEVICES, StereoLayout
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.stereo_names import stereo_paths
@@ -93,7 +93,7 @@ def refuse_stereo(options: StereoOptions) -> None:
 def refuse_panel(panel: str | None) -> None:
     """Raise InputError for a panel beside --stereo."""
     if panel not in (None, DEFAULT_PANEL):
-        raise InputError("--stereo is for screens of two eyes, and --panel is one of many views; leave out one of them")
+        raise InputError("--panel is one of many views, and this picture is for another screen; leave it out")
 
 
 def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
@@ -102,6 +102,8 @@ def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
     target = StereoTarget.of(options.stereo, options.panel.viewing_distance)
     panel = target.screen.panel()
     check_scene_options(options.scene, options.camera)
+    if options.device not in DEVICES:
+        raise InputError(f"--device {options.device} draws images of panels; --stereo takes {', '.join(DEVICES)}")
     device = choose_device(options.device)
     choice = read_camera(options.camera, panel)
     import torch
