@@ -37,6 +37,7 @@ COMMANDS = {
     "simulate": "simulate the picture that an eye sees through the lenses",
     "view": "open a page that shows and steers a scene",
     "show": "show an encoded image on the panel, full screen",
+    "displays": "list the screens that are connected, and the 3D displays among them",
     "calibrate": "calibrate the profile of a panel",
     "info": "describe the contents of a file",
     "bench": "measure speed and accuracy",

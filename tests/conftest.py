@@ -15,6 +15,8 @@ import lightfield_gs
 # and what was filled would be written for it.
 torch.use_deterministic_algorithms(not torch.cuda.is_available())
 
+os.environ["LIGHTFIELD_GS_DISPLAYS"] = "off"  # a display of the developer is none of the tests'
+
 if os.environ.get("LFGS_CORE"):
     specification = importlib.util.spec_from_file_location("lightfield_gs._core", os.environ["LFGS_CORE"])
     sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(specification)

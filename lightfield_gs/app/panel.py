@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.app.options import PanelOptions
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import sha256
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import parse_json
+from lightfield_gs.panels.display_kinds import DisplayKind, kind_by_size
+from lightfield_gs.panels.looking_glass import LOOKING_GLASS
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.simulate import missing_geometry
 
@@ -27,24 +30,82 @@ _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_m
 def load_panel(options: PanelOptions) -> Panel:
     """Return the panel, seen from the distance that is asked for, and note numbers that look like other units.
 
+    Without a name it is the panel of the display that is connected, or else the default.
+
     Raises:
         InputError: there is no such panel, or its file cannot be used.
     """
-    name = options.panel or DEFAULT_PANEL
+    panel = found_panel(options.device_serial) if options.panel is None else _named_panel(options)
+    panel = at_distance(panel, options.viewing_distance)
+    if panel.viewing_distance_mm is None and (kind := _kind(panel)) is not None:
+        assume(
+            f"a viewing distance of {kind.viewing_distance_mm:g} mm, usual before a {kind.title} "
+            "(another: viewing_distance_mm=MM)"
+        )
+        panel = at_distance(panel, kind.viewing_distance_mm)
+    for words in implausible_units(panel):
+        note(f"panel {panel.name}: {words}")
+    return panel
+
+
+def _named_panel(options: PanelOptions) -> Panel:
+    """Return the panel of --panel."""
+    name = str(options.panel)
     version = None
     with suppress(OSError):  # its reader says what is wrong with it
         found = Path(name).stat()
         version = found.st_size, found.st_mtime_ns
-    panel = at_distance(_read_panel(name, options.device_serial, version), options.viewing_distance)
-    for words in implausible_units(panel):
-        note(f"panel {panel.name}: {words}")
-    return panel
+    return _read_panel(name, options.device_serial, version)
 
 
 @lru_cache(maxsize=8)
 def _read_panel(name: str, serial: str | None, version: tuple[int, int] | None) -> Panel:
     """Read a panel once for all inputs of a command, and again when its file has changed."""
     return Panel.load(name, serial=serial)
+
+
+def found_panel(serial: str | None = None) -> Panel:
+    """Return the panel of the display that is connected, or else the default, and say which in a line.
+
+    Args:
+        serial: Serial number of the display; None: the first.
+
+    Raises:
+        InputError: No display of the serial number is connected, or its calibration cannot be used.
+    """
+    panel, words = _found_panel(serial)
+    if words:
+        assume(words)
+    return panel
+
+
+@lru_cache(maxsize=8)
+def _found_panel(serial: str | None) -> tuple[Panel, str]:
+    """Look the displays up once in a command. Return the panel, and words on it; "" where no display was looked up."""
+    from lightfield_gs.displays.calibrations import WHERE_IT_LIES
+    from lightfield_gs.displays.find import is_off, survey_displays
+
+    if is_off():
+        if serial is not None:
+            raise InputError("--device-serial chooses among the calibrations of a --panel; give one, or leave it out")
+        return Panel.load(DEFAULT_PANEL), ""
+    survey = survey_displays()
+    display = survey.chosen(serial)
+    panel = display.load_panel() if display is not None else None
+    if display is None or panel is None:
+        words = f"panel {DEFAULT_PANEL}: no display was found (another: --panel; `lightfield-gs displays` lists all)"
+        return Panel.load(DEFAULT_PANEL), words
+    others = [one.title for one in survey.displays if one is not display]
+    also = f"; also connected: {', '.join(others)} (--device-serial)" if others else ""
+    source = f"by {display.calibration.where}" if display.calibration else WHERE_IT_LIES
+    return panel, f"the panel of the {display.title}, which is connected, {source} (another: --panel){also}"
+
+
+def _kind(panel: Panel) -> DisplayKind | None:
+    """Return the kind of display of a Looking Glass' own calibration; None for other panels."""
+    if panel.name != LOOKING_GLASS or panel.pixel_pitch_mm is None:
+        return None
+    return kind_by_size(panel.width_px, panel.height_px, 25.4 / panel.pixel_pitch_mm)
 
 
 def implausible_units(panel: Panel) -> list[str]:

@@ -114,7 +114,7 @@ def still_shots(options: VideoOptions, panel: Panel, device: str, watch: Stopwat
     of_file = [scene.in_file(rig) for rig in rigs]
     job = {
         "input": source.name,
-        "device": device,  # which rounds in its own way
+        "device": options.device,  # which rounds in its own way
         "scene": scene_hash(gaussians),
         "rigs": hashlib.sha256(json.dumps([rig.to_dict() for rig in of_file]).encode()).hexdigest(),
     }
@@ -206,7 +206,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     fps = motion.fps or pictures.fps or DEFAULT_FPS
     job = {
         "input": source.name,
-        "device": device,
+        "device": options.device,
         "pictures": pictures.digest(),
         "rig": None if motion.reframe else rig.to_dict(),
         **{name: part.digest() for name, part in beside.items()},

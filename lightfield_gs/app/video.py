@@ -20,7 +20,7 @@ from lightfield_gs.app.options import (
 )
 from lightfield_gs.app.panel import software
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Compression, Device, QualityName, Views
+from lightfield_gs.base.options import Compression, QualityName, Views
 from lightfield_gs.io.atomic import check_folder, check_output_path
 from lightfield_gs.io.stereo_names import stereo_paths
 from lightfield_gs.panels.framing import FramingConstants
@@ -75,7 +75,8 @@ class VideoOptions:
         compression, writers: of PNG files, and how many threads write them.
         overwrite: whether to remove frames that are in the folder.
         bridge: address of Looking Glass Bridge, which shows the quilt.
-        views, quality, device, threads: see `lightfield_gs.encode`.
+        views, quality, threads: see `lightfield_gs.encode`.
+        device: auto, cpu, cuda, webgpu or webgpu:N; the one that was chosen, once it is.
         stereo: pictures of two eyes.
         preset: a kind of display that takes ordinary videos, see `for_preset`.
     """
@@ -99,7 +100,7 @@ class VideoOptions:
     bridge: str | None = None
     views: Views = "integer"
     quality: QualityName = "exact"
-    device: Device = "auto"
+    device: str = "auto"
     threads: int | None = None
     stereo: StereoOptions = field(default_factory=StereoOptions)
     preset: str | None = None
@@ -229,7 +230,9 @@ def frame_drawer(options: VideoOptions, panel: Panel, target: VideoTarget, shots
     from lightfield_gs.video.rendering import EyeRenderer, FrameOptions, NativeRenderer, QuiltRenderer, StereoRenderer
 
     render = shots.render
-    drawing = FrameOptions(options.views, render.background, options.quality, render.antialiased, render.view_filter)
+    device = options.device if options.device.startswith("webgpu") else None
+    of_scene = render.background, options.quality, render.antialiased, render.view_filter
+    drawing = FrameOptions(options.views, *of_scene, device)
     if target.kind != "native" and (options.views, options.quality) != ("integer", "exact"):
         raise InputError(f"--views and --quality are of native pictures, not of --kind {target.kind}; leave them out")
     if target.layout is not None:

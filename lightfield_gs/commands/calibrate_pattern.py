@@ -12,6 +12,8 @@ from typing import cast
 
 import numpy as np
 
+from lightfield_gs.app.options import PanelOptions
+from lightfield_gs.app.panel import load_panel
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.parser import read_options, whole, within
@@ -71,9 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
     add(
         "--panel",
-        default=DEFAULT_PANEL,
         metavar="PANEL",
-        help=f"name, .yaml or visual.json of the panel (default {DEFAULT_PANEL})",
+        help=f"name, .yaml or visual.json of the panel (default: the display that is connected, else {DEFAULT_PANEL})",
     )
     add_device_serial(add)
     add(
@@ -110,7 +111,7 @@ def run(args: argparse.Namespace) -> None:
     options = read_options(PatternOptions, args)
     path = check_image_path(args.output)
     check_outputs((path,), (args.panel,))
-    panel = Panel.load(args.panel, serial=args.device_serial)
+    panel = load_panel(PanelOptions(args.panel, args.device_serial))
     for option, takers in _TAKERS.items():
         if getattr(options, option) is not None and options.kind not in takers:
             raise InputError(f"--{option} is for the kinds {', '.join(takers)}, not {options.kind}; leave it out")

@@ -14,13 +14,13 @@ from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
+from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, Compression
 from lightfield_gs.commands.options.panel import (
     add_camera,
     add_depth_report,
     add_device_serial,
+    add_drawing_device,
     add_look,
     add_rendering,
     add_viewing_distance,
@@ -40,6 +40,7 @@ from lightfield_gs.panels.quilt import (
 )
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 from lightfield_gs.scene.gaussians import scene_facts
+from lightfield_gs.webgpu.devices import choose_drawing_device
 
 if TYPE_CHECKING:
     import numpy as np
@@ -80,7 +81,7 @@ class QuiltOptions:
     sweep: tuple[int, int] | None = None
     save_rig: Path | None = None
     save_rgbd: Path | None = None
-    device: Device = "auto"
+    device: str = "auto"
     compression: Compression = "fast"
 
 
@@ -115,7 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_scene(add, "cut the object out of a photo with rembg")
     add_rendering(add)
-    add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
+    add_drawing_device(add)
     add(
         "--compression",
         choices=COMPRESSIONS,
@@ -179,7 +180,8 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
     frame = layout.panel(DEFAULT_CONE_DEG) if panel is None else panel_of_views(layout, panel)
     import torch
 
-    device = choose_device(options.device)
+    pixels = (layout.width_px or 0) * (layout.height_px or 0)
+    device, webgpu, decisions = choose_drawing_device(options.device, pixels)
     choice = read_camera(options.camera, frame)
     watch.lap("start")
     with torch.inference_mode():
@@ -188,7 +190,7 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
         framed = load_framed(options.scene, choice, options.render, options.look, frame, device, watch)
         gaussians, render = framed.scene.gaussians, framed.scene.render
         tile, fan_rig = layout.fitted(frame, framed.rig)
-        image = quilt(gaussians, layout, fan_rig, tile, **vars(render)).cpu()
+        image = quilt(gaussians, layout, fan_rig, tile, **vars(render), device=webgpu).cpu()
         watch.lap("views")
         of_file = framed.scene.in_file(fan_rig)
         metadata = _metadata(options, framed.scene, layout, tile, of_file)
@@ -206,7 +208,7 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
     name = options.output if options.sweep else output
     print(f"{name}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
     print(watch.line())
-    say(*framed.messages)
+    say(*decisions, *framed.messages)
 
 
 def _for_sweep(options: QuiltOptions) -> QuiltOptions:

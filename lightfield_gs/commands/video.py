@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.stereo import StereoTarget, refuse_panel, refuse_stereo
 from lightfield_gs.app.video import PRESET_SIZES, VideoOptions, for_preset, frame_drawer, frame_sink, video_target
 from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.panel import add_camera, add_depth_report, add_look, add_panel, add_rendering
+from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
+from lightfield_gs.commands.options.panel import (
+    add_camera,
+    add_depth_report,
+    add_drawing_device,
+    add_look,
+    add_panel,
+    add_rendering,
+)
 from lightfield_gs.commands.options.parser import read_options, threads
 from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.commands.options.stereo import add_stereo
@@ -20,6 +27,9 @@ from lightfield_gs.commands.options.video import add_motion, add_result
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.stereo_screen import StereoScreen
+from lightfield_gs.webgpu.devices import choose_drawing_device
+
+_MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_depth_report(add)
     cut_outs = "cut-out of a photo; of a sequence, a folder or a video of cut-outs"
     add_scene(add, "cut the object out of photos with rembg, as `encode` does", cut_outs, "PATH")
-    add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
+    add_drawing_device(add)
     add("--views", choices=VIEWS, default="integer", help="of native pictures, as in `encode` (default integer)")
     add(
         "--quality",
@@ -91,7 +101,8 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     if target.layout is not None:
         panel = panel_of_views(target.layout, panel)
     check_outputs((target.path,), options.inputs())
-    device = choose_device(options.device)
+    device, webgpu, decisions = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
+    options = replace(options, device=webgpu or device)
     if options.bridge is not None:
         from lightfield_gs.show.bridge import cast, check_bridge
 
@@ -119,7 +130,7 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     print(f"{target.path}: {shots.count} frames of {width} x {height}, {target.words()}{kept}, {rate}")
     print(made.words())
     print(watch.line())
-    say(*screen, *shots.messages)
+    say(*decisions, *screen, *shots.messages)
     if options.bridge is not None and target.layout is not None:
         layout = target.layout
         cast(target.path, layout.columns, layout.rows, layout.aspect, url=options.bridge)

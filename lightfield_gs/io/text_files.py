@@ -192,11 +192,18 @@ def config_names(kind: str) -> list[str]:
     return sorted(path.stem for path in config_folder(kind).glob("*.yaml"))
 
 
-def config_path(kind: str, name: str) -> Path:
-    """Return the path of configs/<kind>/<name>.yaml; raise InputError with the known names, the nearest first."""
+def config_path(kind: str, name: str, others: Collection[str] = ()) -> Path:
+    """Return the path of configs/<kind>/<name>.yaml; raise InputError with the known names, the nearest first.
+
+    Args:
+        kind: See config_names.
+        name: name of the configuration.
+        others: names that the caller knows without a file.
+    """
     names = config_names(kind)
     if name in names:
         return config_folder(kind) / f"{name}.yaml"
+    names = [*names, *others]
     near = difflib.get_close_matches(name, names, 1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     raise InputError(f"unknown name '{name}' in configs/{kind}; {hint}known: {', '.join(names)}, or give a file")

@@ -21,6 +21,7 @@ from lightfield_gs.base.options import DEFAULT_CONE_DEG
 from lightfield_gs.io.text_files import parse_json, read_json
 from lightfield_gs.panels.cells import PATTERNS
 
+LOOKING_GLASS = "looking-glass"  # the name of their panels
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of these keys is a calibration
 _SERIALS = ("serial", "hwid")  # the keys of a calibration, and of its display
 _NUMBERS = (
@@ -101,6 +102,18 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
             "another cone there is more depth than it can show, or less"
         )
     return flat
+
+
+def calibration_serials(data: Any) -> list[tuple[str, ...]]:
+    """Return the serial numbers of each calibration in `data` and of its display, in its order; see find_calibration.
+
+    Args:
+        data: See find_calibration.
+    """
+    try:
+        return [one.serials for one in _distinct(_calibrations(data))]
+    except RecursionError:
+        return []
 
 
 def _choose(found: list[_Calibration], where: str, serial: str | None) -> _Calibration:
@@ -322,7 +335,7 @@ def panel_fields(
         "slant_tan": slant_tan,
         "phase": 1.5 - 3 * (height - 0.5) * slant_tan - center * line_number,
         "pixel_pitch_mm": 25.4 / dpi,
-        "name": "looking-glass",
+        "name": LOOKING_GLASS,
     }
     if found := _cells(data, where):
         if blue_first:

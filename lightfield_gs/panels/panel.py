@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import check_fields, checked_field, expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.options import (
@@ -42,12 +43,14 @@ from lightfield_gs.panels.cells import (
     checked_cells,
     subpixel_phases,
 )
+from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
 from lightfield_gs.panels.looking_glass import panel_fields
 from lightfield_gs.rasterizer.lenticular_camera import Lens
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
 DEFAULT_PANEL = "65in-8k-96v"
+_LOOKING_GLASS_VIEWS = 96  # a calibration does not say into how many views its lens divides
 STRIPES: tuple[Cell, ...] = ()  # the sub-pixel cells of a panel that has none
 
 
@@ -149,10 +152,11 @@ class Panel:
 
     @staticmethod
     def load(source: str | Path, *, serial: str | None = None) -> Panel:
-        """Return a panel by name (configs/panels), from a YAML file, or from a Looking Glass calibration (.json).
+        """Return a panel by name, from a YAML file, or from a Looking Glass calibration (.json).
 
         Args:
-            source: The name or the path.
+            source: The path, or a name: of configs/panels, or of a kind of Looking Glass (DISPLAY_KINDS), whose typical
+                lens is then taken.
             serial: The display, where the file has calibrations of several (see from_looking_glass).
 
         Raises:
@@ -166,7 +170,20 @@ class Panel:
                 f"serial= chooses among Looking Glass calibrations in a .json "
                 f"file, and {shown(str(source))} is none; leave it out"
             )
+        if str(source) in DISPLAY_KINDS and not Path(source).is_file():
+            return Panel._typical(str(source))
         return Panel.from_yaml(source)
+
+    @staticmethod
+    def _typical(name: str) -> Panel:
+        """Return the panel of a kind of display, with its typical lens."""
+        kind = DISPLAY_KINDS[name]
+        lens = "" if kind.lens.is_measured else ", assumed from another kind"
+        assume(
+            f"panel {name}: the lens of a typical {kind.title}{lens}; every display has one of its own, and only its "
+            "visual.json gives right views on it (`lightfield-gs displays` finds it)"
+        )
+        return Panel(**{**kind.fields(_LOOKING_GLASS_VIEWS), "name": name})
 
     @staticmethod
     def from_yaml(source: str | Path) -> Panel:
@@ -178,7 +195,7 @@ class Panel:
         expect("panel", source, str, Path)
         text = str(source)
         is_file = text.lower().endswith((".yaml", ".yml")) or "/" in text or Path(text).is_file()
-        path = Path(source) if is_file else config_path("panels", text)
+        path = Path(source) if is_file else config_path("panels", text, tuple(DISPLAY_KINDS))
         required = ("width_px", "height_px", "views", "line_number", "slant_tan")
         data = read_mapping(path, required, [f.name for f in fields(Panel) if f.name not in required])
         return Panel._of_file(path, {"name": path.stem, **data})
@@ -255,7 +272,7 @@ class Panel:
     def from_looking_glass(
         source: str | Path | dict[str, Any] | list[Any],
         *,
-        views: int = 96,
+        views: int = _LOOKING_GLASS_VIEWS,
         serial: str | None = None,
         flip_center: float = 0.0,
     ) -> Panel:

@@ -15,6 +15,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import check_fields, checked_field, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, MAX_SIDE_PX
+from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig
 
@@ -123,15 +124,11 @@ class QuiltLayout:
         return replace(panel, width_px=width, height_px=height), rig
 
 
-# Looking Glass' quilts for its displays, by the displays' usual names; all values may be overridden. The sizes of the
-# 16 and 65 inch leave one or two pixels over that belong to no tile.
+# By the displays' usual names; all values may be overridden. Some sizes leave a few pixels over that belong to no tile.
 QUILT_PRESETS = {
-    "portrait": QuiltLayout(8, 6, 0.75, 3360, 3360),
-    "go": QuiltLayout(11, 6, 0.5625, 4092, 4092),
-    "16": QuiltLayout(5, 9, 16 / 9, 4096, 4096),
-    "16-gen3": QuiltLayout(7, 7, 16 / 9, 5999, 5999),
-    "32": QuiltLayout(7, 7, 16 / 9, 8190, 8190),
-    "65": QuiltLayout(8, 9, 16 / 9, 8192, 8192),
+    name: QuiltLayout(columns, rows, kind.aspect, width, height)
+    for kind in DISPLAY_KINDS.values()
+    for name, (columns, rows, width, height) in kind.quilts.items()
 }
 
 

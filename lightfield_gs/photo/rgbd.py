@@ -39,7 +39,7 @@ class RgbdConstants:
     # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
     std_px: float = 0.65
     thickness_px: float = 0.1  # standard deviation across the surface, in pixels
-    steepest_hidden: float = 20.0  # slope up to which a hidden surface stays closed
+    steepest_hidden: float = 60.0  # slope up to which a hidden surface stays closed
     # slope of the last pixels before an edge: steeper ones would look like spikes from the side
     steepest_rim: float = 1.0
     opacity: float = 0.99  # opacity of an opaque pixel: the rasterizer makes no more of any

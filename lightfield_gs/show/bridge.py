@@ -76,6 +76,17 @@ def check_bridge(url: str = BRIDGE_URL, timeout_s: float = _TIMEOUT_S) -> None:
     _Bridge(url, timeout_s).ask("bridge_version", {})
 
 
+def connected_displays(url: str = BRIDGE_URL, timeout_s: float = _TIMEOUT_S) -> dict[str, Any]:
+    """Return what Bridge tells of its displays: serial numbers, calibrations, kinds and places of windows, by number.
+
+    Raises:
+        InputError: Bridge does not answer, or answers with an error.
+    """
+    bridge = _Bridge(url, timeout_s)
+    told = bridge.ask("available_output_devices", {"orchestration": bridge.enter()})["payload"].get("value")
+    return told if isinstance(told, dict) else {}
+
+
 class _Bridge:
     """Requests to one Bridge. The system's proxies are not asked: they do not know this computer as Bridge does."""
 

@@ -38,10 +38,11 @@ class FrameOptions:
     quality: QualityName = "exact"
     antialiased: bool = False
     view_filter: float = 0.0
+    device: str | None = None
 
     def for_views(self) -> dict[str, Any]:
         """Return the options of views that are images by themselves."""
-        return {name: getattr(self, name) for name in ("background", "antialiased", "view_filter")}
+        return {name: getattr(self, name) for name in ("background", "antialiased", "view_filter", "device")}
 
 
 class NativeRenderer:

@@ -27,7 +27,7 @@ def test_the_name_says_the_tiles():
     assert stated_layout("a_qs8x6a0.75") == QuiltLayout(8, 6, 0.75)
     assert stated_layout("cat.png") is None
     assert with_suffix("cat", QUILT_PRESETS["go"]).name == "cat_qs11x6a0.5625.png"
-    assert with_suffix("c_qs5x9a1.77.tif", QUILT_PRESETS["16"]).name == "c_qs5x9a1.77.tif"
+    assert with_suffix("c_qs5x9a1.77.tif", QUILT_PRESETS["16-gen2"]).name == "c_qs5x9a1.77.tif"
     for name in ("a_qs8xa0.75.png", "a_qs0x6a0.75.png", "a_qs8x6a0.png"):
         with pytest.raises(InputError, match="name"):
             stated_layout(name)
@@ -43,8 +43,8 @@ def test_view_0_lies_at_the_bottom_left_then_right_then_up():
 
 def test_presets_fill_their_quilts_but_for_what_no_tile_takes():
     assert QUILT_PRESETS["portrait"].tile_px() == (420, 560)
-    assert QUILT_PRESETS["16"].tile_px() == (819, 455)
-    assert QUILT_PRESETS["16"].tile(0) == (slice(3641, 4096), slice(0, 819))
+    assert QUILT_PRESETS["16-gen2"].tile_px() == (819, 455)
+    assert QUILT_PRESETS["16-gen2"].tile(0) == (slice(3641, 4096), slice(0, 819))
     assert panel_quilt(PANEL).views == PANEL.views and panel_quilt(PANEL).tile_px() == SIZE[::-1]
 
 

@@ -18,6 +18,7 @@ from lightfield_gs.commands.options.parser import (
     within,
 )
 from lightfield_gs.commands.options.scene import add_scene
+from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
 from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.scene.axes import UP_AXES
 
@@ -52,9 +53,9 @@ def add_panel(add: Add, purpose: str) -> None:
     """
     add(
         "--panel",
-        default=DEFAULT_PANEL,
         metavar="PANEL",
-        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})",
+        help="a Looking Glass visual.json, a .yaml, the name of a profile, or of a Looking Glass display "
+        f"({', '.join(DISPLAY_KINDS)}) (default: the display that is connected, else {DEFAULT_PANEL})",
     )
     add_device_serial(add)
     add_viewing_distance(add, f"distance of the viewer from the panel, in place of the panel's own: {purpose}")

@@ -1,0 +1,1 @@
+"""Displays that are connected to this computer, and the calibrations of those that have lenses."""
