@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 _THREADS = 256  # of a workgroup of most stages
 _CHUNK = 1024  # elements of a long list that are sorted together, as in csrc/webgpu/sort.wgsl
+_MOST_PAIRS = (1 << 25) - (1 << 20)  # of a pass, so that the chunks of long lists fit into one dispatch
 _LARGE_GROUPS = 256  # workgroups that share the splats with many boxes
 _GAUSSIAN_BYTES, _VECTOR_BYTES = 48, 16
 _COLOURS_EACH = 4  # vectors of a colour that varies, at first: pools grow
@@ -130,6 +132,11 @@ class _Frame:
     def project(self) -> tuple[_Counters, np.ndarray]:
         """Project all Gaussians; return the counters, and the costs of the tilings [4]."""
         groups = -(-self.count // _THREADS)
+        if groups > WORKGROUPS_ACROSS:
+            raise InputError(
+                f"webgpu: expected at most {WORKGROUPS_ACROSS * _THREADS} Gaussians, got {self.count}: use device cpu, "
+                "or leave out Gaussians (lightfield-gs prune)"
+            )
         extra = int(self.variant.compensated)
         colours = (1 + extra if not self.degree else _COLOURS_EACH + extra) * max(self.count, 1)
         for name in ("splat_a", "splat_b", "splat_c"):
@@ -191,13 +198,14 @@ class _Frame:
         most = self.limits.most_bytes
         image_rows = most // (self.lens.width_px * self.pixel_bytes * BOX_ROWS)
         list_rows = most // (12 * boxes.across * boxes.groups)
-        rows = max(min(image_rows, list_rows, WORKGROUPS_ACROSS, boxes.down), 1)
+        scan_rows = WORKGROUPS_ACROSS * _THREADS // (boxes.across * boxes.groups)
+        rows = max(min(image_rows, list_rows, scan_rows, WORKGROUPS_ACROSS, boxes.down), 1)
         return [_Pass(first, min(first + rows, boxes.down)) for first in range(0, boxes.down, rows)]
 
     def draw_rows(self, boxes: Boxes, rows: _Pass, cost: float, image: Tensor) -> int:
         """Draw the rows of a pass into the image; return the number of intersections."""
         counters = self._list(boxes, rows)
-        most = self.limits.most_bytes // 4
+        most = min(self.limits.most_bytes // 4, _MOST_PAIRS)
         if counters.pairs > most and rows.end - rows.first > 1:
             middle = (rows.first + rows.end) // 2
             halves = _Pass(rows.first, middle), _Pass(middle, rows.end)
