@@ -227,6 +227,8 @@ class Encoding:
 
 def check_options(options: EncodeOptions) -> None:
     """Raise InputError where options exclude each other."""
+    if options.stereo.stereo is not None:
+        raise InputError("--stereo is of one input, by `lightfield-gs encode`; leave it out")
     check_scene_options(options.scene, options.camera)
     if options.method != "direct" and options.device.startswith("webgpu"):
         raise InputError(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import StereoInput
 from lightfield_gs.io.file_kinds import refuse_unsupported
-from lightfield_gs.io.stereo_names import PairLayout
+from lightfield_gs.io.stereo_names import PairLayout, layout_in_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.load import Photo
     from lightfield_gs.photo.stereo_matching import Parallax
     from lightfield_gs.photo.stereo_pair import PairCamera
+    from lightfield_gs.video.sequence import ImageSequence
 
 # Options that ask for another way to a scene than by both eyes
 _OTHER_WAYS = ("depth", "rgbd", "mask", "checkpoint", "detail", "detail_budget")
@@ -75,6 +77,21 @@ def guessed_pair(options: PhotoOptions, picture: Picture) -> PairLayout | None:
     is_squeezed = words == "side by side" and low < width / 2 / height < high
     kind = "half-sbs" if is_squeezed else "sbs" if words == "side by side" else "tab"
     return PairLayout(kind, options.swap_eyes, "its two like halves (a guess; else: --stereo-in none)")
+
+
+def with_video_pair(options: PhotoOptions, pictures: ImageSequence) -> PhotoOptions:
+    """Return the options with the layout that a video's metadata states, unless they name one or another way.
+
+    Where its name says that the halves are squeezed, which metadata cannot, they are.
+    """
+    from lightfield_gs.photo.stereo_pair import can_match
+
+    pair = pictures.pair
+    if pair is None or options.stereo_in is not None or has_other_way(options) or not can_match():
+        return options
+    named = layout_in_name(pictures.path)
+    kind = named.kind if named is not None and named.kind == f"half-{pair.kind}" else pair.kind
+    return replace(options, stereo_in=cast(StereoInput, kind), swap_eyes=options.swap_eyes != pair.is_swapped)
 
 
 def has_other_way(options: PhotoOptions) -> bool:

@@ -93,7 +93,7 @@ def refuse_stereo(options: StereoOptions) -> None:
 def refuse_panel(panel: str | None) -> None:
     """Raise InputError for a panel beside --stereo."""
     if panel not in (None, DEFAULT_PANEL):
-        raise InputError("--stereo is for screens of two eyes, and --panel is one of many views; leave out one of them")
+        raise InputError("--panel is one of many views, and this picture is for another screen; leave it out")
 
 
 def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
