@@ -1,5 +1,7 @@
 """Adapters by name, and the commands that draw on them."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -166,3 +168,10 @@ def test_info_lists_the_devices(frames, capsys):
     assert "MiB at once; " in lines[2]
     assert "info takes a FILE or --devices, one of them" in complaint(capsys, "info")
     assert "info takes a FILE or --devices, one of them" in complaint(capsys, "info s.ply --devices")
+
+
+def test_bench_measures_each_tiling(frames, folder, capsys):
+    run(capsys, "bench webgpu --scene sheet:8 --panel p.yaml --tilings --repeats 1 --json rows.json")
+    rows = json.loads((folder / "rows.json").read_text())["rows"]
+    assert [row["kernel"] for row in rows[1:]] == ["webgpu-pixel", "webgpu-lens-2", "webgpu-lens-3", "webgpu-lens-6"]
+    assert all(row["most_apart"] <= 1 and row["stages_ms"]["composite"] > 0 for row in rows)
