@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.stereo_matching import Parallax
     from lightfield_gs.photo.stereo_pair import PairCamera
     from lightfield_gs.video.sequence import ImageSequence
@@ -36,11 +37,13 @@ class PairPhoto(NamedTuple):
         options: With the intrinsics of the left camera, where they are known.
         photo: The picture.
         depth: Its depths.
+        second: What the right eye sees.
     """
 
     options: PhotoOptions
     photo: Photo
     depth: DepthMap
+    second: SecondEye
 
 
 def pair_of(path: Path, options: PhotoOptions) -> PairLayout | None:
@@ -124,6 +127,7 @@ def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_
     """
     from lightfield_gs.photo.load import cut_out_photo, reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
+    from lightfield_gs.photo.second_eye import second_eye
     from lightfield_gs.photo.stereo_matching import match_eyes
     from lightfield_gs.photo.stereo_pair import read_pair
 
@@ -137,7 +141,10 @@ def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_
     if pair.camera is not None and options.intrinsics is None and options.fov is None:
         options = _with_camera(options, pair.camera, photo.size[1])
     depth = _pair_depth(options, found, pair.camera, photo)
-    return PairPhoto(options, photo, replace(depth, description=f"{_words(layout, found)}: {depth.description}"))
+    second = second_eye(_bytes(photo), found.right, depth.z, found.shifts, found.right_shifts)
+    return PairPhoto(
+        options, photo, replace(depth, description=f"{_words(layout, found)}: {depth.description}"), second
+    )
 
 
 def _bytes(photo: Photo) -> np.ndarray:

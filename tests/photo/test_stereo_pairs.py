@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from rgbd_scene import view
+from rgbd_scene import camera, view
 
 import lightfield_gs as lf
 from lightfield_gs.app.options import PhotoOptions
@@ -149,3 +149,26 @@ def test_files_say_where_the_eyes_are(tmp_path, drawn):
     assert find_pair(tmp_path / "photo.png") is None
     assert pair_of(tmp_path / "photo.png", PhotoOptions(stereo_in="tab")).kind == "tab"
     assert pair_of(Path("a_2x1.png"), PhotoOptions(stereo_in="none")) is None
+
+
+def test_what_the_right_eye_sees_behind_edges_is_taken_from_it():
+    """Against the scene as a camera at the right eye's place sees it, where the left eye does not."""
+    from lightfield_gs.photo.second_eye import second_eye
+
+    offset = 0.12
+    (left, z), (right, other_z) = textured(), textured(offset)
+    bytes_of = [np.rint(255 * eye).astype(np.uint8) for eye in (left, right)]
+    shifts, others = FOCAL * offset / z, FOCAL * offset / other_z
+    second = second_eye(*bytes_of, z, shifts, others)
+    assert second.per_inverse == pytest.approx(FOCAL * offset, rel=0.01) and abs(second.offset) < 0.05
+    # Pixels of the right picture whose surface is covered in the left one
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    there = np.rint(columns + others).astype(int)
+    hidden = (there < WIDTH) & (z[rows, there.clip(0, WIDTH - 1)] < 0.9 * other_z)
+    assert hidden.sum() > 500
+    errors = []
+    for eye in (None, second):
+        gaussians = from_depth(left, z, (FOCAL, FOCAL), second=eye)
+        picture = lf.render(gaussians, camera(WIDTH, HEIGHT, FOCAL, offset)).image[0].numpy()
+        errors.append(float(np.abs(picture - right)[hidden].mean()))
+    assert errors[1] < 0.65 * errors[0], errors
