@@ -95,8 +95,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
         return Hidden(hole, fringe, disparity, image, [])
     guess, slope = _continue_disparity(disparity, depth, focal_px, runs, covered)
     colours = _continue_colours(image, depth, runs, covered)
-    steady = _steady_rows(guess, covered)
-    guess, colours, slope = guess[steady], colours[steady], [step[steady] for step in slope]
+    guess, colours, *slope = _steady_rows([guess, colours, *slope], covered)
     # Held at the visible far surfaces: everything but the hole. Where the guess is torn, two surfaces meet.
     linked = [_linked(guess, hole, dim, focal_px[1 - dim]) for dim in (0, 1)]
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
@@ -126,19 +125,22 @@ def joined_with(depth: Tensor, dim: int, focal_px: float) -> Tensor:
     return joined(depth, focal_px) if dim == 1 else joined(depth.T, focal_px).T
 
 
-def _steady_rows(guess: Tensor, covered: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the row and the column that each pixel [H, W] takes its first guess from: of the median of five rows.
+def _steady_rows(maps: list[Tensor], covered: Tensor) -> list[Tensor]:
+    """Return first guesses [H, W, ...] whose covered pixels take those of one of five rows: of the median disparity.
 
     A row that continues a mixed pixel of the edge, or a wrong slope, differs from those above and below it.
+
+    Args:
+        maps: Disparity, and what goes with it.
+        covered: bool [H, W].
     """
-    rows, columns = torch.meshgrid(*(torch.arange(size, device=guess.device) for size in guess.shape), indexing="ij")
-    sources = []
-    for step in range(-_C.steady_rows, _C.steady_rows + 1):
-        beside = (rows + step).clamp(0, guess.shape[0] - 1)
-        sources.append(torch.where(covered & covered[beside, columns], beside, rows))
-    places = torch.stack(sources)
-    chosen = guess[places, columns].median(0, keepdim=True).indices
-    return places.gather(0, chosen)[0], columns
+    rows, columns = covered.nonzero().unbind(1)
+    steps = torch.arange(-_C.steady_rows, _C.steady_rows + 1, device=rows.device)
+    beside = (rows + steps[:, None]).clamp(0, covered.shape[0] - 1)
+    sources = torch.where(covered[beside, columns], beside, rows)
+    chosen = maps[0][sources, columns].median(0, keepdim=True).indices
+    source = sources.gather(0, chosen)[0]
+    return [part.index_put((rows, columns), part[source, columns]) for part in maps]
 
 
 def _linked(disparity: Tensor, hole: Tensor, dim: int, focal_px: float) -> Tensor:
