@@ -182,7 +182,9 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
         metadata = _metadata(options, framed.scene, layout, tile, of_file)
         write_image(output, image.numpy(), metadata, options.compression)
         if options.save_rig is not None:
-            of_file.to_yaml(options.save_rig)
+            ratios = [rig.focal_px[0] / rig.focal_px[1] for rig in (fan_rig, framed.rig)]
+            is_square = abs(ratios[0] / ratios[1] - 1) < 0.01  # else the tile is the size of no panel
+            of_file.to_yaml(options.save_rig, tile if is_square else None)
         watch.lap("write")
         if save_rgbd is not None:
             framed.messages.append(_write_rgbd(save_rgbd, options, framed, frame))
