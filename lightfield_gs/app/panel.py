@@ -199,6 +199,16 @@ def where_to_show(panel: Panel) -> list[str]:
     return lines
 
 
+def connected_preset() -> str | None:
+    """Return the preset of the quilts of the display that is connected, and say so; None without one."""
+    display = _connected(None)
+    if display is None or display.kind is None:
+        return None
+    preset = next(iter(display.kind.quilts))
+    assume(f"the quilt of a {display.title}, which is connected (another: preset=NAME)")
+    return preset
+
+
 def _connected(serial: str | None) -> FoundDisplay | None:
     """Return the display that is connected; None without one, or where none is to be looked up. Raises InputError."""
     from lightfield_gs.displays.find import is_off

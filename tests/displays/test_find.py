@@ -115,6 +115,7 @@ def test_commands_take_the_display_that_is_connected(computer, capsys):
     line = next(line for line in words.splitlines() if "is connected" in line)
     assert "Looking Glass Portrait LKG-P00671" in line and "visual.json" in line and "--panel" in line
     assert "450 mm, usual before a Looking Glass Portrait" in words
+    assert app_panel.connected_preset() == "portrait"
     listed = run(capsys, "displays")
     assert "screen: Laptop on eDP-1: 2560 x 1600" in listed and "3D display: Looking Glass Portrait LKG-P" in listed
     facts = json.loads(run(capsys, "displays --json"))
