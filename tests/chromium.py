@@ -27,13 +27,14 @@ def find() -> str:
 class Browser:
     """One page of a Chromium with a window of this size (CSS pixels)."""
 
-    def __init__(self, folder: Path, width: int, height: int, scale: float = 1.0):
+    def __init__(self, folder: Path, width: int, height: int, scale: float = 1.0, gpu: tuple[str, ...] = ()):
+        """gpu: options of the GPU; none: it has none."""
         # The browser reads commands from its descriptor 3 and answers on 4
         (read, self._to), (self._from, write) = os.pipe(), os.pipe()
         options = [
             "--headless=new",
             "--no-sandbox",
-            "--disable-gpu",
+            *(gpu or ("--disable-gpu",)),
             "--hide-scrollbars",
             "--remote-debugging-pipe",
             f"--user-data-dir={folder / 'chromium'}",

@@ -19,7 +19,7 @@ struct Params {
   rig: vec4f,         // sweep, 1/Z0, s at x = 0, ds/dx
   background: vec4f,
   lens: vec4f,        // width along a row in sub-pixels, tan(slant), D_0, number of the first lens of the boxes
-  filters: vec4f,     // aperture in scene units, 1 in anti-aliased scenes, error allowed in colours
+  filters: vec4f,     // aperture in scene units; 1 in anti-aliased scenes; error of colours; offset of the limits
   size: vec4u,        // width, height, views, Gaussians
   phase0: vec4u,      // s0 low, high; sx low, high
   phase1: vec4u,      // sy low, high; 1 for continuous views; degree of the harmonics

@@ -51,9 +51,10 @@ fn projected(g: Gaussian) -> Projected {
 
   // Jacobian, its slopes clamped at the rig's centre
   let iz = 1.0 / t.z;
-  let kx = clamp(t.x * iz, P.limits.x, P.limits.y);
+  let offset = P.filters.w;
+  let kx = clamp((t.x + offset) * iz, P.limits.x, P.limits.y);
   let ky = clamp(t.y * iz, P.limits.z, P.limits.w);
-  let a = P.optics.x * iz; let b = -P.optics.x * kx * iz;
+  let a = P.optics.x * iz; let b = -P.optics.x * (kx - offset * iz) * iz;
   let c = P.optics.y * iz; let e = -P.optics.y * ky * iz;
   let g1 = P.rig.x * P.optics.x * iz * iz;
 

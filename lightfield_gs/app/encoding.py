@@ -69,7 +69,9 @@ class Encoding:
         self.bits = _check_files(options)
         check_options(options)
         self.panel = load_panel(options.panel)
-        self.device, self._webgpu = choose_drawing_device(options.device)
+        by_direct = int(options.method == "direct")
+        drawing = choose_drawing_device(options.device, self.panel.width_px * self.panel.height_px, by_direct)
+        self.device, self._webgpu, self._decisions = drawing
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
         self.scene: LoadedScene
@@ -105,7 +107,7 @@ class Encoding:
                 self.watch,
             )
             del source
-            self.messages = self.scene.messages
+            self.messages = [*self._decisions, *self.scene.messages]
             gaussians = self.scene.gaussians
             _note_slow_ways(options, self.scene.render, panel, self.device)
             # Files of cameras, read or written, are in the coordinates of the scene's file
@@ -232,6 +234,8 @@ class Encoding:
 
 def check_options(options: EncodeOptions) -> None:
     """Raise InputError where options exclude each other."""
+    if options.stereo.stereo is not None:
+        raise InputError("--stereo is of one input, by `lightfield-gs encode`; leave it out")
     check_scene_options(options.scene, options.camera)
     if options.method != "direct" and options.device.startswith("webgpu"):
         raise InputError(

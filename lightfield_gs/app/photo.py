@@ -41,7 +41,8 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import NoCutOut, Photo
-    from lightfield_gs.photo.margin import PanelFit
+    from lightfield_gs.photo.margin import Margin, PanelFit
+    from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.steady_depth import PictureEstimate
     from lightfield_gs.scene.gaussians import Gaussians
 
@@ -62,6 +63,7 @@ class ReadPhoto:
         is_whole: whether the whole photo is shown, not an object in it.
         depth: the depth map of a whole photo. None: a network estimates it.
         estimate: the network's numbers, where they were computed before.
+        second: the other eye of a stereo pair.
         refused: why no object was cut out, where the whole photo is shown instead.
         notes: lines for the user.
     """
@@ -72,6 +74,7 @@ class ReadPhoto:
     is_whole: bool = False
     depth: DepthMap | None = None
     estimate: PictureEstimate | None = None
+    second: SecondEye | None = None
     refused: NoCutOut | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -291,8 +294,8 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
 
 def _read_pair(path: Path, options: PhotoOptions, pair: PairLayout) -> ReadPhoto:
     """Read a stereo pair, which is shown whole, with the depths of both eyes."""
-    options, photo, depth = read_pair_photo(path, options, pair, _MOST_WHOLE_PX)
-    return ReadPhoto(path, options, photo, is_whole=True, depth=depth)
+    options, photo, depth, second = read_pair_photo(path, options, pair, _MOST_WHOLE_PX)
+    return ReadPhoto(path, options, photo, is_whole=True, depth=depth, second=second)
 
 
 def _scene_of_whole(
@@ -318,7 +321,8 @@ def _scene_of_whole(
     placed, words = _place(options, panel, look, image, torch.from_numpy(depth.z), *known)
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
     blur = placed is not None and placed.fit == "contain"
-    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin, margin="blur" if blur else "texture")
+    kind: Margin = "blur" if blur else "texture"
+    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin, margin=kind, second=source.second)
     watch.lap("depth")
     _say(source, [depth.description, camera, *words], source.notes + depth.notes + notes)
     return gaussians, PhotoPlacement(options, is_whole=True, placed=placed)

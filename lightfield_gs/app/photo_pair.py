@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import StereoInput
 from lightfield_gs.io.file_kinds import refuse_unsupported
-from lightfield_gs.io.stereo_names import PairLayout
+from lightfield_gs.io.stereo_names import PairLayout, layout_in_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.stereo_matching import Parallax
     from lightfield_gs.photo.stereo_pair import PairCamera
+    from lightfield_gs.video.sequence import ImageSequence
 
 # Options that ask for another way to a scene than by both eyes
 _OTHER_WAYS = ("depth", "rgbd", "mask", "checkpoint", "detail", "detail_budget")
@@ -34,11 +37,13 @@ class PairPhoto(NamedTuple):
         options: With the intrinsics of the left camera, where they are known.
         photo: The picture.
         depth: Its depths.
+        second: What the right eye sees.
     """
 
     options: PhotoOptions
     photo: Photo
     depth: DepthMap
+    second: SecondEye
 
 
 def pair_of(path: Path, options: PhotoOptions) -> PairLayout | None:
@@ -77,6 +82,21 @@ def guessed_pair(options: PhotoOptions, picture: Picture) -> PairLayout | None:
     return PairLayout(kind, options.swap_eyes, "its two like halves (a guess; else: --stereo-in none)")
 
 
+def with_video_pair(options: PhotoOptions, pictures: ImageSequence) -> PhotoOptions:
+    """Return the options with the layout that a video's metadata states, unless they name one or another way.
+
+    Where its name says that the halves are squeezed, which metadata cannot, they are.
+    """
+    from lightfield_gs.photo.stereo_pair import can_match
+
+    pair = pictures.pair
+    if pair is None or options.stereo_in is not None or has_other_way(options) or not can_match():
+        return options
+    named = layout_in_name(pictures.path)
+    kind = named.kind if named is not None and named.kind == f"half-{pair.kind}" else pair.kind
+    return replace(options, stereo_in=cast(StereoInput, kind), swap_eyes=options.swap_eyes != pair.is_swapped)
+
+
 def has_other_way(options: PhotoOptions) -> bool:
     """Return whether options ask for an object, or for depths that do not come of two eyes."""
     return options.remove_background or any(getattr(options, name) is not None for name in _OTHER_WAYS)
@@ -107,6 +127,7 @@ def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_
     """
     from lightfield_gs.photo.load import cut_out_photo, reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
+    from lightfield_gs.photo.second_eye import second_eye
     from lightfield_gs.photo.stereo_matching import match_eyes
     from lightfield_gs.photo.stereo_pair import read_pair
 
@@ -120,7 +141,10 @@ def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_
     if pair.camera is not None and options.intrinsics is None and options.fov is None:
         options = _with_camera(options, pair.camera, photo.size[1])
     depth = _pair_depth(options, found, pair.camera, photo)
-    return PairPhoto(options, photo, replace(depth, description=f"{_words(layout, found)}: {depth.description}"))
+    second = second_eye(_bytes(photo), found.right, depth.z, found.shifts, found.right_shifts)
+    return PairPhoto(
+        options, photo, replace(depth, description=f"{_words(layout, found)}: {depth.description}"), second
+    )
 
 
 def _bytes(photo: Photo) -> np.ndarray:

@@ -21,6 +21,7 @@ from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, sce
 from lightfield_gs.app.options import AUTO, FLAT, PhotoOptions, SceneOptions
 from lightfield_gs.app.photo import ReadPhoto, photo_rig
 from lightfield_gs.app.photo_depth import steady_estimates
+from lightfield_gs.app.photo_pair import with_video_pair
 from lightfield_gs.app.scene import (
     LoadedScene,
     RenderSettings,
@@ -60,7 +61,7 @@ _PHOTO_OF_JOB: tuple[str, ...] = (
     "fov",
     "fit",
 )
-_PHOTO_OF_JOB += ("intrinsics", "pixel_aspect", "remove_background", "clean_edges")
+_PHOTO_OF_JOB += ("stereo_in", "swap_eyes", "intrinsics", "pixel_aspect", "remove_background", "clean_edges")
 _LOOK_OF_JOB = ("focus", "depth_amount", "cone", "zoom", "pan")
 
 
@@ -113,7 +114,7 @@ def still_shots(options: VideoOptions, panel: Panel, device: str, watch: Stopwat
     of_file = [scene.in_file(rig) for rig in rigs]
     job = {
         "input": source.name,
-        "device": device,  # which rounds in its own way
+        "device": options.device,  # which rounds in its own way
         "scene": scene_hash(gaussians),
         "rigs": hashlib.sha256(json.dumps([rig.to_dict() for rig in of_file]).encode()).hexdigest(),
     }
@@ -162,6 +163,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     photo, paired = scene.photo, list[str]()
     if photo.rgbd is None:
         photo, paired = _take_pairs(source, photo, pictures)
+    photo = with_video_pair(photo, pictures)
     maps = {"depth": photo.depth_file, "mask": photo.mask}
     beside = {name: _open_beside(name, path, source, pictures.count) for name, path in maps.items() if path is not None}
     folder = stack.enter_context(scratch_folder())
@@ -204,7 +206,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     fps = motion.fps or pictures.fps or DEFAULT_FPS
     job = {
         "input": source.name,
-        "device": device,
+        "device": options.device,
         "pictures": pictures.digest(),
         "rig": None if motion.reframe else rig.to_dict(),
         **{name: part.digest() for name, part in beside.items()},

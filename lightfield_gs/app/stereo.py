@@ -12,7 +12,6 @@ from lightfield_gs.app.options import EncodeOptions, StereoOptions
 from lightfield_gs.app.panel import software
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
-from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import StereoLayout
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -22,6 +21,7 @@ from lightfield_gs.panels.comfort import COMFORT_DEG, depth_report
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.stereo_screen import StereoScreen, eye_geometry
+from lightfield_gs.webgpu.devices import choose_drawing_device
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -93,7 +93,7 @@ def refuse_stereo(options: StereoOptions) -> None:
 def refuse_panel(panel: str | None) -> None:
     """Raise InputError for a panel beside --stereo."""
     if panel not in (None, DEFAULT_PANEL):
-        raise InputError("--stereo is for screens of two eyes, and --panel is one of many views; leave out one of them")
+        raise InputError("--panel is one of many views, and this picture is for another screen; leave it out")
 
 
 def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
@@ -102,7 +102,8 @@ def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
     target = StereoTarget.of(options.stereo, options.panel.viewing_distance)
     panel = target.screen.panel()
     check_scene_options(options.scene, options.camera)
-    device = choose_device(options.device)
+    pixels = 2 * panel.width_px * panel.height_px
+    device, webgpu, decisions = choose_drawing_device(options.device, pixels)
     choice = read_camera(options.camera, panel)
     import torch
 
@@ -113,7 +114,7 @@ def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
         look = replace(options.look, depth_report=False)
         framed = load_framed(options.scene, choice, options.render, look, panel, device, watch)
         gaussians, rig = framed.scene.gaussians, framed.rig
-        eyes = render_eyes(gaussians, panel, rig, **vars(framed.scene.render)).cpu()
+        eyes = render_eyes(gaussians, panel, rig, **vars(framed.scene.render), device=webgpu).cpu()
         comfort = comfort_line(gaussians, panel, rig)
         watch.lap("eyes")
         _write(paths, eyes, target.layout, _metadata(options, target, panel, rig), options)
@@ -122,7 +123,7 @@ def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
     height, width = eyes.shape[1:3]
     print(f"{names}: {target.layout}, two eyes of {width} x {height}, {gaussians.count} Gaussians")
     print(watch.line())
-    say(target.line(options.stereo, options.panel.viewing_distance), comfort, *framed.messages)
+    say(target.line(options.stereo, options.panel.viewing_distance), comfort, *decisions, *framed.messages)
 
 
 def _check_stereo(options: EncodeOptions) -> tuple[Path, ...]:

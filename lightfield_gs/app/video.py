@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
+from lightfield_gs.app.options import (
+    WHITE,
+    CameraOptions,
+    LookOptions,
+    PanelOptions,
+    RenderOptions,
+    SceneOptions,
+    StereoOptions,
+    files_read,
+)
 from lightfield_gs.app.panel import software
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Compression, Device, QualityName, Views
+from lightfield_gs.base.options import Compression, QualityName, Views
 from lightfield_gs.io.atomic import check_folder, check_output_path
+from lightfield_gs.io.stereo_names import stereo_paths
+from lightfield_gs.panels.framing import FramingConstants
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, stated_layout, with_suffix
 from lightfield_gs.video.video_file import VIDEO_SUFFIXES, CodecName, Kind, choose_codec
@@ -21,6 +32,10 @@ if TYPE_CHECKING:
     from lightfield_gs.app.shots import Shots
 
 DEFAULT_FPS, DEFAULT_SECONDS = Fraction(30), 10.0
+PRESET_SIZES = {"hololuminescent": (3840, 2160)}
+# Fractions of the height above and below the subject of a Hololuminescent display: 9 % and 3 %, and a hundredth more
+# for soft rims, which framing leaves out
+_ROOM = 0.10, 0.04
 _MOST_SIDE_PX = 4096  # of a quilt without a given size: many decoders of H.264 take no more
 
 
@@ -60,7 +75,10 @@ class VideoOptions:
         compression, writers: of PNG files, and how many threads write them.
         overwrite: whether to remove frames that are in the folder.
         bridge: address of Looking Glass Bridge, which shows the quilt.
-        views, quality, device, threads: see `lightfield_gs.encode`.
+        views, quality, threads: see `lightfield_gs.encode`.
+        device: auto, cpu, cuda, webgpu or webgpu:N; the one that was chosen, once it is.
+        stereo: pictures of two eyes.
+        preset: a kind of display that takes ordinary videos, see `for_preset`.
     """
 
     output: Path
@@ -82,8 +100,10 @@ class VideoOptions:
     bridge: str | None = None
     views: Views = "integer"
     quality: QualityName = "exact"
-    device: Device = "auto"
+    device: str = "auto"
     threads: int | None = None
+    stereo: StereoOptions = field(default_factory=StereoOptions)
+    preset: str | None = None
 
     def inputs(self) -> tuple[Path | str | None, ...]:
         """Return all files to read, the scene first; None for missing files."""
@@ -108,10 +128,28 @@ class VideoTarget:
 
     def words(self) -> str:
         """Return kind and codec in words."""
-        kind = {"native": "native", "quilt": "quilt", "2d": "one eye"}[self.kind]
+        kind = {"native": "native", "quilt": "quilt", "2d": "one eye", "stereo": "two eyes"}[self.kind]
         if self.layout is not None:
             kind += f" of {self.layout.columns} x {self.layout.rows} views"
         return f"{kind}, {self.codec or 'PNG'}"
+
+
+def for_preset(options: VideoOptions) -> VideoOptions:
+    """Return the options of a video as its display wants it: white around, and the subject with room above it.
+
+    Looking Glass's Hololuminescent displays show an ordinary video, whose white is clear, before a floor of light: the
+    subject keeps 9 % of the height above it and 3 % below. Raises InputError.
+    """
+    if options.preset is None:
+        return options
+    if options.kind not in (None, "2d") or options.stereo.stereo is not None:
+        raise InputError(f"--preset {options.preset} is an ordinary video, of --kind 2d; leave out one of them")
+    look, render = options.look, options.render
+    if look.zoom is None and look.pan is None:
+        look = replace(look, zoom=(1 - sum(_ROOM)) / FramingConstants().fill, pan=(0.0, (_ROOM[0] - _ROOM[1]) / 2))
+    if render.background is None:
+        render = replace(render, background=WHITE)
+    return replace(options, kind="2d", look=look, render=render)
 
 
 def video_target(options: VideoOptions, panel: Panel) -> VideoTarget:
@@ -121,12 +159,24 @@ def video_target(options: VideoOptions, panel: Panel) -> VideoTarget:
     kind = options.kind or ("quilt" if options.quilt or options.quilt_size or stated else "native")
     if options.kind is None and options.sway is not None:
         kind = "2d"
+    if options.stereo.stereo is not None:
+        if options.kind not in (None, "stereo"):
+            raise InputError(f"--stereo is for --kind stereo, not {options.kind}; leave out one of them")
+        if options.stereo.stereo in ("mpo", "left-right"):
+            raise InputError(
+                f"--stereo {options.stereo.stereo} is for pictures; a video takes sbs, half-sbs, tab or anaglyph"
+            )
+        kind = "stereo"
+    elif kind == "stereo":
+        raise InputError("--kind stereo needs --stereo sbs, half-sbs, tab or anaglyph")
     _refuse_others(options, kind)
     layout = _layout(options, panel, stated) if kind == "quilt" else None
     if not path.suffix or path.is_dir():
         if options.codec is not None:
             raise InputError(f"--codec is of videos, and {path} is a folder of PNG files; leave out one of them")
         return VideoTarget(check_folder(path), kind, None, layout)
+    if options.stereo.stereo is not None:
+        path = stereo_paths(path, options.stereo.stereo)[0]
     codec = choose_codec(path, kind, options.codec)
     if options.overwrite:
         raise InputError("--overwrite is about folders of frames; a video is written anew in any case, leave it out")
@@ -177,16 +227,21 @@ def _even_multiple(side_px: int, tiles: int) -> int:
 
 def frame_drawer(options: VideoOptions, panel: Panel, target: VideoTarget, shots: Shots) -> Any:
     """Return what draws a frame. Raises InputError."""
-    from lightfield_gs.video.rendering import EyeRenderer, FrameOptions, NativeRenderer, QuiltRenderer
+    from lightfield_gs.video.rendering import EyeRenderer, FrameOptions, NativeRenderer, QuiltRenderer, StereoRenderer
 
     render = shots.render
-    drawing = FrameOptions(options.views, render.background, options.quality, render.antialiased, render.view_filter)
+    device = options.device if options.device.startswith("webgpu") else None
+    of_scene = render.background, options.quality, render.antialiased, render.view_filter
+    drawing = FrameOptions(options.views, *of_scene, device)
     if target.kind != "native" and (options.views, options.quality) != ("integer", "exact"):
         raise InputError(f"--views and --quality are of native pictures, not of --kind {target.kind}; leave them out")
     if target.layout is not None:
         return QuiltRenderer(panel, drawing, target.layout)
+    if options.stereo.stereo is not None:
+        return StereoRenderer(panel, drawing, options.stereo.stereo)
     if target.kind == "2d":
-        return EyeRenderer(panel, drawing, None if options.sway is None else float(options.sway * shots.fps))
+        sway = None if options.sway is None else float(options.sway * shots.fps)
+        return EyeRenderer(panel, drawing, sway, *([panel.width_px] if options.preset else []))
     return NativeRenderer(panel, drawing, shots.is_one_scene)
 
 
@@ -195,7 +250,7 @@ def frame_sink(options: VideoOptions, panel: Panel, target: VideoTarget, shots: 
     if target.codec is not None:
         from lightfield_gs.video.video_file import VideoFile
 
-        return VideoFile(target.path, shots.count, size_px, shots.fps, target.codec, options.crf)
+        return VideoFile(target.path, shots.count, size_px, shots.fps, target.codec, options.crf, options.stereo.stereo)
     from lightfield_gs.video.frame_folder import FrameFolder
 
     maker = software()
@@ -220,6 +275,7 @@ def frame_sink(options: VideoOptions, panel: Panel, target: VideoTarget, shots: 
         "view_filter": render.view_filter,
         "compression": options.compression,
         "sway": options.sway,
+        **({"stereo": options.stereo.stereo} if options.stereo.stereo else {}),
         "frames": shots.count,
         "fps": str(shots.fps),
         **shots.job,

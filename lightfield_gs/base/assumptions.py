@@ -20,6 +20,12 @@ class Loss(Assumption):
     label = "lost"
 
 
+class Fallback(Assumption):
+    """Warns of something that failed, and says what takes its place."""
+
+    label = "instead"
+
+
 _collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
 
 

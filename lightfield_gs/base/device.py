@@ -25,13 +25,13 @@ def choose_device(name: Device) -> Literal["cpu", "cuda"]:
     """Return cpu or cuda for cpu, cuda or auto; raise InputError where cuda is asked for and absent."""
     if name == "cpu":
         return "cpu"
-    missing = _missing_for_cuda()
+    missing = missing_for_cuda()
     if name == "cuda" and missing is not None:
         raise InputError(f"device='cuda': {missing}, or use device='cpu'")
     return "cpu" if missing else "cuda"
 
 
-def _missing_for_cuda() -> str | None:
+def missing_for_cuda() -> str | None:
     """Return what CUDA lacks, the build, the torch or the GPU, and what to do; None where nothing is missing."""
     if not hasattr(_core, "cuda"):
         return "this build has no CUDA stages; install it with nvcc on the PATH and -C cmake.define.LFGS_CUDA=ON"

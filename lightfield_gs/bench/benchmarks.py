@@ -19,10 +19,11 @@ BENCHMARKS = {
     "skips": "the time that each skip of unneeded work saves",
     "video": "frames a second of a turntable, with and without writing them",
     "dense": "forward and backward of one camera before many Gaussians",
+    "webgpu": "frames by WebGPU, tiling by tiling and stage by stage, beside CUDA or the CPU",
     "eyes": "the error of eyes across the cone, with and without --view-filter",
     "fit": "fits to the photographs of a capture, beside gsplat's",
 }
-_IN_PACKAGE = {DEFAULT, "photo", "pareto", "skips", "dense"}
+_IN_PACKAGE = {DEFAULT, "photo", "pareto", "skips", "dense", "webgpu"}
 _CHECKOUT = Path(__file__).resolve().parents[2]
 
 

@@ -1,4 +1,4 @@
-"""`lightfield-gs info`: the contents of a file."""
+"""`lightfield-gs info`: the contents of a file, or the devices of this machine."""
 
 from __future__ import annotations
 
@@ -27,9 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file",
         type=Path,
+        nargs="?",
         metavar="FILE",
         help="a file of Gaussians (.ply, .spz, .sog or its folder, .splat, .ksplat), an image, a panel or "
         "rig (.yaml, visual.json, panel name) or a .safetensors file",
+    )
+    parser.add_argument(
+        "--devices",
+        action="store_true",
+        help="in place of a file: what --device can name here, and whether each adapter of WebGPU draws what the CPU "
+        "draws, and how fast",
     )
     add_device_serial(parser.add_argument)
     add_reading(parser.add_argument)
@@ -37,9 +44,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print the facts of args.file, a line each. Raises InputError."""
+    """Print the facts of args.file, or of the devices, a line each. Raises InputError."""
+    if args.devices == (args.file is not None):
+        raise InputError("info takes a FILE or --devices, one of them")
+    if args.devices:
+        print("\n".join(f"{name}: {facts}" for name, facts in describe_devices()))
+        return
     for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up, args.time):
         print(f"{key}: {value}")
+
+
+def describe_devices() -> list[tuple[str, str]]:
+    """Return a line on each device of this machine, with the result of its self-test."""
+    from lightfield_gs.base.device import cores, missing_for_cuda
+    from lightfield_gs.webgpu.adapters import adapters, missing
+    from lightfield_gs.webgpu.self_test import self_test
+
+    lines = [("cpu", f"{len(cores())} cores"), ("cuda", missing_for_cuda() or "ready")]
+    if (lacking := missing() or (None if adapters() else "no adapter for Vulkan, Metal or D3D12")) is not None:
+        lines.append(("webgpu", lacking))
+    for index, adapter in enumerate(adapters()):
+        limits = adapter.limits
+        facts = f"{adapter}, driver {adapter.driver or 'unnamed'}"
+        room = f"buffers of {limits.buffer_bytes >> 20} MiB, {limits.binding_bytes >> 20} MiB at once"
+        result = "not drawn on, a program of the CPU" if adapter.is_cpu else self_test(adapter).words()
+        lines.append((f"webgpu:{index}", f"{facts}; {room}; {result}"))
+    return lines
 
 
 def describe(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,20 +14,20 @@ from lightfield_gs.app.panel import connected_preset, load_panel, package_versio
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES, Compression, Device
+from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, Compression
 from lightfield_gs.commands.options.panel import (
     add_camera,
     add_depth_report,
     add_device_serial,
+    add_drawing_device,
     add_look,
     add_rendering,
     add_viewing_distance,
 )
 from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
 from lightfield_gs.commands.options.scene import add_scene
-from lightfield_gs.io.atomic import check_output_path, check_outputs
+from lightfield_gs.io.atomic import check_output_path, check_outputs, make_folder
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import (
@@ -40,8 +40,11 @@ from lightfield_gs.panels.quilt import (
 )
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 from lightfield_gs.scene.gaussians import scene_facts
+from lightfield_gs.webgpu.devices import choose_drawing_device
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from lightfield_gs.panels.rig import Rig
 
 _DEFAULT_PRESET = "65"
@@ -58,6 +61,7 @@ class QuiltOptions:
         tiles: columns and rows.
         size: width and height of the quilt, pixels.
         aspect: width by height of a view as it is seen.
+        sweep: columns and rows of views that become files of their own, in a folder.
         save_rig: file for the rig.
         save_rgbd: file for the centre view beside its depth map.
         device: where network and rasterizer run.
@@ -74,9 +78,10 @@ class QuiltOptions:
     tiles: tuple[int, int] | None = None
     size: tuple[int, int] | None = None
     aspect: float | None = None
+    sweep: tuple[int, int] | None = None
     save_rig: Path | None = None
     save_rgbd: Path | None = None
-    device: Device = "auto"
+    device: str = "auto"
     compression: Compression = "fast"
 
 
@@ -111,7 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_scene(add, "cut the object out of a photo with rembg")
     add_rendering(add)
-    add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
+    add_drawing_device(add)
     add(
         "--compression",
         choices=COMPRESSIONS,
@@ -142,6 +147,13 @@ def _add_layout(add) -> None:
         metavar="CxR",
         help="columns and rows of views, in place of the preset's",
     )
+    add(
+        "--sweep",
+        type=whole_numbers(1, 1000, "x", 2),
+        metavar="Nx1",
+        help="single views in place of a quilt, N from the left-most camera's on, each of a tile's size, in the folder "
+        "NAME: view_000.png, ...; `weave` takes them too",
+    )
     add("--size", type=whole_numbers(1, 65536, "x", 2), metavar="WxH", help="size of the whole quilt, pixels")
     add(
         "--aspect",
@@ -157,6 +169,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
+    options = _for_sweep(options)
     panel = None if options.panel.panel is None else load_panel(options.panel)
     if panel is None and (options.panel.device_serial or options.panel.viewing_distance):
         raise InputError("--device-serial and --viewing-distance are about a --panel; give one, or leave them out")
@@ -168,7 +181,8 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
     frame = layout.panel(DEFAULT_CONE_DEG) if panel is None else panel_of_views(layout, panel)
     import torch
 
-    device = choose_device(options.device)
+    pixels = (layout.width_px or 0) * (layout.height_px or 0)
+    device, webgpu, decisions = choose_drawing_device(options.device, pixels)
     choice = read_camera(options.camera, frame)
     watch.lap("start")
     with torch.inference_mode():
@@ -177,11 +191,14 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
         framed = load_framed(options.scene, choice, options.render, options.look, frame, device, watch)
         gaussians, render = framed.scene.gaussians, framed.scene.render
         tile, fan_rig = layout.fitted(frame, framed.rig)
-        image = quilt(gaussians, layout, fan_rig, tile, **vars(render)).cpu()
+        image = quilt(gaussians, layout, fan_rig, tile, **vars(render), device=webgpu).cpu()
         watch.lap("views")
         of_file = framed.scene.in_file(fan_rig)
         metadata = _metadata(options, framed.scene, layout, tile, of_file)
-        write_image(output, image.numpy(), metadata, options.compression)
+        if options.sweep is None:
+            write_image(output, image.numpy(), metadata, options.compression)
+        else:
+            _write_views(options, layout, image.numpy(), metadata)
         if options.save_rig is not None:
             ratios = [rig.focal_px[0] / rig.focal_px[1] for rig in (fan_rig, framed.rig)]
             is_square = abs(ratios[0] / ratios[1] - 1) < 0.01  # else the tile is the size of no panel
@@ -191,9 +208,37 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
             framed.messages.append(_write_rgbd(save_rgbd, options, framed, frame))
             watch.lap("RGB-D")
     width, height = layout.tile_px()
-    print(f"{output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
+    name = options.output if options.sweep else output
+    print(f"{name}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
     print(watch.line())
-    say(*framed.messages)
+    say(*decisions, *framed.messages)
+
+
+def _for_sweep(options: QuiltOptions) -> QuiltOptions:
+    """Return the options with the tiles of --sweep; raise InputError for what has no single views."""
+    if options.sweep is None:
+        return options
+    if options.tiles is not None:
+        raise InputError("--sweep takes the place of --tiles; leave out one of them")
+    if options.sweep[1] != 1:
+        raise InputError(
+            f"--sweep {options.sweep[0]}x{options.sweep[1]}: the cameras stand in one row; give {options.sweep[0]}x1"
+        )
+    if options.output.suffix:
+        raise InputError(f"{options.output}: --sweep writes files into a folder; leave the extension out")
+    base = QUILT_PRESETS[options.preset or _DEFAULT_PRESET]
+    size = options.size
+    if options.panel.panel is None and size is None:
+        width, height = base.tile_px()
+        size = width * options.sweep[0], height
+    return replace(options, tiles=options.sweep, size=size)
+
+
+def _write_views(options: QuiltOptions, layout: QuiltLayout, image: np.ndarray, metadata: dict[str, str]) -> None:
+    """Write each view of a quilt into the folder, the left-most camera's first."""
+    folder = make_folder(options.output)
+    for view in range(layout.views):
+        write_image(folder / f"view_{view:03}.png", image[layout.tile(view)], metadata, options.compression)
 
 
 def quilt_layout(options: QuiltOptions, panel: Panel | None) -> QuiltLayout:

@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from lightfield_gs.app.panel import load_panel, panel_of_views
-from lightfield_gs.app.video import VideoOptions, frame_drawer, frame_sink, video_target
+from lightfield_gs.app.stereo import StereoTarget, refuse_panel, refuse_stereo
+from lightfield_gs.app.video import PRESET_SIZES, VideoOptions, for_preset, frame_drawer, frame_sink, video_target
 from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.panel import add_camera, add_depth_report, add_look, add_panel, add_rendering
+from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
+from lightfield_gs.commands.options.panel import (
+    add_camera,
+    add_depth_report,
+    add_drawing_device,
+    add_look,
+    add_panel,
+    add_rendering,
+)
 from lightfield_gs.commands.options.parser import read_options, threads
 from lightfield_gs.commands.options.scene import add_scene
+from lightfield_gs.commands.options.stereo import add_stereo
 from lightfield_gs.commands.options.video import add_motion, add_result
 from lightfield_gs.io.atomic import check_outputs
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.stereo_screen import StereoScreen
+from lightfield_gs.webgpu.devices import choose_drawing_device
+
+_MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,13 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_motion(add)
     add_result(add)
+    add_stereo(add)
     add_panel(add, "for framing")
     add_camera(add)
     add_look(add)
     add_depth_report(add)
     cut_outs = "cut-out of a photo; of a sequence, a folder or a video of cut-outs"
     add_scene(add, "cut the object out of photos with rembg, as `encode` does", cut_outs, "PATH")
-    add("--device", choices=DEVICES, default="auto", help="device of network and rasterizer (default auto)")
+    add_drawing_device(add)
     add("--views", choices=VIEWS, default="integer", help="of native pictures, as in `encode` (default integer)")
     add(
         "--quality",
@@ -65,14 +80,29 @@ def run(args: argparse.Namespace) -> None:
     make_frames(read_options(VideoOptions, args), Stopwatch(args.began))
 
 
+def _panel(options: VideoOptions) -> tuple[Panel, list[str]]:
+    """Return the panel that frames the scene, the display's or that of a screen of two eyes or of one; and a line."""
+    if options.stereo.stereo is not None:
+        refuse_panel(options.panel.panel)
+        target = StereoTarget.of(options.stereo, options.panel.viewing_distance)
+        return target.screen.panel(), [target.line(options.stereo, options.panel.viewing_distance)]
+    if options.preset is not None:
+        refuse_panel(options.panel.panel)
+        return StereoScreen(*PRESET_SIZES[options.preset]).panel(), []
+    return load_panel(options.panel), []
+
+
 def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     """Make the frames of a video, and print a summary. Raises InputError."""
-    panel = load_panel(options.panel)
+    refuse_stereo(options.stereo)
+    options = for_preset(options)
+    panel, screen = _panel(options)
     target = video_target(options, panel)
     if target.layout is not None:
         panel = panel_of_views(target.layout, panel)
     check_outputs((target.path,), options.inputs())
-    device = choose_device(options.device)
+    device, webgpu, decisions = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
+    options = replace(options, device=webgpu or device)
     if options.bridge is not None:
         from lightfield_gs.show.bridge import cast, check_bridge
 
@@ -100,7 +130,7 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     print(f"{target.path}: {shots.count} frames of {width} x {height}, {target.words()}{kept}, {rate}")
     print(made.words())
     print(watch.line())
-    say(*shots.messages)
+    say(*decisions, *screen, *shots.messages)
     if options.bridge is not None and target.layout is not None:
         layout = target.layout
         cast(target.path, layout.columns, layout.rows, layout.aspect, url=options.bridge)

@@ -11,12 +11,13 @@ from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, 
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.commands.options.panel import add_camera, add_look, add_panel, add_rendering
+from lightfield_gs.commands.options.panel import add_camera, add_drawing_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve
+from lightfield_gs.webgpu.devices import choose_drawing_device
+
+_MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class ViewOptions:
     look: LookOptions
     render: RenderOptions
     serving: ServingOptions
-    device: Device = "auto"
+    device: str = "auto"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,9 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_look(add)
     add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
     add_rendering(add)
-    add(
-        "--device", choices=DEVICES, default="auto", help="device of the drawing (default auto: cuda if there is a GPU)"
-    )
+    add_drawing_device(add)
     add_serving(add)
 
 
@@ -64,7 +63,8 @@ def run(args: argparse.Namespace) -> None:
 def _view(options: ViewOptions, watch: Stopwatch) -> None:
     check_scene_options(options.scene, options.camera)
     panel = load_panel(options.panel)
-    device = choose_device(options.device)
+    pixels = panel.width_px * panel.height_px
+    device, webgpu, decisions = choose_drawing_device(options.device, pixels, _MANY_FRAMES)
     choice = read_camera(options.camera, panel)
 
     import torch
@@ -77,7 +77,7 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
         framed = load_framed(options.scene, choice, options.render, options.look, panel, device, watch)
     scene, render, path = framed.scene, framed.scene.render, options.scene.input
     drawn_as = render.background, render.antialiased, path.name, render.view_filter
-    stage = Stage(scene.gaussians, panel, framed.rig, *drawn_as)
-    print(f"{path}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
-    say(watch.line(), *framed.messages)
+    stage = Stage(scene.gaussians, panel, framed.rig, *drawn_as, webgpu)
+    print(f"{path}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {webgpu or device}")
+    say(watch.line(), *decisions, *framed.messages)
     serve(options.serving, steering_routes(stage, exports(stage)), "/")

@@ -22,6 +22,8 @@ from lightfield_gs.rasterizer.lenticular_camera import Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
+from lightfield_gs.webgpu.devices import check_on_cpu
+from lightfield_gs.webgpu.views import draw_views
 
 
 @torch.no_grad()
@@ -34,6 +36,7 @@ def render_views(
     background: Colour = (1.0, 1.0, 1.0),
     antialiased: bool = False,
     view_filter: float = 0.0,
+    device: str | None = None,
 ) -> Tensor:
     """Render images [K, H, W, 3] of the panel's size from the cameras of a rig, without gradients.
 
@@ -42,7 +45,7 @@ def render_views(
         panel: of whose views x counts.
         rig: of the cameras.
         x: [K], view coordinates of the cameras.
-        background: see `encode`, also for antialiased and view_filter.
+        background: see `encode`, also for antialiased, view_filter and device.
 
     Raises:
         InputError: for arguments of other types or values.
@@ -54,6 +57,12 @@ def render_views(
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     aperture = view_aperture(panel, rig, real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS))
     colour = background_tensor(background, gaussians.means)
+    if device is not None:
+        check_on_cpu(device, gaussians)
+        gaussians = gaussians.to(dtype=torch.float32)
+        return draw_views(
+            device, gaussians, rig.cameras_at(panel, x), colour.reshape(-1).float(), antialiased, aperture
+        )
     return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0]
 
 

@@ -26,7 +26,7 @@ from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats, count_culled
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
-from lightfield_gs.webgpu.devices import adapter_index, draw_direct
+from lightfield_gs.webgpu.devices import adapter_index, check_on_cpu, draw_direct
 
 DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024
@@ -123,7 +123,8 @@ def encode(
     if out is not None:
         check_out(out, output, panel, gaussians.device)
     if device is not None:
-        check_webgpu(device, output, gaussians)
+        check_webgpu(device, output)
+        check_on_cpu(device, gaussians)
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     fields = gaussians.fields().values()
     colour = background_tensor(background, gaussians.means).reshape(-1)
@@ -281,16 +282,12 @@ def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -
         )
 
 
-def check_webgpu(device: str, output: Output, gaussians: Gaussians) -> None:
+def check_webgpu(device: str, output: Output) -> None:
     """Raise InputError where WebGPU cannot draw such an image, or `device` is no name of one of its adapters."""
     expect("device", device, str)
     adapter_index(device)
     if output == "float64":
         raise InputError(f"device={device!r} draws output 'uint8' or 'float32': 'float64' needs device=None")
-    if gaussians.device.type != "cpu":
-        raise InputError(
-            f"device={device!r} takes Gaussians on the CPU, got {gaussians.device}: use gaussians.to('cpu')"
-        )
 
 
 def wants_gradients(fields: Iterable[Tensor], background: Any, output: Output, cameras: Cameras | None = None) -> bool:

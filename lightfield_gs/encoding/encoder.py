@@ -11,12 +11,20 @@ from lightfield_gs.base.arrays import Colour, background_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding.encode import check_options, check_view_filter, encode, refuse_gradients, wants_gradients
+from lightfield_gs.encoding.encode import (
+    check_options,
+    check_view_filter,
+    check_webgpu,
+    encode,
+    refuse_gradients,
+    wants_gradients,
+)
 from lightfield_gs.encoding.encoder_frames import STAGES, CpuFrameCache, CudaFrameCache
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.webgpu.devices import check_on_cpu
 
 
 class Encoder:
@@ -29,7 +37,8 @@ class Encoder:
     The other arguments are read-only, because stages and graphs depend on them.
 
     On the CPU the encoder compares values with copies, so it sees any change. Each image is a tensor of its own. If
-    nothing has changed, the image is copied; if only the background has changed, only the composite runs.
+    nothing has changed, the image is copied; if only the background has changed, only the composite runs. By WebGPU
+    the image is copied likewise, and any change draws the whole frame.
 
     On CUDA a comparison would wait for the device. The whole frame is one CUDA graph, captured for the tensors of the
     first call. Later calls with the same tensors replay it; their values may change. Then nothing waits for the device,
@@ -40,7 +49,7 @@ class Encoder:
     capacity.
 
     Args:
-        panel: see `encode`, also for rig, views, background, output, quality, antialiased and view_filter.
+        panel: see `encode`, also for rig, views, background, output, quality, antialiased, view_filter and device.
         versioned: promise that only torch's in-place operations change values; torch counts them. Then a tensor without
             new operations counts as unchanged. Order and bins are kept if only sh changes, but not for another rig.
             torch does not count changes through .data, DLPack, CUDA graphs and other kernels: call `forget` after
@@ -62,6 +71,7 @@ class Encoder:
         versioned: bool = False,
         antialiased: bool = False,
         view_filter: float = 0.0,
+        device: str | None = None,
     ):
         check_options("direct", views, output)
         expect("panel", panel, Panel)
@@ -74,6 +84,9 @@ class Encoder:
         self._quality, self._versioned, self._antialiased = Quality.of(quality), versioned, antialiased
         if output == "float64" and not self.quality.is_exact:
             raise InputError("quality is for output 'uint8' or 'float32': 'float64' is exact only")
+        if device is not None:
+            check_webgpu(device, output)
+        self._device = device
         self.rig, self.background = rig, background
         self.stats: dict[str, Any] = {"frames": 0, "reused": dict.fromkeys(STAGES, 0)}
         self.forget()
@@ -113,6 +126,11 @@ class Encoder:
         """Width in views of the box of camera positions over which each sub-pixel is averaged."""
         return self._view_filter
 
+    @property
+    def device(self) -> str | None:
+        """The adapter of WebGPU that draws; None: the device of the Gaussians."""
+        return self._device
+
     def __getstate__(self) -> dict[str, Any]:
         """Return what copies and pickles take: all but the memory of the frame before."""
         return {**self.__dict__, "_frames": None}
@@ -138,6 +156,8 @@ class Encoder:
         gaussians.validate_layout()
         if gaussians.is_batched:
             raise InputError(f"an Encoder takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
+        if self.device is not None:
+            check_on_cpu(self.device, gaussians)
         on_cuda, as_bytes = gaussians.means.is_cuda, self.output == "uint8"
         if on_cuda and not (
             self.output != "float64"
@@ -160,7 +180,7 @@ class Encoder:
             self._frames = (
                 CudaFrameCache(as_bytes, self.quality, self.versioned, self.antialiased)
                 if on_cuda
-                else CpuFrameCache(precision, as_bytes, self.quality, self.antialiased)
+                else CpuFrameCache(precision, as_bytes, self.quality, self.antialiased, self.device)
             )
         view = lenticular_camera(self.panel, self.rig, self.views == "continuous", self.view_filter)
         image, kept = self._frames.draw(gaussians, self.background, view)

@@ -25,6 +25,7 @@ from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace_cuda import Workspace
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.webgpu.devices import draw_direct
 
 STAGES = ("project", "order", "bin", "composite")
 _BITS = {torch.float32: torch.int32, torch.float64: torch.int64}
@@ -35,12 +36,13 @@ class _Drawn:
     """The state that a frame leaves to the next: copies of its input, and the inputs of the composite.
 
     Attributes:
+        work: None where WebGPU has drawn.
         image: A copy of the image, from the second of equal frames on.
     """
 
     inputs: dict[str, Tensor]
     view: LenticularCamera
-    work: Workspace
+    work: Workspace | None
     image: Tensor | None
 
 
@@ -51,10 +53,14 @@ class CpuFrameCache:
         precision: Precision of the arithmetic.
         as_bytes: Whether images are uint8.
         antialiased: See encode.
+        device: Likewise.
     """
 
-    def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool):
+    def __init__(
+        self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool, device: str | None = None
+    ):
         self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
+        self.device = device
         self.last: _Drawn | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
@@ -72,9 +78,13 @@ class CpuFrameCache:
         self.last = None  # so that an error below leaves nothing half done behind
         job = DirectRender(gaussians.to(dtype=self.precision).fields().values(), background, view, self.antialiased)
         kept = same.work if same is not None and changed <= {"background"} else None
-        work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
-        image = job.new_image(self.as_bytes)
-        work.composite_direct(job.native, self.quality, job.background, image)
+        work = kept
+        if self.device is not None:
+            image = draw_direct(self.device, job, self.as_bytes, self.quality)
+        else:
+            work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
+            image = job.new_image(self.as_bytes)
+            work.composite_direct(job.native, self.quality, job.background, image)
         copies = {name: value.detach().clone() if name in changed else before[name] for name, value in inputs.items()}
         self.last = _Drawn(copies, view, work, image.clone() if same is not None and not changed else None)
         return image, set() if kept is None else {"project", "order", "bin"}

@@ -32,6 +32,7 @@ def quilt(
     background: Colour = (1.0, 1.0, 1.0),
     antialiased: bool = False,
     view_filter: float = 0.0,
+    device: str | None = None,
 ) -> Tensor:
     """Draw the quilt uint8 [H, W, 3] of a scene: one view of the rig's fan in each tile, the left-most bottom left.
 
@@ -40,7 +41,7 @@ def quilt(
         layout: with its size in pixels. Pixels that belong to no tile are black.
         rig: at the resolution of a tile, see QuiltLayout.fitted.
         panel: its cone is the fan's angle if the rig has none; None: layout.panel, with 40 degrees.
-        background: see `encode`, also for antialiased and view_filter; a view is a view of the quilt.
+        background: see `encode`, also for antialiased, view_filter and device; a view is a view of the quilt.
 
     Raises:
         InputError: for arguments of other types or values.
@@ -65,6 +66,7 @@ def quilt(
             background=background,
             antialiased=antialiased,
             view_filter=view_filter,
+            device=device,
         )
         for view, picture in enumerate(to_bytes(pictures), first):
             out[layout.tile(view)] = picture

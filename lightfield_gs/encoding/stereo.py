@@ -32,6 +32,7 @@ def render_eyes(
     background: Colour = (1.0, 1.0, 1.0),
     antialiased: bool = False,
     view_filter: float = 0.0,
+    device: str | None = None,
 ) -> Tensor:
     """Render the pictures of the left and the right eye, uint8 [2, H, W, 3].
 
@@ -39,13 +40,20 @@ def render_eyes(
         gaussians: One scene.
         panel: Of a StereoScreen.
         rig: In the coordinates of the scene.
-        background: See `encode`, also for antialiased and view_filter.
+        background: See `encode`, also for antialiased, view_filter and device.
 
     Raises:
         InputError: For arguments of other types or values.
     """
     pictures = render_views(
-        gaussians, panel, rig, LEFT_RIGHT, background=background, antialiased=antialiased, view_filter=view_filter
+        gaussians,
+        panel,
+        rig,
+        LEFT_RIGHT,
+        background=background,
+        antialiased=antialiased,
+        view_filter=view_filter,
+        device=device,
     )
     return to_bytes(pictures)
 

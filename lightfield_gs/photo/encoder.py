@@ -14,7 +14,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
-from lightfield_gs.encoding.encode import check_options, encode
+from lightfield_gs.encoding.encode import check_options, check_webgpu, encode
 from lightfield_gs.models import crop
 from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
@@ -47,6 +47,7 @@ class PhotoEncoder:
         look: Changes of the automatic framing of each photo; it may be set between photos.
         detail: See SplatterNet.predict.
         budget: See SplatterNet.predict.
+        device: See `encode`; the network works on the CPU then.
 
     Raises:
         InputError: An argument is invalid.
@@ -64,6 +65,7 @@ class PhotoEncoder:
         look: Look | None = None,
         detail: Detail | None = None,
         budget: int = DEFAULT_BUDGET,
+        device: str | None = None,
     ):
         self.quality = Quality.of(quality)
         check_options("direct", views, output)
@@ -73,6 +75,11 @@ class PhotoEncoder:
         background_tensor(background, torch.empty(0))
         if output == "float64":
             raise InputError("a PhotoEncoder puts out uint8 or float32, got 'float64'")
+        if device is not None:
+            check_webgpu(device, output)
+            if net.device.type != "cpu":
+                raise InputError(f"device={device!r} takes a network on the CPU, got {net.device}: use net.to('cpu')")
+        self.device = device
         self.panel, self.views, self.background, self.output = panel, views, background, output
         self.net = copy.deepcopy(net).eval()
         if net.device.type == "cuda":
@@ -122,7 +129,7 @@ class PhotoEncoder:
             self.rig = self._looked(frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
             how: dict[str, Any] = dict(views=self.views, background=self.background, output=self.output)
-            return encode(self.gaussians, self.panel, self.rig, quality=self.quality, **how)
+            return encode(self.gaussians, self.panel, self.rig, quality=self.quality, device=self.device, **how)
 
     def _draw_on_cuda(self, photo: Tensor, stats: Stats) -> Tensor:
         with torch.cuda.device(self.net.device):

@@ -35,6 +35,7 @@ class HiddenConstants:
     bend: float = 0.15  # largest relative change of disparity of a surface where it continues
     # a far surface ends where the next one lies beyond this part of the way from the cover to it, in log z
     comes_back: float = 0.6
+    steady_rows: int = 2  # rows above and below of whose first guesses a pixel takes the median
     fringe_disparity: float = 0.97  # largest disparity of the fringe by that of the surface in front
 
 
@@ -87,7 +88,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     mirrored = torch.where(mirrored >= 0, depth.shape[1] - 1 - mirrored, -1).flip(1)
     runs = [(source, distance), (mirrored, other.flip(1))]
     disparity = 1 / depth
-    covered = _tall(source >= 0) | _tall(mirrored >= 0)
+    covered = (source >= 0) | (mirrored >= 0)
     # At most a fringe off a covering pixel, and farther than it
     fringe = disparity < _C.fringe_disparity * max_filter(torch.where(covered, disparity, 0), _C.fringe_px)
     fringe &= ~covered
@@ -96,6 +97,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
         return Hidden(hole, fringe, disparity, image, torch.full_like(disparity, torch.inf), [])
     guess, slope = _continue_disparity(disparity, depth, focal_px, runs, covered)
     colours = _continue_colours(image, depth, runs, covered)
+    guess, colours, *slope = _steady_rows([guess, colours, *slope], covered)
     # Held at the visible far surfaces: everything but the hole. Where the guess is torn, two surfaces meet.
     linked = [_linked(guess, hole, dim, focal_px[1 - dim]) for dim in (0, 1)]
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
@@ -125,12 +127,22 @@ def joined_with(depth: Tensor, dim: int, focal_px: float) -> Tensor:
     return joined(depth, focal_px) if dim == 1 else joined(depth.T, focal_px).T
 
 
-def _tall(covered: Tensor) -> Tensor:
-    """Return the covered pixels [H, W] of columns of three or more: fewer come of noise in the depths of a row."""
-    # Beyond the map counts as covered
-    beside = torch.nn.functional.pad(covered, (0, 0, 2, 2), value=True)
-    middles = beside[:-2] & beside[1:-1] & beside[2:]
-    return covered & (middles[:-2] | middles[1:-1] | middles[2:])
+def _steady_rows(maps: list[Tensor], covered: Tensor) -> list[Tensor]:
+    """Return first guesses [H, W, ...] whose covered pixels take those of one of five rows: of the median disparity.
+
+    A row that continues a mixed pixel of the edge, or a wrong slope, differs from those above and below it.
+
+    Args:
+        maps: Disparity, and what goes with it.
+        covered: bool [H, W].
+    """
+    rows, columns = covered.nonzero().unbind(1)
+    steps = torch.arange(-_C.steady_rows, _C.steady_rows + 1, device=rows.device)
+    beside = (rows + steps[:, None]).clamp(0, covered.shape[0] - 1)
+    sources = torch.where(covered[beside, columns], beside, rows)
+    chosen = maps[0][sources, columns].median(0, keepdim=True).indices
+    source = sources.gather(0, chosen)[0]
+    return [part.index_put((rows, columns), part[source, columns]) for part in maps]
 
 
 def _linked(disparity: Tensor, hole: Tensor, dim: int, focal_px: float) -> Tensor:

@@ -20,6 +20,7 @@ from lightfield_gs.photo.depth_edges import STEEPEST, coverage_to_opacity, edges
 from lightfield_gs.photo.hidden import Hidden, fill_hidden, find_hidden
 from lightfield_gs.photo.image_filters import max_filter
 from lightfield_gs.photo.margin import Margin, extend_with_margin
+from lightfield_gs.photo.second_eye import SecondEye
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
@@ -39,7 +40,7 @@ class RgbdConstants:
     # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
     std_px: float = 0.65
     thickness_px: float = 0.1  # standard deviation across the surface, in pixels
-    steepest_hidden: float = 20.0  # slope up to which a hidden surface stays closed
+    steepest_hidden: float = 60.0  # slope up to which a hidden surface stays closed
     # slope of the last pixels before an edge: steeper ones would look like spikes from the side
     steepest_rim: float = 1.0
     opacity: float = 0.99  # opacity of an opaque pixel: the rasterizer makes no more of any
@@ -83,6 +84,7 @@ def from_depth(
     *,
     margin_px: tuple[int, int, int, int] = (0, 0, 0, 0),
     margin: Margin = "texture",
+    second: SecondEye | None = None,
 ) -> Gaussians:
     """Return the Gaussians of a photo with known depths: one per pixel, in its camera's axes (OpenCV, at the origin).
 
@@ -103,6 +105,7 @@ def from_depth(
         margin_px: (left, top, right, bottom), pixels around the photo that are made of its texture, as
             `lightfield_gs.photo.margin.fit_to_panel` returns them for a panel.
         margin: "texture": the margin has the photo's texture; "blur": blurred and darker colours of its border.
+        second: The other eye of a stereo pair, whose colours and depths count where it sees behind edges.
 
     Returns:
         Float32 Gaussians of SH degree 0. First come the pixels with a depth and an opacity, row by row; then outlines,
@@ -127,6 +130,8 @@ def from_depth(
     depth = snap_mixed(depth, focal)
     found = find_hidden(image[..., :3], depth, focal)
     behind = fill_hidden(found, depth)
+    if second is not None:
+        found, behind = second.fill(found, behind, depth)
     parts = surface_layers(image, depth, opacity, found, behind, focal, centre)
     if any(margin_px):
         colours, z, outside = extend_with_margin(behind, 1 / found.disparity, margin_px, margin)

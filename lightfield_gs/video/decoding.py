@@ -15,6 +15,7 @@ import numpy as np
 from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.images import MAX_PIXELS
+from lightfield_gs.io.stereo_names import PairLayout
 
 # Numbers of ITU-T H.273
 _BT2020, _P3 = 9, 12  # primaries
@@ -29,6 +30,7 @@ _WHITE_NITS = 203.0  # of diffuse white in PQ (ITU-R BT.2408); in HLG it has the
 _PAUSE = 1.5  # typical steps between two frames, from which on the first is repeated
 _MOST_REPEATS = 100  # of a frame on average: more means that the times are wrong
 _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own decoders drop alpha
+_PAIRS = {1: "sbs", 2: "tab"}  # by AVStereo3DType
 
 
 def av_library(purpose: str) -> ModuleType:
@@ -62,6 +64,7 @@ class Timeline:
     order: tuple[int, ...]
     fps: Fraction | None
     notes: tuple[str, ...]
+    pair: PairLayout | None = None
 
 
 @contextmanager
@@ -102,6 +105,7 @@ def timeline(path: Path, in_time: bool = True) -> Timeline:
                 found += 1
                 times += [] if packet.pts is None else [float(packet.pts * packet.time_base)]
         rate, base = stream.average_rate, stream.base_rate
+        pair = None if frame is None else _pair_layout(frame)
         notes = [] if frame is None else list(_conversions(stream, frame))
     if not found:
         raise InputError(f"{path}: expected a video, got one without frames")
@@ -115,7 +119,20 @@ def timeline(path: Path, in_time: bool = True) -> Timeline:
             shown = np.searchsorted(starts, (np.arange(count) + 0.5) * step) - 1
             order = tuple(shown.tolist())
             notes.append(f"its {found} frames come at unequal times: repeated to {count} at {float(fps):g} a second")
-    return Timeline(order, fps, tuple(f"{path.name}: {note}" for note in notes))
+    return Timeline(order, fps, tuple(f"{path.name}: {note}" for note in notes), pair)
+
+
+def _pair_layout(frame: Any) -> PairLayout | None:
+    """Return where a frame has two eyes' pictures: by StereoMode of Matroska, st3d of MP4, or the stream's own words.
+
+    FFmpeg gives them all as AVStereo3D, which begins with the layout and with flags.
+    """
+    for data in frame.side_data:
+        if data.type.name == "STEREO3D" and len(bytes(data)) >= 8:
+            layout, flags = np.frombuffer(bytes(data)[:8], np.int32)
+            if layout in _PAIRS:
+                return PairLayout(_PAIRS[int(layout)], bool(flags & 1), "the video's metadata")
+    return None
 
 
 def decode(path: Path, maps: bool = False) -> Iterator[np.ndarray]:

@@ -13,11 +13,12 @@ from torch import Tensor
 from tqdm import tqdm
 
 from lightfield_gs.base.arrays import Colour, to_bytes
-from lightfield_gs.base.options import QualityName, Views
+from lightfield_gs.base.options import QualityName, StereoLayout, Views
 from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.quilt import quilt
+from lightfield_gs.encoding.stereo import join_eyes, render_eyes
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig
@@ -37,10 +38,11 @@ class FrameOptions:
     quality: QualityName = "exact"
     antialiased: bool = False
     view_filter: float = 0.0
+    device: str | None = None
 
     def for_views(self) -> dict[str, Any]:
         """Return the options of views that are images by themselves."""
-        return {name: getattr(self, name) for name in ("background", "antialiased", "view_filter")}
+        return {name: getattr(self, name) for name in ("background", "antialiased", "view_filter", "device")}
 
 
 class NativeRenderer:
@@ -90,16 +92,17 @@ class QuiltRenderer:
 
 
 class EyeRenderer:
-    """Renders the view of one eye, uint8 [h, w, 3], at most 1920 pixels wide and of even sides, as 2D video needs.
+    """Renders the view of one eye, uint8 [h, w, 3], of limited width and of even sides, as 2D video needs.
 
     Args:
         panel: the panel.
         options: of the rendering.
         sway: frames in which the eye moves from the middle to the right, to the left and back; None: no movement.
+        most_px: width at most.
     """
 
-    def __init__(self, panel: Panel, options: FrameOptions, sway: float | None = None):
-        width = min(_EYE_WIDTH_PX, panel.width_px)
+    def __init__(self, panel: Panel, options: FrameOptions, sway: float | None = None, most_px: int = _EYE_WIDTH_PX):
+        width = min(most_px, panel.width_px)
         height = round(panel.height_px * width / panel.width_px)
         self.size_px = max(2, width - width % 2), max(2, height - height % 2)
         self._panel, self._options, self._sway = panel, options, sway
@@ -112,6 +115,25 @@ class EyeRenderer:
         side = -1 if self._panel.invert_views else 1
         view = small.views / 2 - side * swing * (small.views - 1) / 2
         return to_bytes(render_views(gaussians, small, rig, [view], **self._options.for_views())[0])
+
+
+class StereoRenderer:
+    """Renders the pictures of two eyes in one image, uint8.
+
+    Args:
+        panel: of a StereoScreen.
+        options: of the rendering.
+        layout: "sbs", "half-sbs", "tab" or "anaglyph".
+    """
+
+    def __init__(self, panel: Panel, options: FrameOptions, layout: StereoLayout):
+        across, down = {"sbs": (2, 1), "tab": (1, 2)}.get(layout, (1, 1))
+        self.size_px = across * panel.width_px, down * panel.height_px
+        self._panel, self._options, self._layout = panel, options, layout
+
+    def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
+        """Render both eyes on the device of the Gaussians."""
+        return join_eyes(render_eyes(gaussians, self._panel, rig, **self._options.for_views()), self._layout)
 
 
 class FrameRenderer(Protocol):

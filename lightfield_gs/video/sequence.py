@@ -16,6 +16,7 @@ from lightfield_gs.io.atomic import checked_path, sha256
 from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import write_image
+from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.video.decoding import decode, timeline
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
@@ -34,6 +35,7 @@ class ImageSequence:
         order: of a video, see Timeline.
         maps: whether they are depths.
         notes: lines about conversions.
+        pair: of a video, where each frame has two eyes' pictures, as its metadata says.
     """
 
     path: Path
@@ -43,6 +45,7 @@ class ImageSequence:
     order: tuple[int, ...] = ()
     maps: bool = False
     notes: tuple[str, ...] = ()
+    pair: PairLayout | None = None
 
     def pictures(self, numbers: list[int], folder: Path) -> Iterator[tuple[int, Path]]:
         """Yield the files of the images of these increasing numbers.
@@ -96,7 +99,7 @@ def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) ->
     path = checked_path(path)
     if not path.is_dir():
         seen = timeline(path, in_time)
-        return ImageSequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes)
+        return ImageSequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes, seen.pair)
     pictures, beside = pictures_and_maps(path)
     files = (beside or _files(path, _MAPS)) if maps else pictures
     if not files:

@@ -14,10 +14,11 @@ from torch import Tensor
 
 from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import StereoLayout
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.video.decoding import av_library
 
-Kind = Literal["native", "quilt", "2d"]
+Kind = Literal["native", "quilt", "2d", "stereo"]
 CodecName = Literal["ffv1", "h264-rgb", "h264", "hevc"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 CODECS: tuple[CodecName, ...] = get_args(CodecName)
@@ -47,6 +48,25 @@ _CODECS: dict[CodecName, _Codec] = {
     "h264-rgb": _Codec("libx264rgb", "rgb24", True),
     "h264": _Codec("libx264", "yuv420p", False),
     "hevc": _Codec("libx265", "yuv420p", False),
+}
+
+
+class _Packing(NamedTuple):
+    """How players are told of two eyes' pictures in a frame.
+
+    Attributes:
+        number: frame_packing_arrangement_type of H.264 (ITU-T H.264, D.2.26).
+        mode: name of Matroska's StereoMode in FFmpeg.
+    """
+
+    number: int
+    mode: str
+
+
+_PACKINGS: dict[StereoLayout, _Packing] = {
+    "sbs": _Packing(3, "left_right"),
+    "half-sbs": _Packing(3, "left_right"),
+    "tab": _Packing(4, "top_bottom"),
 }
 
 
@@ -89,6 +109,7 @@ class VideoFile:
         fps: frames a second.
         codec: "ffv1" and "h264-rgb" are lossless.
         crf: quality of the others, 0..51; less is better and larger.
+        stereo: "sbs", "half-sbs" or "tab" for frames with the pictures of two eyes, which players are told. None: one.
 
     Attributes:
         missing: all frames, since a video cannot be resumed.
@@ -98,11 +119,19 @@ class VideoFile:
     """
 
     def __init__(
-        self, path: str | Path, count: int, size_px: tuple[int, int], fps: Fraction, codec: CodecName, crf: int = 18
+        self,
+        path: str | Path,
+        count: int,
+        size_px: tuple[int, int],
+        fps: Fraction,
+        codec: CodecName,
+        crf: int = 18,
+        stereo: StereoLayout | None = None,
     ):
         self.path = check_output_path(path)
         self._av = av_library(f"{self.path}: a video")
         self._codec, self._size_px, self._fps, self._crf = _CODECS[codec], size_px, fps, crf
+        self._packing = _PACKINGS.get(stereo) if stereo else None
         if self._codec.pixels == "yuv420p" and (size_px[0] % 2 or size_px[1] % 2):
             raise InputError(f"{path}: {codec} takes even sizes, got {size_px[0]} x {size_px[1]}")
         if self._codec.encoder not in self._av.codecs_available:
@@ -173,9 +202,13 @@ class VideoFile:
             "libx264": {"crf": str(self._crf), "preset": "medium"},
             "libx265": {"crf": str(self._crf), "preset": "medium", "x265-params": "log-level=error"},
         }[self._codec.encoder]
+        if self._packing is not None and self._codec.encoder == "libx264":
+            options["x264-params"] = f"frame-packing={self._packing.number}"
         stream = container.add_stream(self._codec.encoder, rate=self._fps, options=options)
         stream.width, stream.height = self._size_px
         stream.pix_fmt = self._codec.pixels
+        if self._packing is not None:
+            stream.metadata["stereo_mode"] = self._packing.mode  # of Matroska
         context = stream.codec_context
         context.thread_type = "AUTO"
         if self._codec.encoder == "libx265":

@@ -80,8 +80,8 @@ def adapters() -> tuple[Adapter, ...]:
         key = adapter.name, adapter.kind
         if key not in found or _BACKENDS.index(adapter.backend) < _BACKENDS.index(found[key].backend):
             found[key] = adapter
-    order = ("DiscreteGPU", "IntegratedGPU", "Unknown", "CPU")
-    return tuple(sorted(found.values(), key=lambda adapter: order.index(adapter.kind)))
+    rank = {"DiscreteGPU": 0, "IntegratedGPU": 1, "CPU": 3}
+    return tuple(sorted(found.values(), key=lambda adapter: rank.get(adapter.kind, 2)))
 
 
 def adapter_at(index: int) -> Adapter:

@@ -8,14 +8,34 @@ from typing import Literal, NamedTuple, cast
 
 from torch import Tensor
 
+from lightfield_gs.base.assumptions import Fallback, assume
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.webgpu.adapters import adapter_at
+from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.webgpu.adapters import adapter_at, adapters
 from lightfield_gs.webgpu.frames import Frames
+from lightfield_gs.webgpu.self_test import known_self_test
+
+_LOST = ("lost", "memory", "could not map")  # in wgpu's messages on a device that is gone, or full
+_lost: set[int] = set()  # adapters whose device was lost: the CPU draws in their place
+
+
+class DrawingDevice(NamedTuple):
+    """Where a command works.
+
+    Attributes:
+        torch: Device of the tensors: the scene, the network and what it makes.
+        webgpu: Adapter that draws light fields, as `encode` takes it; None: the tensors' device draws them.
+        messages: Lines on decisions.
+    """
+
+    torch: Literal["cpu", "cuda"]
+    webgpu: str | None = None
+    messages: tuple[str, ...] = ()
 
 
 def adapter_index(device: str) -> int:
@@ -26,28 +46,39 @@ def adapter_index(device: str) -> int:
     return int(found[1] or 0)
 
 
-class DrawingDevice(NamedTuple):
-    """Where a command works.
-
-    Attributes:
-        torch: Device of the tensors: the scene, the network and what it makes.
-        webgpu: Adapter that draws light fields, as `encode` takes it; None: the tensors' device draws them.
-    """
-
-    torch: Literal["cpu", "cuda"]
-    webgpu: str | None = None
-
-
-def choose_drawing_device(name: str) -> DrawingDevice:
+def choose_drawing_device(name: str, pixels: int, frames: int = 1) -> DrawingDevice:
     """Return the device of auto, cpu, cuda, webgpu or webgpu:N.
+
+    auto takes CUDA. Without it, auto takes a GPU by WebGPU that passes the self-test, if it takes no longer than the
+    CPU.
+
+    Args:
+        name: Of the device.
+        pixels: Of the panel.
+        frames: How many light fields the method direct draws, about. With 0 auto leaves WebGPU out.
 
     Raises:
         InputError: It is not there, and what to do.
     """
-    if not name.startswith("webgpu"):
-        return DrawingDevice(choose_device(cast(Device, name)))
-    adapter_at(adapter_index(name))
-    return DrawingDevice("cpu", name)
+    if name.startswith("webgpu"):
+        adapter_at(adapter_index(name))
+        return DrawingDevice("cpu", name)
+    device = choose_device(cast(Device, name))
+    if name != "auto" or device == "cuda" or not frames:
+        return DrawingDevice(device)
+    for index, adapter in enumerate(adapters()):
+        if not adapter.is_cpu and (result := known_self_test(adapter)).pays(pixels, frames):
+            message = f"drawn by WebGPU on {adapter}: {result.words()} (another: --device cpu)"
+            return DrawingDevice("cpu", f"webgpu:{index}", (message,))
+    return DrawingDevice("cpu")
+
+
+def check_on_cpu(device: str, gaussians: Gaussians) -> None:
+    """Raise InputError for Gaussians that WebGPU cannot read."""
+    if gaussians.device.type != "cpu":
+        raise InputError(
+            f"device={device!r} takes Gaussians on the CPU, got {gaussians.device}: use gaussians.to('cpu')"
+        )
 
 
 @lru_cache
@@ -67,6 +98,8 @@ def draw_direct(
 ) -> Tensor:
     """Draw a light-field image [H, W, 3] by WebGPU; it lies on the CPU.
 
+    Where the device is lost, or has too little memory, the CPU draws from then on, and one warning says so.
+
     Args:
         device: webgpu or webgpu:N.
         job: The render, its tensors on the CPU in float32.
@@ -78,4 +111,17 @@ def draw_direct(
     Raises:
         InputError: There is no such adapter, or the scene is too large for it.
     """
-    return frames_on(adapter_index(device)).draw(job, as_bytes, quality, stats or Stats(), out)
+    index = adapter_index(device)
+    if index not in _lost:
+        frames = frames_on(index)
+        from wgpu import GPUError
+
+        try:
+            return frames.draw(job, as_bytes, quality, stats or Stats(), out)
+        except (GPUError, RuntimeError) as error:
+            words = str(error).splitlines()[-1].strip()
+            if not any(word in str(error).lower() for word in _LOST):
+                raise
+        _lost.add(index)
+        assume(f"device {device!r} failed ({words}): the CPU draws in its place", Fallback)
+    return job.draw(as_bytes, quality, stats, out=out)

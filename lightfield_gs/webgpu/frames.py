@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
@@ -22,13 +24,15 @@ if TYPE_CHECKING:
 
 _THREADS = 256  # of a workgroup of most stages
 _CHUNK = 1024  # elements of a long list that are sorted together, as in csrc/webgpu/sort.wgsl
+_MOST_PAIRS = (1 << 25) - (1 << 20)  # of a pass, so that the chunks of long lists fit into one dispatch
 _LARGE_GROUPS = 256  # workgroups that share the splats with many boxes
 _GAUSSIAN_BYTES, _VECTOR_BYTES = 48, 16
 _COLOURS_EACH = 4  # vectors of a colour that varies, at first: pools grow
 _HEAD, _HEAD_BYTES = 16, 64  # counters before the costs
-# Instructions of a composite that are dispatched at once. The slowest GPUs that still matter run some 1e11 in a second,
-# and Windows resets a GPU after two seconds. Rows of a picture differ in cost.
-_INSTRUCTIONS = 4e9
+# A composite is dispatched in bands: Windows resets a GPU after two seconds in one dispatch, and screens wait for it.
+# The first band has so many instructions, which the slowest GPUs that still matter run in 30 ms. Each later one has at
+# most four times those of the band before, and takes so many seconds by the slowest rate of the first frame.
+_FIRST_BAND, _BAND_GROWTH, _BAND_SECONDS = 4e9, 4, 0.05
 
 
 class _Counters(NamedTuple):
@@ -50,6 +54,30 @@ class _Pass(NamedTuple):
     end: int
 
 
+class _Bands:
+    """The bands of a composite: how many rows of boxes are drawn at once.
+
+    Args:
+        rate: Instructions a second, of frames before; None: bands are timed.
+        row_cost: Instructions of a row of boxes, on average.
+    """
+
+    def __init__(self, rate: float | None, row_cost: float) -> None:
+        self.rate, self.are_timed = rate, rate is None
+        self._row_cost = max(row_cost, 1.0)
+        self._budget = _FIRST_BAND if rate is None else rate * _BAND_SECONDS
+
+    def rows(self) -> int:
+        """Return the rows of the next band."""
+        return max(int(self._budget / self._row_cost), 1)
+
+    def took(self, rows: int, seconds: float) -> None:
+        """Learn from the time of a band."""
+        own = rows * self._row_cost / seconds
+        self.rate = own if self.rate is None else min(self.rate, own)
+        self._budget = min(_BAND_GROWTH * self._budget, self.rate * _BAND_SECONDS)
+
+
 class Frames:
     """Draws frames on one device.
 
@@ -65,6 +93,7 @@ class Frames:
         self.tiling: int | None = None
         self.most_rows: int | None = None
         self.clock: Clock | None = None
+        self.rate: float | None = None  # instructions a second
 
     def draw(self, job: DirectRender, as_bytes: bool, quality: Quality, stats: Stats, out: Tensor | None) -> Tensor:
         """Return the image [H, W, 3] on the CPU, uint8 or float32.
@@ -130,6 +159,11 @@ class _Frame:
     def project(self) -> tuple[_Counters, np.ndarray]:
         """Project all Gaussians; return the counters, and the costs of the tilings [4]."""
         groups = -(-self.count // _THREADS)
+        if groups > WORKGROUPS_ACROSS:
+            raise InputError(
+                f"webgpu: expected at most {WORKGROUPS_ACROSS * _THREADS} Gaussians, got {self.count}: use device cpu, "
+                "or leave out Gaussians (lightfield-gs prune)"
+            )
         extra = int(self.variant.compensated)
         colours = (1 + extra if not self.degree else _COLOURS_EACH + extra) * max(self.count, 1)
         for name in ("splat_a", "splat_b", "splat_c"):
@@ -191,13 +225,14 @@ class _Frame:
         most = self.limits.most_bytes
         image_rows = most // (self.lens.width_px * self.pixel_bytes * BOX_ROWS)
         list_rows = most // (12 * boxes.across * boxes.groups)
-        rows = max(min(image_rows, list_rows, WORKGROUPS_ACROSS, boxes.down), 1)
+        scan_rows = WORKGROUPS_ACROSS * _THREADS // (boxes.across * boxes.groups)
+        rows = max(min(image_rows, list_rows, scan_rows, WORKGROUPS_ACROSS, boxes.down), 1)
         return [_Pass(first, min(first + rows, boxes.down)) for first in range(0, boxes.down, rows)]
 
     def draw_rows(self, boxes: Boxes, rows: _Pass, cost: float, image: Tensor) -> int:
         """Draw the rows of a pass into the image; return the number of intersections."""
         counters = self._list(boxes, rows)
-        most = self.limits.most_bytes // 4
+        most = min(self.limits.most_bytes // 4, _MOST_PAIRS)
         if counters.pairs > most and rows.end - rows.first > 1:
             middle = (rows.first + rows.end) // 2
             halves = _Pass(rows.first, middle), _Pass(middle, rows.end)
@@ -257,15 +292,22 @@ class _Frame:
         end = min(rows.end * BOX_ROWS, self.lens.height_px)
         pixels = -(-(end - first) * self.lens.width_px // 4) * 4
         self.buffers.exactly("image", pixels * self.pixel_bytes)
-        at_once = max(int(boxes.down * _INSTRUCTIONS / max(cost, 1.0)), 1)
-        at_once = at_once if self.frames.most_rows is None else self.frames.most_rows
-        for begin in range(rows.first, rows.end, at_once):
+        begin, bands = rows.first, _Bands(self.frames.rate, cost / boxes.down)
+        while begin < rows.end:
+            at_once = bands.rows() if self.frames.most_rows is None else self.frames.most_rows
             work = Work(self.frames.pipelines, self.buffers, self.variant, self.frames.clock)
             if begin == rows.first and boxes.ordinals and self.as_bytes:
                 work.clear("image")
             part = self._write_part(begin, 0, first)
-            work.run("composite", (boxes.across, min(at_once, rows.end - begin), boxes.groups), {"part": part})
+            at_once = min(at_once, rows.end - begin)
+            work.run("composite", (boxes.across, at_once, boxes.groups), {"part": part})
+            start = time.perf_counter()
             work.submit()
+            if bands.are_timed:
+                self.buffers.read("counters", 4)  # waits
+                bands.took(at_once, time.perf_counter() - start)
+            begin += at_once
+        self.frames.rate = bands.rate
         image[first:end] = self._read_image(pixels, (end - first, self.lens.width_px, 3))
 
     def _read_image(self, pixels: int, shape: tuple[int, int, int]) -> Tensor:

@@ -93,7 +93,7 @@ def pack_params(
         *(reach, 1 / camera.zero_depth, start, step),
         *(*background, 0.0),
         *(lens.line_number, lens.slant_tan, lens.phase, boxes.first_lens),
-        *(camera.aperture, float(antialiased), tolerance, 0.0),
+        *(camera.aperture, float(antialiased), tolerance, camera.limits[4]),
     ]
     phases = [word for phase in lens.phases for word in _words(phase)]
     words = [

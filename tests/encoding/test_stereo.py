@@ -132,3 +132,40 @@ def test_encode_writes_pairs(tmp_path, monkeypatch, capsys):
         ("-o a.png --eye-distance 60", "--eye-distance is for --stereo"),
     ):
         assert words in complaint(capsys, f"encode s.ply {line}")
+
+
+def test_videos_say_where_the_eyes_are(tmp_path, monkeypatch, capsys):
+    """By the stream of H.264 and by Matroska; the program reads both again. An ordinary video says nothing."""
+    pytest.importorskip("av", reason="videos need the extra `video`")
+    from lightfield_gs.video.sequence import open_sequence
+
+    monkeypatch.chdir(tmp_path)
+    balls((-0.3, 0, 1.5), (0.3, 0, 2.0)).save("s.ply")
+    for options, name, kind in (
+        ("--stereo half-sbs --eye-size 96x54", "v_half_2x1.mp4", "sbs"),
+        ("--stereo tab --eye-size 96x54", "v_LR_Full_TAB.mkv", "tab"),
+        ("--preset hololuminescent", "v.mp4", None),
+    ):
+        end = Path(name).suffix
+        assert cli.main(f"video s.ply -o v{end} --frames 2 {options}".split()) == 0
+        pair = open_sequence(name).pair
+        assert (pair and pair.kind) == kind and not (pair and pair.is_swapped)
+    assert "two eyes" in capsys.readouterr().out
+    assert cli.main("video s.ply -o f --frames 1 --preset hololuminescent".split()) == 0
+    picture = read_image("f/frame-000000.png", as_stored=True)
+    rows = np.flatnonzero((picture.min(2) < 250).any(1))
+    assert picture.shape == (2160, 3840, 3) and rows[0] >= 0.09 * 2160 and rows[-1] <= 0.97 * 2160
+    capsys.readouterr()
+    assert "takes sbs, half-sbs, tab or anaglyph" in complaint(capsys, "video s.ply -o v.mp4 --stereo mpo")
+
+
+def test_single_views_are_files(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    balls((-0.3, 0, 1.5), (0.3, 0, 2.0)).save("s.ply")
+    assert cli.main("quilt s.ply -o views --sweep 5x1 --size 400x60".split()) == 0
+    assert cli.main("quilt s.ply -o q.png --tiles 5x1 --size 400x60".split()) == 0
+    (quilt,) = Path().glob("q_qs5x1*.png")
+    views = [read_image(path, as_stored=True) for path in sorted(Path("views").iterdir())]
+    assert (np.concatenate(views, 1) == read_image(quilt, as_stored=True)).all()
+    capsys.readouterr()
+    assert "the cameras stand in one row" in complaint(capsys, "quilt s.ply -o views --sweep 5x2")

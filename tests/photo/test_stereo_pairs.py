@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heic_maker import heic
 from PIL import Image
-from rgbd_scene import view
+from rgbd_scene import camera, view
 
 import lightfield_gs as lf
 from lightfield_gs.app.options import PhotoOptions
@@ -149,3 +150,43 @@ def test_files_say_where_the_eyes_are(tmp_path, drawn):
     assert find_pair(tmp_path / "photo.png") is None
     assert pair_of(tmp_path / "photo.png", PhotoOptions(stereo_in="tab")).kind == "tab"
     assert pair_of(Path("a_2x1.png"), PhotoOptions(stereo_in="none")) is None
+
+
+def test_what_the_right_eye_sees_behind_edges_is_taken_from_it():
+    """Against the scene as a camera at the right eye's place sees it, where the left eye does not."""
+    from lightfield_gs.photo.second_eye import second_eye
+
+    offset = 0.12
+    (left, z), (right, other_z) = textured(), textured(offset)
+    bytes_of = [np.rint(255 * eye).astype(np.uint8) for eye in (left, right)]
+    shifts, others = FOCAL * offset / z, FOCAL * offset / other_z
+    second = second_eye(*bytes_of, z, shifts, others)
+    assert second.per_inverse == pytest.approx(FOCAL * offset, rel=0.01) and abs(second.offset) < 0.05
+    # Pixels of the right picture whose surface is covered in the left one
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    there = np.rint(columns + others).astype(int)
+    hidden = (there < WIDTH) & (z[rows, there.clip(0, WIDTH - 1)] < 0.9 * other_z)
+    assert hidden.sum() > 500
+    errors = []
+    for eye in (None, second):
+        gaussians = from_depth(left, z, (FOCAL, FOCAL), second=eye)
+        picture = lf.render(gaussians, camera(WIDTH, HEIGHT, FOCAL, offset)).image[0].numpy()
+        errors.append(float(np.abs(picture - right)[hidden].mean()))
+    assert errors[1] < 0.65 * errors[0], errors
+
+
+def test_spatial_photos_have_the_distances_of_their_cameras(tmp_path):
+    """A HEIC with a group of two eyes: parallel cameras, the baseline in metres."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    pytest.importorskip("pi_heif", reason="pi-heif is not installed")
+    offset = 0.12
+    (left, z), (right, _) = textured(), textured(offset)
+    left, right = (np.rint(255 * eye).astype(np.uint8) for eye in (left, right))
+    focal = FOCAL / WIDTH / 0.8  # of the file's cameras, by the true one: distances grow alike
+    (tmp_path / "a.heic").write_bytes(heic(left, right=right, baseline_m=offset * focal))
+    read = read_photo(tmp_path / "a.heic", PhotoOptions())
+    assert "its group of two eyes" in read.depth.description and "in metres" in read.depth.description
+    assert error_of(read.depth.z, z) < 0.03
+    assert read.options.intrinsics == pytest.approx((0.8 * WIDTH, 0.8 * WIDTH, WIDTH / 2, HEIGHT / 2), rel=1e-5)
+    (tmp_path / "b.heic").write_bytes(heic(left))
+    assert find_pair(tmp_path / "b.heic") is None

@@ -17,10 +17,10 @@ from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import write_image
 from lightfield_gs.photo.hidden import Hidden, fill_hidden
-from lightfield_gs.photo.hidden_network import HiddenNet, paint_hidden
 from lightfield_gs.photo.inpainting import solve_membrane
 from training.command import with_line_errors
 from training.hidden.compositions import CompositionOptions
+from training.hidden.network import HiddenNet, paint_hidden
 from training.hidden.scores import HeldOut
 from training.hidden.views import ANGLES_DEG, Fill, SideViews
 

@@ -11,11 +11,11 @@ from torch import Tensor
 
 from lightfield_gs.photo.depth_edges import snap_mixed
 from lightfield_gs.photo.hidden import find_hidden
-from lightfield_gs.photo.hidden_network import HiddenInput
 from lightfield_gs.photo.image_filters import max_filter
 from lightfield_gs.photo.inpainting import solve_membrane
 from training.hidden.compositions import Composition
 from training.hidden.faults import draw_softness, estimated, photographed, soften
+from training.hidden.network import HiddenInput
 
 _BETWEEN = 16  # rows without depths between pictures that are searched as one: more than any window of the search
 _FRINGE_PX = 3

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.photo.hidden import fill_hidden, find_hidden
-from lightfield_gs.photo.hidden_network import HiddenNet
 from training.hidden.compositions import Composition, CompositionOptions, Compositions
 from training.hidden.examples import Example, make_examples
+from training.hidden.network import HiddenNet
 from training.hidden.pictures import read_pieces
 from training.meshes.pack import ResidentMeshes, read_meshes
 

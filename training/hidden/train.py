@@ -22,13 +22,13 @@ import torch
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
-from lightfield_gs.photo.hidden_network import HiddenNet
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
 from training.command import with_line_errors
 from training.hidden.compositions import Compositions
 from training.hidden.config import HiddenConfig
 from training.hidden.examples import Example, make_examples
 from training.hidden.losses import HiddenLoss, Judge
+from training.hidden.network import HiddenNet
 from training.hidden.pictures import make_leaves, read_pieces
 from training.hidden.scores import HeldOut
 from training.log import RunLog

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
-from lightfield_gs.app.video import DEFAULT_SECONDS
+from lightfield_gs.app.video import DEFAULT_SECONDS, PRESET_SIZES
 from lightfield_gs.base.options import COMPRESSIONS
 from lightfield_gs.commands.options.parser import whole, whole_numbers, within
 from lightfield_gs.panels.quilt import QUILT_PRESETS, QuiltLayout
@@ -62,6 +62,12 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
         choices=KINDS,
         help="native: the picture of the panel, only lossless; quilt: all views side by side, for Looking "
         "Glass; 2d: the picture of one eye (default native, or quilt by the name or --quilt)",
+    )
+    add(
+        "--preset",
+        choices=tuple(PRESET_SIZES),
+        help="a display of ordinary videos. hololuminescent: Looking Glass's HLD, 3840x2160, white around the subject, "
+        "9 %% of the height above it and 3 %% below",
     )
     add(
         "--codec",

@@ -130,6 +130,7 @@ class Stage:
         antialiased: See `encode`.
         name: Name of the input, for the title and for metadata.
         view_filter: See `encode`.
+        device: Likewise.
     """
 
     def __init__(
@@ -141,9 +142,12 @@ class Stage:
         antialiased: bool = False,
         name: str = "scene",
         view_filter: float = 0.0,
+        device: str | None = None,
     ):
         self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
-        self.drawn_as: dict[str, Any] = dict(background=background, antialiased=antialiased, view_filter=view_filter)
+        self.drawn_as: dict[str, Any] = dict(
+            background=background, antialiased=antialiased, view_filter=view_filter, device=device
+        )
         self.is_live = gaussians.device.type == "cuda"
         self.version = 0  # counts the resting states of the page
         self._settled, self._changed = Controls(), threading.Condition()
