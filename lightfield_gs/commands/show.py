@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.app.options import PanelOptions
-from lightfield_gs.app.panel import stored_panel
+from lightfield_gs.app.panel import shown_panel, where_to_show
+from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import StereoLayout
 from lightfield_gs.commands.options.panel import add_device_serial
@@ -47,7 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
-    add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
+    add(
+        "--panel",
+        metavar="PANEL",
+        help="name, .yaml or visual.json (default: the profile in the image, else the display that is connected)",
+    )
     add_device_serial(add)
     add(
         "--stereo",
@@ -107,7 +112,7 @@ def _show(options: ShowOptions) -> None:
     from lightfield_gs.show.preview import to_integers
 
     path, name, serial = options.image, options.panel.panel, options.panel.device_serial
-    panel = stored_panel(path, serial) if name is None else Panel.load(name, serial=serial)
+    panel = shown_panel(path, serial) if name is None else Panel.load(name, serial=serial)
     image = read_image(path, as_stored=True)
     if image.shape[:2] != (panel.height_px, panel.width_px) or image.shape[2] < 3:
         raise InputError(
@@ -116,4 +121,6 @@ def _show(options: ShowOptions) -> None:
         )
     pixels = image[..., :3] if image.dtype == "uint8" else to_integers(as_floats(image[..., :3]), 8)
     print(f"{path}: {panel.width_px} x {panel.height_px}, for panel {panel.name}")
+    if name is None:
+        say(*where_to_show(panel))
     serve(options.serving, shown_routes(panel, pixels), "/panel")

@@ -246,7 +246,9 @@ def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
     return {
         "native.png": partial(_native, stage),
         f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
-        "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(path),  # in the axes of the scene's file
+        "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(
+            path, stage.panel
+        ),  # in the axes of the scene's file
     }
 
 
