@@ -16,6 +16,8 @@ def heic(
     depth_turn: int | None = None,
     facts: dict[str, float] | None = None,
     exif: bytes = b"",
+    right: np.ndarray | None = None,
+    baseline_m: float = 0.02,
 ) -> bytes:
     """Return a HEIC.
 
@@ -26,17 +28,27 @@ def heic(
         depth_turn: The same for the depth map; None: as the photo.
         facts: z_near, z_far, d_min and d_max; type. None: no representation information.
         exif: A TIFF with metadata of the photo.
+        right: The right eye's picture, of the photo's size, in a group of two eyes, with cameras whose focal length is
+            .8 of the width.
+        baseline_m: The cameras' distance.
     """
     pictures = {1: _code(photo)} if depth is None else {1: _code(photo), 2: _code(depth)}
+    if right is not None:
+        pictures[2] = _code(right)
     turns = {1: turn, 2: turn if depth_turn is None else depth_turn}
-    sizes = {1: photo.shape, 2: (0, 0) if depth is None else depth.shape}
+    sizes = {1: photo.shape, 2: photo.shape if depth is None else depth.shape}
     kind = b"urn:mpeg:hevc:2015:auxid:2\0" + (b"" if facts is None else _representation(facts))
     properties, rows = [], b""
     for item, (configuration, _) in pictures.items():
         first = len(properties) + 1
         properties += [configuration, _box(b"ispe", struct.pack(">III", 0, sizes[item][1], sizes[item][0]))]
         properties += [_box(b"irot", bytes([turns[item]]))]
-        properties += [_box(b"auxC", bytes(4) + kind)] if item == 2 else []
+        properties += [_box(b"auxC", bytes(4) + kind)] if item == 2 and depth is not None else []
+        if right is not None:
+            unit = 1 << 20
+            matrix = struct.pack(">Iiii", 20 << 8, round(0.8 * unit), unit // 2, unit // 2)
+            place = struct.pack(">Ii", 1, round((item - 1) * baseline_m * 1e6))
+            properties += [_box(b"cmin", matrix), _box(b"cmex", place)]
         used = [0x80 | index for index in range(first, len(properties) + 1)]
         rows += struct.pack(">HB", item, len(used)) + bytes(used)
     boxes = _box(b"ipco", b"".join(properties)) + _box(b"ipma", struct.pack(">II", 0, len(pictures)) + rows)
@@ -62,6 +74,7 @@ def heic(
             _box(b"iinf", struct.pack(">IH", 0, len(contents)) + infos),
             _box(b"iprp", boxes),
             _box(b"iref", bytes(4) + b"".join(references)) if references else b"",
+            b"" if right is None else _box(b"grpl", _box(b"ster", struct.pack(">IIIII", 0, 9, 2, 1, 2))),
         )
         return _box(b"meta", bytes(4) + b"".join(parts))
 

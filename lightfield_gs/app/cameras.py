@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,16 @@ from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, render_comments
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import Rig, framing_comment, photo_camera, stored_framing, stored_size
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.stored_rigs import (
+    framing_comment,
+    needs_rig_beside,
+    photo_camera,
+    read_rig_file,
+    rig_path,
+    stored_framing,
+    stored_size,
+)
 from lightfield_gs.scene.axes import DEFAULT_UP, Up, find_up
 
 if TYPE_CHECKING:
@@ -35,6 +44,7 @@ class CameraChoice:
         rig: of --rig.
         pose: world to camera of --camera, [4, 4]; focal_px and principal_point_px: at the panel's resolution.
         up: the axis of --up, for automatic framing.
+        turn_deg, tilt_deg: of --turn and --tilt, from whichever camera it is.
         messages: lines on decisions.
     """
 
@@ -43,39 +53,64 @@ class CameraChoice:
     focal_px: tuple[float, float] = (1.0, 1.0)
     principal_point_px: tuple[float, float] = (0.0, 0.0)
     up: str | None = None
+    turn_deg: float = 0.0
+    tilt_deg: float = 0.0
     messages: list[str] = field(default_factory=list)
 
 
 def read_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
     """Read the camera that the options name, before the scene is read. Raises InputError."""
+    return replace(_named_camera(options, panel), turn_deg=options.turn or 0.0, tilt_deg=options.tilt or 0.0)
+
+
+def _named_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
     if options.rig is not None and options.camera is not None:
         raise InputError("--camera takes the place of --rig; leave out one of them")
     up = options.up
     unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if up else []
     if options.rig is not None:
-        return CameraChoice(_read_rig(options.rig, panel), up=up, messages=unused)
+        rig, fitted = _read_rig(options.rig, panel)
+        return CameraChoice(rig, up=up, messages=[*fitted, *unused])
     if options.camera is None:
         return CameraChoice(up=up)
     path, index = options.camera
     if path.suffix.lower() in (".yaml", ".yml"):
         if index is not None:
             raise InputError(f"{path}:{index}: a rig is one camera; leave out the index")
-        rig = Rig.from_yaml(path)
+        rig, fitted = _read_rig(path, panel)
         words = f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew"
-        return CameraChoice(None, rig.world_to_camera, rig.focal_px, rig.principal_point_px, up, [words, *unused])
+        return CameraChoice(
+            None, rig.world_to_camera, rig.focal_px, rig.principal_point_px, up, messages=[words, *fitted, *unused]
+        )
     return _read_camera_file(path, index, panel, up, unused)
 
 
-def _read_rig(path: Path, panel: Panel) -> Rig:
-    """Read a rig, and note where it looks like the rig of another panel. Raises InputError."""
+def _read_rig(path: Path, panel: Panel) -> tuple[Rig, list[str]]:
+    """Return the rig of a file, fitted to the panel, and a line where it is for another size.
+
+    Raises:
+        InputError: The file is no rig, or that of another panel, whose size it does not say.
+    """
     from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
     from lightfield_gs.io.text_files import read_json
 
     if path.suffix.lower() == ".json" and is_camera_file(read_json(path, LIMIT_BYTES)):
         raise InputError(f"{path}: holds the cameras of photographs, no rig; give it as --camera FILE[:INDEX]")
-    rig = Rig.from_yaml(path)
-    _note_off_centre(path, rig.principal_point_px, panel)
-    return rig
+    read = read_rig_file(path)
+    if read.size_px is None:
+        if words := _off_centre(read.rig.principal_point_px, panel):
+            raise InputError(
+                f"{path}: {words}, as a rig of a panel of another size is; add its size to the file, as "
+                "`size_px: [7680, 3840]`, and it is fitted to this panel"
+            )
+        return read.rig, []
+    if read.size_px == (panel.width_px, panel.height_px):
+        return read.rig, []
+    return read.rig.fitted(read.size_px, panel), [f"rig: {path}, fitted from {_by(read.size_px)} to the panel"]
+
+
+def _by(size_px: tuple[int, int]) -> str:
+    return "{} x {}".format(*size_px)
 
 
 def _read_camera_file(path: Path, index: int | None, panel: Panel, up: str | None, messages: list[str]) -> CameraChoice:
@@ -98,7 +133,7 @@ def _read_camera_file(path: Path, index: int | None, panel: Panel, up: str | Non
     if camera.distorted:
         words += "; its lens distortion is left out"
     fitted = camera.fitted(panel.width_px, panel.height_px)
-    return CameraChoice(None, camera.world_to_camera, *fitted, up, [words, *messages])
+    return CameraChoice(None, camera.world_to_camera, *fitted, up, messages=[words, *messages])
 
 
 def chosen_rig(choice: CameraChoice, panel: Panel, gaussians: Gaussians) -> Rig | None:
@@ -123,16 +158,15 @@ def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussian
     Raises:
         InputError: the framing in the file cannot be read, or there is nothing to frame.
     """
-    own = None
-    if not up and (file.comments or file.elements):
-        own = _own_rig(path, file, panel, gaussians)
+    own = None if up else _own_rig(path, file, panel, gaussians) or _rig_beside(path, panel, gaussians)
     return own or _frame(up, file, panel, gaussians)
 
 
 def has_own_camera(path: Path, file: SceneFile, panel: Panel) -> bool:
-    """Return whether a scene's file brings a framing or a camera along. Raises InputError."""
+    """Return whether a scene's file brings a framing or a camera along, in it or beside it. Raises InputError."""
     with named(path):
-        return stored_framing(file.comments, panel) is not None or photo_camera(file.elements) is not None
+        inside = stored_framing(file.comments, panel) is not None or photo_camera(file.elements) is not None
+    return inside or path_beside(path) is not None
 
 
 def _own_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
@@ -147,6 +181,19 @@ def _own_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) ->
         _look_from(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
         [f"camera: that of the photo, {size}, which the file brings along ({_OTHERS})"],
     )
+
+
+def path_beside(path: Path) -> Path | None:
+    """Return the file of the framing beside a scene whose format has no place for it; None where there is none."""
+    return rig_path(path) if needs_rig_beside(path) and rig_path(path).is_file() else None
+
+
+def _rig_beside(path: Path, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
+    """Return the rig in the file beside a scene, and a line on it; None where there is none."""
+    if (beside := path_beside(path)) is None:
+        return None
+    rig, words = _read_rig(beside, panel)
+    return rig.relative_to(gaussians.origin), [f"camera: the framing in {beside}, beside the scene ({_OTHERS})", *words]
 
 
 def _look_from(
@@ -237,19 +284,26 @@ def load_view_cameras(path: Path, panel: Panel, has_view_map: bool) -> Cameras:
 
 
 def _note_off_centre(path: Path, principal_point_px: Sequence[float], panel: Panel) -> None:
-    """Note cameras that look as if their lengths counted pixels of another panel.
+    """Note cameras that look as if their lengths counted pixels of another panel."""
+    if words := _off_centre(principal_point_px, panel):
+        note(
+            f"{path}: {words}; if it was made for a panel of another size, scale focal_px and principal_point_px by "
+            "the ratio"
+        )
+
+
+def _off_centre(principal_point_px: Sequence[float], panel: Panel) -> str:
+    """Return words on cameras that look as if their lengths counted pixels of another panel; "" for others.
 
     Then the principal point is off the middle in both directions alike. It is off in one alone where the content is
     beside the axis and was centred.
     """
     size = panel.width_px, panel.height_px
     fractions = [centre / pixels for centre, pixels in zip(principal_point_px, size)]
-    if max(fractions) < 0.3 or min(fractions) > 0.7:
-        x, y = principal_point_px
-        note(
-            f"{path}: its principal point ({x:g}, {y:g}) is far from the middle of the panel's {size[0]} x {size[1]} "
-            "pixels; if it was made for a panel of another size, scale focal_px and principal_point_px by the ratio"
-        )
+    if 0.3 <= max(fractions) and min(fractions) <= 0.7:
+        return ""
+    x, y = principal_point_px
+    return f"its principal point ({x:g}, {y:g}) is far from the middle of the panel's {_by(size)} pixels"
 
 
 def _note_wrong_order(path: Path, cameras: Cameras, panel: Panel) -> None:

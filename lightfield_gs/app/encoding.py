@@ -30,6 +30,7 @@ from lightfield_gs.io.atomic import check_folder, check_output_path, check_outpu
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.png import CompressedImage, compressed_image, deflate, is_deflated_on_gpu
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.stored_rigs import needs_rig_beside, write_rig_beside
 from lightfield_gs.scene.gaussians import scene_facts
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
@@ -195,11 +196,17 @@ class Encoding:
         with torch.inference_mode():
             write_image(options.output, self.stored, _metadata(options, scene, panel, rig_of_file), options.compression)
             if options.save_rig is not None:
-                cast("Rig", rig_of_file).to_yaml(options.save_rig)
+                cast("Rig", rig_of_file).to_yaml(options.save_rig, panel)
             if (path := options.save_gaussians) is not None:
                 comments = scene_comments(options.camera.up, scene.render.antialiased, panel, scene.file, rig_of_file)
                 scene.gaussians.save(path, comments)
-                along = ", with the framing and what is up" if path.suffix.lower() == ".ply" else ""
+                if not needs_rig_beside(path):
+                    along = ", with the framing and what is up"
+                elif rig_of_file is not None:
+                    drawn = scene.render.background, scene.render.antialiased
+                    along = f"; framing and background in {write_rig_beside(path, rig_of_file, panel, *drawn)}"
+                else:
+                    along = ""
                 self.messages.append(f"{path}: the Gaussians in their own axes{along}")
             self.watch.lap("write")
             if options.preview is not None:

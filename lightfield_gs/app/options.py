@@ -50,11 +50,14 @@ class CameraOptions:
         rig: file of a rig.
         camera: file of the centre camera, and its index there (None: the first).
         up: axis that points up in the scene's file, for automatic framing.
+        turn, tilt: degrees that the cameras go to the right and up round the scene. None: not at all.
     """
 
     rig: Path | None = None
     camera: tuple[Path, int | None] | None = None
     up: str | None = None
+    turn: float | None = None
+    tilt: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +245,8 @@ class EncodeOptions:
 
     def outputs(self) -> list[Path | None]:
         """Return all files to write; None for files not asked for."""
-        outputs = [self.output, self.save_rig, self.save_gaussians]
+        beside = None if self.save_gaussians is None else rig_beside(self.save_gaussians)
+        outputs = [self.output, self.save_rig, self.save_gaussians, None if beside == self.save_rig else beside]
         if self.preview is None:
             return outputs
         from lightfield_gs.show.preview import FILES
@@ -252,6 +256,13 @@ class EncodeOptions:
     def inputs(self) -> tuple[Path | str | None, ...]:
         """Return all files to read, the scene first; None for missing files."""
         return files_read(self.scene, self.camera, self.panel, self.cameras, self.view_map)
+
+
+def rig_beside(scene: Path) -> Path | None:
+    """Return the file of the framing that is written beside a scene; None where the scene holds it itself."""
+    from lightfield_gs.panels.stored_rigs import needs_rig_beside, rig_path
+
+    return rig_path(scene) if needs_rig_beside(scene) else None
 
 
 def files_read(

@@ -22,6 +22,7 @@ from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.simulate import missing_geometry
 
 if TYPE_CHECKING:
+    from lightfield_gs.displays.find import FoundDisplay, Survey
     from lightfield_gs.panels.quilt import QuiltLayout
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
@@ -81,15 +82,15 @@ def found_panel(serial: str | None = None) -> Panel:
 
 @lru_cache(maxsize=8)
 def _found_panel(serial: str | None) -> tuple[Panel, str]:
-    """Look the displays up once in a command. Return the panel, and words on it; "" where no display was looked up."""
+    """Return the panel, and words on it; "" where no display was looked up."""
     from lightfield_gs.displays.calibrations import WHERE_IT_LIES
-    from lightfield_gs.displays.find import is_off, survey_displays
+    from lightfield_gs.displays.find import is_off
 
     if is_off():
         if serial is not None:
             raise InputError("--device-serial chooses among the calibrations of a --panel; give one, or leave it out")
         return Panel.load(DEFAULT_PANEL), ""
-    survey = survey_displays()
+    survey = _survey()
     display = survey.chosen(serial)
     panel = display.load_panel() if display is not None else None
     if display is None or panel is None:
@@ -162,6 +163,71 @@ def stored_panel(image: Path, device_serial: str | None) -> Panel:
     if stored is None:
         raise InputError(f"{image} does not say which panel it is for; give --panel")
     return parse_panel(image, stored)
+
+
+def shown_panel(image: Path, device_serial: str | None) -> Panel:
+    """Return the panel that an image was encoded for; for an image that names none, that of the connected display.
+
+    Raises:
+        InputError: the image names none, and no display is connected.
+    """
+    if read_info(image).metadata.get("panel") is None and _connected(device_serial) is not None:
+        return found_panel(device_serial)
+    return stored_panel(image, device_serial)
+
+
+def where_to_show(panel: Panel) -> list[str]:
+    """Return lines on the display that is connected, and on whether an image for this panel suits it."""
+    from lightfield_gs.displays.find import is_off
+
+    if is_off():
+        return []
+    display = _connected(None)
+    if display is None:
+        return ["display: none was found (`lightfield-gs displays`); move the browser to the panel"]
+    screen = display.screen
+    place = "" if screen is None or screen.position is None else " at {},{}".format(*screen.position)
+    connector = "" if screen is None else f" on {screen.connector}{place}"
+    lines = [f"display: {display.title}{connector}; move the browser there (another image's: --panel)"]
+    with suppress(InputError):
+        own = display.load_panel() if display.calibration is not None else None
+        if own is not None and lens_differs(own, panel):
+            lines.append(
+                f"the image was made for panel {panel.name}, whose lens is not the display's: encode it again "
+                "without --panel"
+            )
+    return lines
+
+
+def connected_preset() -> str | None:
+    """Return the preset of the quilts of the display that is connected, and say so; None without one."""
+    display = _connected(None)
+    if display is None or display.kind is None:
+        return None
+    preset = next(iter(display.kind.quilts))
+    assume(f"the quilt of a {display.title}, which is connected (another: preset=NAME)")
+    return preset
+
+
+def _connected(serial: str | None) -> FoundDisplay | None:
+    """Return the display that is connected; None without one, or where none is to be looked up. Raises InputError."""
+    from lightfield_gs.displays.find import is_off
+
+    return None if is_off() else _survey().chosen(serial)
+
+
+@cache
+def _survey() -> Survey:
+    """Look the displays up, once in a command."""
+    from lightfield_gs.displays.find import survey_displays
+
+    return survey_displays()
+
+
+def lens_differs(one: Panel, other: Panel) -> bool:
+    """Return whether two panels differ in the geometry that decides where their views go."""
+    names = ("width_px", "height_px", "line_number", "slant_tan", "phase", "subpixel_order", "subpixel_cells")
+    return any(getattr(one, name) != getattr(other, name) for name in names)
 
 
 def parse_panel(image: Path, stored: str) -> Panel:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.app.cameras import CameraChoice, apply_look, chosen_rig, file_rig, has_own_camera, report_depth
+from lightfield_gs.app.cameras import (
+    CameraChoice,
+    apply_look,
+    chosen_rig,
+    file_rig,
+    has_own_camera,
+    path_beside,
+    report_depth,
+)
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
@@ -18,12 +27,17 @@ from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, format_rgb
 from lightfield_gs.io.scenes.files import check_written_suffix, is_scene_path
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.stored_rigs import RigFile, read_rig_file, rig_path
 
 if TYPE_CHECKING:
     from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.gaussians import Gaussians
 
+# A cone by which most programs draw (the default of Looking Glass' Unity plug-in), and a step between views that is
+# seen; the step is chosen by hand
+_NARROWER_DEG = 35.0
+_WIDE_STEP_PX = 5.0
 _DEPTH_OPTIONS: tuple[str, ...] = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "pixel_aspect", "fov")
 _DEPTH_OPTIONS += ("intrinsics", "fit", "swap_eyes")
 _NETWORK_OPTIONS = ("checkpoint", "detail", "detail_budget")
@@ -84,7 +98,7 @@ def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
         refuse_unsupported(path)
         reason = f"is for files of Gaussians, and {path} is none"
         _refuse(options, ("skip_invalid", "time"), reason)
-        _refuse(camera, ("up", "camera"), reason)
+        _refuse(camera, ("up", "camera", "turn", "tilt"), reason)
     if is_file or not has_depth(path, photo):
         _refuse(photo, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
@@ -227,19 +241,30 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
         with named(path):
             fitted, trained = find_fit_record(comments), antialiasing_source(comments)
     messages = []
+    beside = _drawn_beside(path) if file is not None and None in (antialiased, background) else None
     if antialiased is None:
         antialiased = trained is not None
-        if antialiased:
+        if not antialiased and beside is not None and beside.antialiased:
+            antialiased = True
+            messages.append(f"drawn with anti-aliasing, as {rig_path(path)} says (without: --no-antialiased)")
+        elif antialiased:
             messages.append(
                 f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)"
             )
     if background is None:
-        background = (fitted and fitted.background) or WHITE
-        if fitted is not None and fitted.background is not None:
+        background = (fitted and fitted.background) or (beside and beside.background) or WHITE
+        if beside is not None and beside.background == background:
+            messages.append(f"background: {format_rgb(background)}, as {rig_path(path)} says (--background)")
+        elif fitted is not None and fitted.background is not None:
             messages.append(
                 f"background: {format_rgb(fitted.background)}, which the scene was fitted before (--background)"
             )
     return RenderSettings(background, antialiased, options.view_filter), messages
+
+
+def _drawn_beside(path: Path) -> RigFile | None:
+    """Return the file beside a scene that says how it was drawn; None without one, or where the scene says it."""
+    return None if (beside := path_beside(path)) is None else read_rig_file(beside)
 
 
 def _photo_background(settings: RenderSettings, source: ReadPhoto) -> tuple[RenderSettings, list[str]]:
@@ -260,8 +285,22 @@ def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[
     """Return the rig in the coordinates of the Gaussians, and lines on how it was chosen.
 
     The first of these counts: the options, the photo, the cameras that the scene's file brings along, automatic
-    framing. Raises InputError.
+    framing; then --turn and --tilt. Raises InputError.
     """
+    rig, how = _front_rig(choice, scene, panel)
+    if not (choice.turn_deg or choice.tilt_deg):
+        return rig, how
+    from lightfield_gs.panels.look import orbited
+    from lightfield_gs.panels.rig import Rig
+
+    turned = orbited(rig, choice.turn_deg, choice.tilt_deg)
+    if is_framed_here(choice, scene, panel):
+        turned = Rig.frame(scene.gaussians, panel, turned.world_to_camera)
+    return turned, [*how, f"turned: {choice.turn_deg:g} degrees to the right, {choice.tilt_deg:g} up"]
+
+
+def _front_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
+    """Return the rig of choose_rig before it is turned."""
     if (rig := chosen_rig(choice, panel, scene.gaussians)) is not None:
         return rig, choice.messages
     if scene.photo is not None:
@@ -291,6 +330,23 @@ def _ease_depth(look: LookOptions, rig: Rig, panel: Panel, scene: LoadedScene) -
     return Look(depth_amount=amount).applied(rig, panel), [words]
 
 
+def _wide_cone(look: LookOptions, rig: Rig, panel: Panel, scene: LoadedScene) -> list[str]:
+    """Return a line where a wide cone puts neighbouring views far apart, and nobody chose the cone."""
+    from lightfield_gs.panels.comfort import neighbour_step_px
+
+    cone_deg = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
+    if look.cone is not None or cone_deg <= _NARROWER_DEG:
+        return []
+    step = neighbour_step_px(scene.gaussians, panel, rig)
+    if step is None or step <= _WIDE_STEP_PX:
+        return []
+    less = step * math.tan(math.radians(_NARROWER_DEG) / 2) / math.tan(math.radians(cone_deg) / 2)
+    return [
+        f"cone: {cone_deg:.3g} degrees put neighbouring views up to {step:.1f} px apart, which looks double or blurred "
+        f"away from the panel's plane; --cone {_NARROWER_DEG:g}, as other programs have it, makes that {less:.1f} px"
+    ]
+
+
 def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
     """Return the rig as the options want it, and lines on how it came about and how deep the scene is.
 
@@ -305,6 +361,7 @@ def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, pan
     if scene.photo is not None and scene.photo.is_whole and choice.rig is None and look.focus is None:
         how = [*how, f"focus: the subject, at depth {rig.zero_depth:.4g}, lies in the panel (another: --focus)"]
     may_fill = scene.photo is None or choice.rig is not None or scene.photo.is_whole
+    looks += _wide_cone(look, rig, panel, scene)
     return rig, [*how, *looks, *report_depth(look, rig, panel, scene.gaussians, may_fill)]
 
 

@@ -29,8 +29,8 @@ from lightfield_gs.commands.fit import fit_scene
 from lightfield_gs.commands.options.fit import FitOptions
 from lightfield_gs.commands.options.parser import Parser, join_values, read_options
 from lightfield_gs.commands.video import make_frames
-from lightfield_gs.fitting.cone import rig_path
 from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.panels.stored_rigs import rig_path
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def _say(options: FitOptions, result: FitResult, folder: Path) -> None:
     scores = ", scores.json" if result.scores is not None else ""
     print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
-        from lightfield_gs.fitting.cone import rig_path
+        from lightfield_gs.panels.stored_rigs import rig_path
 
         rig = rig_path(options.output)
         encode = f"encode {options.output} --rig {rig} --panel {_panel(options.cone.cone)}"

@@ -204,9 +204,11 @@ def _camera_file(path: Path) -> list[tuple[str, object]]:
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:
-    from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.panels.stored_rigs import read_rig_file
 
-    return [("rig", path), *Rig.from_yaml(path).to_dict().items()]
+    read = read_rig_file(path)
+    size = "not said" if read.size_px is None else "{} x {}".format(*read.size_px)
+    return [("rig", path), ("of a panel of", size), *read.rig.to_dict().items()]
 
 
 def _checkpoint(path: Path) -> list[tuple[str, object]]:

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lightfield_gs.app.cameras import apply_look, read_camera, scene_comments
-from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
+from lightfield_gs.app.options import (
+    CameraOptions,
+    LookOptions,
+    PanelOptions,
+    RenderOptions,
+    SceneOptions,
+    files_read,
+    rig_beside,
+)
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, read_noted, say_origin, settle_render
 from lightfield_gs.base.cli_messages import Stopwatch, say
@@ -18,6 +26,7 @@ from lightfield_gs.commands.options.panel import add_camera, add_filters, add_lo
 from lightfield_gs.commands.options.parser import read_options, within
 from lightfield_gs.commands.options.scene import add_reading
 from lightfield_gs.io.atomic import check_output_path, check_outputs
+from lightfield_gs.panels.stored_rigs import write_rig_beside
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +92,9 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
     check_scene_path(output)
     if options.save_rig is not None:
         check_output_path(options.save_rig)
-    check_outputs((output, options.save_rig), files_read(options.scene, options.camera, options.panel))
+    beside = rig_beside(output)
+    outputs = (output, options.save_rig, None if beside == options.save_rig else beside)
+    check_outputs(outputs, files_read(options.scene, options.camera, options.panel))
     panel = load_panel(options.panel)
     device = choose_device(options.device)
 
@@ -110,13 +121,17 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
     comments = scene_comments(options.camera.up, render.antialiased, panel, file, rig_of_file)
     kept.to("cpu").save(output, comments)
     if options.save_rig is not None:
-        rig_of_file.to_yaml(options.save_rig)
+        rig_of_file.to_yaml(options.save_rig, panel)
     watch.lap("write")
     print(
         f"{output}: {kept.count} of {scene.gaussians.count} Gaussians, the others within "
         f"{options.contribution_cut:g} of the light of {panel.width_px} x {panel.height_px}, {panel.views} views"
     )
     print(watch.line())
-    if output.suffix.lower() == ".ply":
+    if beside is not None:
+        own, _ = settle_render(replace(options.render, background=None), source, file)
+        write_rig_beside(output, rig_of_file, panel, own.background, render.antialiased)
+        messages.append(f"{output}: in the axes of {source}; the framing it was pruned for is in {beside}")
+    else:
         messages.append(f"{output}: in the axes of {source}, with the framing it was pruned for: encode takes it")
     say(*messages)

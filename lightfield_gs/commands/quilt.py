@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.panel import load_panel, package_versions, panel_of_views, software
+from lightfield_gs.app.panel import connected_preset, load_panel, package_versions, panel_of_views, software
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.cli_messages import Stopwatch, say
@@ -130,7 +130,8 @@ def _add_layout(add) -> None:
         "--preset",
         "--device-preset",
         choices=tuple(QUILT_PRESETS),
-        help=f"tiles, size and aspect of a Looking Glass device, by its name or its inches (default {_DEFAULT_PRESET})",
+        help=f"tiles, size and aspect of a Looking Glass device, by its name or its inches (default: "
+        f"the display that is connected, else {_DEFAULT_PRESET})",
     )
     add(
         "--panel",
@@ -199,7 +200,9 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
         else:
             _write_views(options, layout, image.numpy(), metadata)
         if options.save_rig is not None:
-            of_file.to_yaml(options.save_rig)
+            ratios = [rig.focal_px[0] / rig.focal_px[1] for rig in (fan_rig, framed.rig)]
+            is_square = abs(ratios[0] / ratios[1] - 1) < 0.01  # else the tile is the size of no panel
+            of_file.to_yaml(options.save_rig, tile if is_square else None)
         watch.lap("write")
         if save_rgbd is not None:
             framed.messages.append(_write_rgbd(save_rgbd, options, framed, frame))
@@ -244,7 +247,11 @@ def quilt_layout(options: QuiltOptions, panel: Panel | None) -> QuiltLayout:
         raise InputError("--panel takes the place of --preset; leave out one of them")
     stated = stated_layout(options.output)
     tiles = options.tiles or (stated and options.preset is None and (stated.columns, stated.rows)) or None
-    base = QUILT_PRESETS[options.preset or _DEFAULT_PRESET] if panel is None else panel_quilt(panel, tiles)
+    if panel is not None:
+        base = panel_quilt(panel, tiles)
+    else:
+        asked = options.preset or (None if stated or options.tiles else connected_preset())
+        base = QUILT_PRESETS[asked or _DEFAULT_PRESET]
     if panel is None and options.preset is None and tiles:
         alike = [one for one in QUILT_PRESETS.values() if (one.columns, one.rows) == tiles]
         base = alike[0] if alike else base

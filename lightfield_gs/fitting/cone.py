@@ -22,7 +22,8 @@ from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.pinhole import nearest_rotation
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.panels.rig import Rig, framing_comment
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.stored_rigs import framing_comment
 
 # Photographs within half the cone and this margin count fully. Objects before and behind the zero plane are seen at
 # other angles than the pivot. Views at the cone's edge lie between photographs, too.
@@ -264,11 +265,6 @@ class Display:
     def comments(self) -> list[str]:
         """Return lines for the header of the scene's file, by which encode shows it with this rig on any panel."""
         return [framing_comment(self.rig, self.panel)]
-
-
-def rig_path(scene: Path) -> Path:
-    """Return the path of a scene's rig: scene.rig.yaml for scene.ply."""
-    return scene.with_suffix(".rig.yaml")
 
 
 def place_display(

@@ -19,7 +19,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, Device
 from lightfield_gs.fitting import checkpoint, memory
 from lightfield_gs.fitting.checkpoint import Identity
-from lightfield_gs.fitting.cone import Display, place_display, rig_path
+from lightfield_gs.fitting.cone import Display, place_display
 from lightfield_gs.fitting.distributed import Group, join_group
 from lightfield_gs.fitting.evaluate import ConeAngles, Scores
 from lightfield_gs.fitting.initialization import initialize_gaussians
@@ -36,6 +36,7 @@ from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
 from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.stored_rigs import write_rig_beside
 from lightfield_gs.scene.gaussians import Gaussians
 
 _ORIGIN_STEP = 1e-3  # the largest rounding to float32 of a position, as a fraction of the usual Gaussian's size
@@ -73,8 +74,8 @@ class FitResult:
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
         """Write the scene as .ply, .spz or .splat, see Gaussians.save.
 
-        The header of a .ply holds the settings. The scene of a display has its framing there too, and its rig beside
-        it: scene.rig.yaml for scene.ply.
+        The header of a .ply holds the settings. The scene of a display has its framing there too, and its rig with
+        its background beside it: scene.rig.yaml for scene.ply.
 
         Args:
             path: where to.
@@ -82,7 +83,8 @@ class FitResult:
         """
         if self.display is not None:
             comments = [*comments, *self.display.comments()]
-            self.display.rig.to_yaml(rig_path(Path(path)))
+            own = self.settings.background, self.settings.antialiased
+            write_rig_beside(Path(path), self.display.rig, self.display.panel, *own)
         settings = {**asdict(self.settings), "steps_done": self.steps}
         trained = [ANTIALIASED] if self.settings.antialiased else []
         self.gaussians.save(path, [fit_comment(settings), *trained, *comments])

@@ -187,6 +187,25 @@ def comfortable_amount(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | 
     return None if amount is None or amount >= 1 else float(_round_down(amount))
 
 
+def neighbour_step_px(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
+    """Return how far apart two neighbouring views show the same point of a scene, px of the panel, at the most.
+
+    Args:
+        gaussians: One set, in the rig's coordinates.
+        panel: The panel.
+        rig: Its rig.
+
+    Returns:
+        Of the depths that 1 % of the centre view is nearer or farther than; None where its camera sees nothing.
+    """
+    ends = visible_depths(gaussians, panel, rig)
+    if ends is None:
+        return None
+    # The outermost of N views are N - 1 steps apart
+    edges = [abs(locate_depth(depth, panel, rig).edge_px) for depth in ends]
+    return 2 * max(edges) / max(1, panel.views - 1)
+
+
 def locate_depth(depth: float, panel: Panel, rig: Rig) -> PanelDepth:
     """Return the position on the panel of content at this view-space z, > 0."""
     # Displacement in px of a view whose camera stands at the end of the fan, at s = Z0 tan(cone/2)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
@@ -112,3 +114,22 @@ def _focus(focus: object) -> float | tuple[float, float] | None:
         x, y = (real_number("look: focus, x and y,", part, 0, 1) for part in focus)  # type: ignore[attr-defined]
         return x, y
     return real_number("look: focus", focus, 1e-6, 1e12)
+
+
+def orbited(rig: Rig, yaw_deg: float, pitch_deg: float) -> Rig:
+    """Return the rig with its cameras turned around the point of the zero plane on the centre camera's axis.
+
+    The horizon stays level. Both angles count from the given rig, so that no turn adds to another.
+
+    Args:
+        yaw_deg: To the right, about the camera's vertical axis.
+        pitch_deg: Up, about its horizontal axis.
+    """
+    yaw, pitch = math.radians(yaw_deg), math.radians(pitch_deg)
+    about_y = np.array([[math.cos(yaw), 0, math.sin(yaw)], [0, 1, 0], [-math.sin(yaw), 0, math.cos(yaw)]])
+    about_x = np.array([[1, 0, 0], [0, math.cos(pitch), -math.sin(pitch)], [0, math.sin(pitch), math.cos(pitch)]])
+    pivot = np.array([0.0, 0.0, rig.zero_depth])
+    turn = np.eye(4)
+    turn[:3, :3] = about_x @ about_y
+    turn[:3, 3] = pivot - turn[:3, :3] @ pivot
+    return replace(rig, world_to_camera=turn @ rig.world_to_camera)

@@ -1,16 +1,12 @@
-"""The rig behind a panel's views: its cameras, an off-axis fan (Shi et al. 2025), and rigs that files bring along.
+"""The rig behind a panel's views: its cameras, an off-axis fan (Shi et al. 2025).
 
-The plane z = zero_depth is the same in all views. A stored framing is a line in the header of a file of Gaussians:
-"lightfield-gs rig: {"rig": {...}, "width_px": ..., "height_px": ...}". The rig is in the file's own axes; the size is
-the panel's. SHARP (Mescheder et al., 2025) writes elements of numbers beside the vertices: extrinsic (16, world to
-camera, by rows), intrinsic (9, by rows), image_size (2).
+The plane z = zero_depth is the same in all views. lightfield_gs.panels.stored_rigs has rigs in files.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -29,7 +25,7 @@ from lightfield_gs.base.checks import (
 )
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.captures.camera_files import FileCamera
-from lightfield_gs.io.text_files import parse_json, read_mapping, write_mapping
+from lightfield_gs.io.text_files import read_mapping, write_mapping
 from lightfield_gs.panels.panel import Panel, panel_lens
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture, LenticularCamera
 from lightfield_gs.scene.axes import DEFAULT_UP
@@ -39,9 +35,11 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MARGIN = 0.15  # fraction of the image beyond each edge within the limits: the "frustum + 30 %" of Gaussian splatting
-_KEY = "lightfield-gs rig:"
-_PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and their numbers of values
-_WAY_OUT = "give up=, camera= or rig=, which go before it"
+RIG_KEYS = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth")
+RIG_OPTIONAL = ("cone_deg",)
+SIZE_KEY = "size_px"  # of the panel that the rig of a file is for
+# Of a file beside a scene whose format has no place for them: how the scene was drawn
+SCENE_KEYS = ("background", "antialiased")
 
 
 @dataclass(eq=False)
@@ -112,16 +110,31 @@ class Rig:
         return fit_scene(_unfitted(), gaussians, panel, world_to_camera, up, notes)
 
     @staticmethod
-    def from_yaml(path: str | Path) -> Rig:
+    def from_yaml(path: str | Path, panel: Panel | None = None) -> Rig:
         """Return a rig from a YAML file with the fields of this class; cone_deg may be missing.
+
+        Args:
+            path: The file.
+            panel: The panel that it is for. A rig that the file says to be for another size is fitted to it. None: the
+                rig as it is stored.
 
         Raises:
             InputError: The file cannot be read.
         """
-        required = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth")
-        data = read_mapping(path, required, ("cone_deg",))
+        data = read_mapping(path, RIG_KEYS, (*RIG_OPTIONAL, SIZE_KEY, *SCENE_KEYS))
+        size = data.pop(SIZE_KEY, None)
         with named(path):
-            return Rig(**data)
+            rig = Rig(**{key: value for key, value in data.items() if key not in SCENE_KEYS})
+            return rig if size is None or panel is None else rig.fitted(checked_size(size), panel)
+
+    def fitted(self, size_px: tuple[int, int], panel: Panel) -> Rig:
+        """Return the rig of a panel of another size for this one, whose middle shows all of that picture."""
+        width, height = size_px
+        if (width, height) == (panel.width_px, panel.height_px):
+            return self
+        camera = FileCamera("", self.world_to_camera, self.focal_px, self.principal_point_px, width, height)
+        focal, centre = camera.fitted(panel.width_px, panel.height_px)
+        return replace(self, focal_px=focal, principal_point_px=centre)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as from_yaml reads them."""
@@ -133,9 +146,15 @@ class Rig:
         }
         return fields if self.cone_deg is None else {**fields, "cone_deg": self.cone_deg}
 
-    def to_yaml(self, path: str | Path) -> None:
-        """Write the rig as from_yaml reads it, every digit kept, atomically."""
-        write_mapping(path, self.to_dict())
+    def to_yaml(self, path: str | Path, panel: Panel | None = None) -> None:
+        """Write the rig as from_yaml reads it, every digit kept, atomically.
+
+        Args:
+            path: The file.
+            panel: The panel that it is for, whose size is then stored.
+        """
+        size = {} if panel is None else {SIZE_KEY: [panel.width_px, panel.height_px]}
+        write_mapping(path, {**self.to_dict(), **size})
 
     def relative_to(self, origin: Sequence[float]) -> Rig:
         """Return the same cameras for coordinates relative to `origin`, three numbers in scene units.
@@ -255,6 +274,14 @@ class Rig:
         )
 
 
+def checked_size(size: Any) -> tuple[int, int]:
+    """Return the width and height of a panel; raise InputError for other values."""
+    if not is_row(size, 2):
+        raise InputError(f"{SIZE_KEY}: expected width and height of a panel in pixels, got {shown(size)}")
+    width, height = (whole_number(SIZE_KEY, side, 1, 1 << 20) for side in size)
+    return width, height
+
+
 def _float64(values: Any) -> np.ndarray | None:
     """Return a copy of `values` as a float64 array; None where they are no real numbers."""
     try:
@@ -335,82 +362,3 @@ def frame_extent(extent: Sequence[float], panel: Panel) -> Rig:
 def _unfitted() -> Rig:
     """Return a rig at the origin that is yet to be fitted to a scene."""
     return Rig(np.eye(4), (1.0, 1.0), (0.0, 0.0), 1.0)
-
-
-# Rigs that a file of Gaussians brings along
-
-
-def framing_comment(rig: Rig, panel: Panel) -> str:
-    """Return the line of a header that stores a framing; rig: in the file's coordinates."""
-    return f"{_KEY} " + json.dumps({"rig": rig.to_dict(), "width_px": panel.width_px, "height_px": panel.height_px})
-
-
-def stored_framing(comments: Iterable[str], panel: Panel) -> tuple[Rig, str] | None:
-    """Return the framing in a header, fitted to the panel, and a description of it; None without one.
-
-    Raises:
-        InputError: The framing cannot be read.
-    """
-    if (stored := _stored(comments)) is None:
-        return None
-    rig, (width, height) = stored
-    if (width, height) == (panel.width_px, panel.height_px):
-        return rig, "the framing stored in the file"
-    camera = FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)
-    focal, centre = camera.fitted(panel.width_px, panel.height_px)
-    return (
-        replace(rig, focal_px=focal, principal_point_px=centre),
-        f"the framing stored in the file, made for {width} x {height}",
-    )
-
-
-def stored_size(comments: Iterable[str]) -> tuple[int, int] | None:
-    """Return width and height of the panel of a stored framing; None without one.
-
-    Raises:
-        InputError: The framing cannot be read.
-    """
-    stored = _stored(comments)
-    return None if stored is None else stored[1]
-
-
-def _stored(comments: Iterable[str]) -> tuple[Rig, tuple[int, int]] | None:
-    lines = [comment.strip() for comment in comments if comment.strip().startswith(_KEY)]
-    if not lines:
-        return None
-    try:
-        data = parse_json(lines[-1][len(_KEY) :])
-        width, height = (whole_number(f"{_KEY} {name}", data[name], 1, 1 << 20) for name in ("width_px", "height_px"))
-        return Rig(**data["rig"]), (width, height)
-    except (InputError, ValueError, TypeError, KeyError) as error:
-        raise InputError(f"its stored framing is none ({' '.join(str(error).split())[:100]}); {_WAY_OUT}") from None
-
-
-def photo_camera(elements: Mapping[str, np.ndarray]) -> FileCamera | None:
-    """Return the camera of the photo that the Gaussians were made from; None where the file has none.
-
-    Raises:
-        InputError: It is no pinhole camera.
-    """
-    if not all(name in elements for name in _PHOTO):
-        return None
-    numbers = {}
-    for name, count in _PHOTO.items():
-        array = elements[name]
-        numbers[name] = np.concatenate([np.ravel(array[field]) for field in array.dtype.names or ()] or [np.empty(0)])
-        if len(numbers[name]) != count or not np.isfinite(numbers[name].astype(np.float64)).all():
-            raise InputError(
-                f"its element {name} is none of a camera: expected {count} finite numbers, got "
-                f"{len(numbers[name])}; {_WAY_OUT}"
-            )
-    pose, k = (
-        numbers[name].astype(np.float64).reshape(size, size) for name, size in (("extrinsic", 4), ("intrinsic", 3))
-    )
-    try:
-        width, height = (real_number("image_size", float(side), 1, 1 << 20) for side in numbers["image_size"])
-        rig = Rig(pose, (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2]), 1.0)
-    except InputError as error:
-        raise InputError(
-            f"its elements extrinsic, intrinsic and image_size are no camera ({error}); {_WAY_OUT}"
-        ) from None
-    return FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)

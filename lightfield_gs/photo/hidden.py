@@ -51,6 +51,7 @@ class Hidden(NamedTuple):
         fringe: bool [H, W], the visible pixels of hole.
         disparity: [H, W], of the far surface in hole; of the photo elsewhere.
         image: [H, W, 3], first colours in hole.
+        nearest: [H, W], largest disparity of the far surface: it lies behind what covers it.
         linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows belong to one
             surface of `disparity`.
     """
@@ -59,6 +60,7 @@ class Hidden(NamedTuple):
     fringe: Tensor
     disparity: Tensor
     image: Tensor
+    nearest: Tensor
     linked: list[Tensor]
 
 
@@ -92,7 +94,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     fringe &= ~covered
     hole = covered | fringe
     if not bool(hole.any()):
-        return Hidden(hole, fringe, disparity, image, [])
+        return Hidden(hole, fringe, disparity, image, torch.full_like(disparity, torch.inf), [])
     guess, slope = _continue_disparity(disparity, depth, focal_px, runs, covered)
     colours = _continue_colours(image, depth, runs, covered)
     guess, colours, *slope = _steady_rows([guess, colours, *slope], covered)
@@ -105,8 +107,8 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     nearest = torch.where(covered, _C.behind * disparity, torch.where(fringe, far, torch.inf))
     bent = torch.minimum(bent.clamp(guess * (1 - _C.bend), guess * (1 + _C.bend)), nearest)
     known = disparity[disparity > 0]
-    bent = bent.clamp(known.min(), known.max())
-    return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, linked)
+    nearest, bent = nearest.clamp_max(known.max()), bent.clamp(known.min(), known.max())
+    return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, nearest, linked)
 
 
 def fill_hidden(hidden: Hidden, depth: Tensor) -> Tensor:

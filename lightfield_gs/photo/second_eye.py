@@ -75,7 +75,7 @@ class SecondEye:
         part = (place - left).clamp(0, 1)[:, None]
         colours, disparity = behind.clone(), found.disparity.clone()
         colours[rows, columns] = (1 - part) * image[rows, left] + part * image[rows, left + 1]
-        disparity[rows, columns] = torch.minimum(there, found.nearest[rows, columns])
+        disparity[rows, columns] = there
         return found._replace(disparity=disparity), colours
 
 

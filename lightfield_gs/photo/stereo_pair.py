@@ -34,6 +34,7 @@ from lightfield_gs.io.xmp import jpeg_xmp
 
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
 _HEAD_BYTES = 1 << 16
+_RECORD = {"layout", "focal_px", "principal_point_px", "width_px", "baseline", "zero_depth"}
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def _own_record(path: Path) -> dict[str, Any] | None:
         stored = json.loads(read_info(path).metadata.get("stereo", "null"))
     except (InputError, ValueError):
         return None
-    return stored if isinstance(stored, dict) and {"layout", "focal_px", "baseline"} <= set(stored) else None
+    return stored if isinstance(stored, dict) and set(stored) >= _RECORD else None
 
 
 def _second_in_xmp(path: Path) -> bytes:

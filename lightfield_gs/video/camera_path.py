@@ -145,7 +145,7 @@ class CameraPath:
         keyframes = data["keyframes"]
         if not isinstance(keyframes, list):
             raise InputError(f"{path}: keyframes: expected a list, got {type(keyframes).__name__}")
-        read = [_keyframe(path, number, keyframe) for number, keyframe in enumerate(keyframes)]
+        read = [_keyframe(path, number, keyframe, panel) for number, keyframe in enumerate(keyframes)]
         with named(path):
             return CameraPath([time for time, _ in read], [rig for _, rig in read], panel)
 
@@ -207,14 +207,14 @@ class CameraPath:
         return rig
 
 
-def _keyframe(path: Path, number: int, data: Any) -> tuple[Any, Rig]:
+def _keyframe(path: Path, number: int, data: Any, panel: Panel) -> tuple[Any, Rig]:
     where = f"{path}: keyframe {number}"
     if not isinstance(data, dict):
         raise InputError(f"{where}: expected time and rig, got {type(data).__name__}")
     check_keys(data, ("time", "rig"), (), where)
     rig = data["rig"]
     if isinstance(rig, str):
-        return data["time"], Rig.from_yaml(path.parent / rig)
+        return data["time"], Rig.from_yaml(path.parent / rig, panel)
     if not isinstance(rig, dict):
         raise InputError(f"{where}: rig: expected a file's name or the fields of a rig, got {type(rig).__name__}")
     check_keys(rig, _RIG_KEYS, _RIG_OPTIONAL, f"{where}: rig")

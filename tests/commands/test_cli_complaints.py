@@ -179,7 +179,7 @@ def test_cuda_is_asked_for_in_vain(folder, capsys, monkeypatch, devices, version
 
 def test_interrupt(folder, capsys, monkeypatch):
     monkeypatch.setattr(Panel, "load", lambda source, serial: (_ for _ in ()).throw(KeyboardInterrupt))
-    assert cli.main("encode s.ply -o o.png".split()) == 130
+    assert cli.main("encode s.ply -o o.png --panel p.yaml".split()) == 130
     assert capsys.readouterr().err == "lightfield-gs: error: interrupted\n"
 
 

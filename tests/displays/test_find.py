@@ -3,6 +3,7 @@
 import json
 import sys
 
+import numpy as np
 import pytest
 from command_line import complaint, run
 from screen_cases import bridge_answer, calibration, connector, edid
@@ -14,6 +15,7 @@ from lightfield_gs.displays import calibrations, find, linux
 from lightfield_gs.displays.calibrations import Calibration
 from lightfield_gs.displays.find import match_displays
 from lightfield_gs.displays.screens import Screen
+from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.display_kinds import DISPLAY_KINDS, kind_by_serial, kind_by_size
 from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.panels.quilt import QUILT_PRESETS
@@ -41,9 +43,12 @@ def computer(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setenv("LIGHTFIELD_GS_DISPLAYS", "on")
-    app_panel._found_panel.cache_clear()
+    caches = (app_panel._found_panel, app_panel._survey)
+    for one in caches:
+        one.cache_clear()
     yield tmp_path
-    app_panel._found_panel.cache_clear()
+    for one in caches:
+        one.cache_clear()
 
 
 def plug_in(computer, serial="LKG-P00671", with_drive=True, size=(1536, 2048)):
@@ -110,10 +115,24 @@ def test_commands_take_the_display_that_is_connected(computer, capsys):
     line = next(line for line in words.splitlines() if "is connected" in line)
     assert "Looking Glass Portrait LKG-P00671" in line and "visual.json" in line and "--panel" in line
     assert "450 mm, usual before a Looking Glass Portrait" in words
+    assert app_panel.connected_preset() == "portrait"
     listed = run(capsys, "displays")
     assert "screen: Laptop on eDP-1: 2560 x 1600" in listed and "3D display: Looking Glass Portrait LKG-P" in listed
     facts = json.loads(run(capsys, "displays --json"))
     assert facts["displays"][0]["serial"] == "LKG-P00671" and facts["screens"][0]["width_px"] == 1536
+
+
+def test_show_says_where_the_display_is_and_whether_the_image_suits_it(computer, capsys, monkeypatch):
+    plug_in(computer)
+    monkeypatch.setattr("lightfield_gs.commands.show.serve", lambda *_: None)
+    run(capsys, f"calibrate pattern hues -o {computer / 'own.png'}")
+    words = run(capsys, f"show {computer / 'own.png'}")
+    assert "display: Looking Glass Portrait LKG-P00671 on HDMI-A-1; move the browser there" in words
+    assert "lens is not" not in words
+    run(capsys, f"calibrate pattern hues --panel toy-8v -o {computer / 'toy.png'}")
+    assert "made for panel toy-8v, whose lens is not the display's" in run(capsys, f"show {computer / 'toy.png'}")
+    write_image(computer / "bare.png", np.zeros((2048, 1536, 3), np.uint8))
+    assert "for panel looking-glass" in run(capsys, f"show {computer / 'bare.png'}")
 
 
 def test_without_a_display_the_default_panel_is_taken_and_said(computer, capsys):

@@ -31,8 +31,8 @@ from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.scenes.files import read_scene
 from lightfield_gs.io.text_files import read_object
 from lightfield_gs.models.config import ModelConfig
-from lightfield_gs.panels.rig import photo_camera, stored_framing
 from lightfield_gs.panels.simulate import Psf
+from lightfield_gs.panels.stored_rigs import photo_camera, stored_framing
 from lightfield_gs.photo.depth import read_depth
 from lightfield_gs.photo.embedded_depth import embedded_facts
 from lightfield_gs.scene.axes import find_up

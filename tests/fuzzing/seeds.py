@@ -27,7 +27,7 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.io.scenes.plausibility import import_zstd
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
-from lightfield_gs.panels.rig import framing_comment
+from lightfield_gs.panels.stored_rigs import framing_comment
 
 _RGB = ("red", "green", "blue")
 

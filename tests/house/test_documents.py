@@ -120,6 +120,8 @@ def _with_small_panel(words: list[str]) -> list[str]:
         "dense",
         "training-step",
     )
+    if "--stereo" in words:  # a screen of two eyes is no panel
+        return words if "--eye-size" in words else [*words, "--eye-size", "96x60"]
     return [*words, "--panel", "small.yaml"] if takes_panel and "--panel" not in words else words
 
 

@@ -11,7 +11,13 @@ from look_cases import RIG, sheet
 
 from lightfield_gs import Look, depth_report
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, comfortable_amount, locate_depth, sharp_depths
+from lightfield_gs.panels.comfort import (
+    EYE_SEPARATION_MM,
+    comfortable_amount,
+    locate_depth,
+    neighbour_step_px,
+    sharp_depths,
+)
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
@@ -28,6 +34,11 @@ def column(rig: Rig, panel: Panel, depth: float, x: float) -> float:
     camera = rig.cameras_at(panel, [x])
     at = camera.world_to_camera[0].numpy() @ [0.1, 0.2, depth, 1]
     return float(camera.focal_px[0, 0] * at[0] / at[2] + camera.principal_point_px[0, 0])
+
+
+def test_neighbouring_views_are_as_far_apart_as_their_cameras_show():
+    steps = [abs(column(RIG, PANEL, depth, 0.5) - column(RIG, PANEL, depth, 1.5)) for depth in (NEAR, FAR)]
+    assert neighbour_step_px(SCENE, PANEL, RIG) == pytest.approx(max(steps), rel=1e-3)
 
 
 def eyes_see(rig: Rig, panel: Panel, depth: float) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heic_maker import heic
 from PIL import Image
 from rgbd_scene import camera, view
 
@@ -172,3 +173,20 @@ def test_what_the_right_eye_sees_behind_edges_is_taken_from_it():
         picture = lf.render(gaussians, camera(WIDTH, HEIGHT, FOCAL, offset)).image[0].numpy()
         errors.append(float(np.abs(picture - right)[hidden].mean()))
     assert errors[1] < 0.65 * errors[0], errors
+
+
+def test_spatial_photos_have_the_distances_of_their_cameras(tmp_path):
+    """A HEIC with a group of two eyes: parallel cameras, the baseline in metres."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    pytest.importorskip("pi_heif", reason="pi-heif is not installed")
+    offset = 0.12
+    (left, z), (right, _) = textured(), textured(offset)
+    left, right = (np.rint(255 * eye).astype(np.uint8) for eye in (left, right))
+    focal = FOCAL / WIDTH / 0.8  # of the file's cameras, by the true one: distances grow alike
+    (tmp_path / "a.heic").write_bytes(heic(left, right=right, baseline_m=offset * focal))
+    read = read_photo(tmp_path / "a.heic", PhotoOptions())
+    assert "its group of two eyes" in read.depth.description and "in metres" in read.depth.description
+    assert error_of(read.depth.z, z) < 0.03
+    assert read.options.intrinsics == pytest.approx((0.8 * WIDTH, 0.8 * WIDTH, WIDTH / 2, HEIGHT / 2), rel=1e-5)
+    (tmp_path / "b.heic").write_bytes(heic(left))
+    assert find_pair(tmp_path / "b.heic") is None

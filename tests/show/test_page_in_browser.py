@@ -140,6 +140,21 @@ def test_panel_shows_its_pixels_as_they_are(tmp_path):
         assert page.run("document.querySelector('#word').hidden")
 
 
+def test_a_stereo_picture_fills_the_screen(tmp_path):
+    """Both halves are stretched over it, as screens of two eyes take them, whatever the picture's pixels."""
+    panel = replace(PANEL, width_px=400, height_px=100)
+    picture = np.zeros((100, 400, 3), np.uint8)
+    picture[:, :200, 0] = 255
+    with serving(shown_routes(panel, picture, fills=True)) as server, browser(tmp_path, 640, 480) as page:
+        size = dict(width=640, height=480, screenWidth=640, screenHeight=480)
+        page.call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=1, mobile=False)
+        page.open(server.url + "/panel")
+        page.wait("document.body?.dataset.exact === 'true'")
+        shown = page.screenshot()
+        assert (shown[:, :316] == [255, 0, 0]).all() and (shown[:, 324:] == 0).all()
+        assert page.run("document.querySelector('#word').hidden")
+
+
 @pytest.mark.parametrize(
     "scale, screen, word",
     [

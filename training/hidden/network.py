@@ -26,7 +26,6 @@ _DILATIONS = (1, 2, 4)  # of the blocks at the lowest level: a hole of 150 px is
 _INPUTS, _OUTPUTS = 11, 4
 _STRIDE = 2 ** len(_CHANNELS)
 _MOST_PIXELS = 1 << 20  # of a picture that the network sees; half a second on two cores
-_BEHIND = 0.985  # largest disparity of a hidden surface by the disparity of its cover
 _AROUND_PX = 96  # of the photo round its holes that the network sees
 _DISPARITY = 0.1  # log disparity of one unit of output
 _FARTHEST_LOG = 2.0  # largest difference of log disparity that the network sees
@@ -148,9 +147,7 @@ def paint_hidden(net: HiddenNet, image: Tensor, depth: Tensor, found: Hidden) ->
         change = F.interpolate(change, scale_factor=factor, mode="bilinear", align_corners=False)
     change = change[0, :, :height, :width].movedim(0, 2)
     guess[rows, columns] = torch.where(hole[..., None], first + change[..., :3], first).clamp(0, 1)
-    covered = hole & ~found.fringe[rows, columns]
-    nearest = torch.where(covered, _BEHIND / depth[rows, columns], torch.inf)
-    nearer = torch.minimum(disparity * change[..., 3].exp(), nearest)
+    nearer = torch.minimum(disparity * change[..., 3].exp(), found.nearest[rows, columns])
     behind = found.disparity.clone()
     behind[rows, columns] = torch.where(hole, nearer, disparity)
     return found._replace(disparity=behind), guess

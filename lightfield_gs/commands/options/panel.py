@@ -26,6 +26,8 @@ Add = Callable[..., argparse.Action]
 _distance_mm = within(1e-3, 1e9, "mm")
 _depth_amount = within(0, 2)
 _cone_deg = within(0, 179, "degrees")
+_turn_deg = within(-180, 180, "degrees")
+_tilt_deg = within(-89, 89, "degrees")
 _zoom = within(0.01, 100)
 _filter_views = within(0, 65536, "views")
 
@@ -90,6 +92,23 @@ def add_camera(add: Add) -> None:
         "a transforms.json (NeRF) or a rig; its picture is fitted to the panel (default index 0)",
     )
     add_up(add)
+    add_turn(add)
+
+
+def add_turn(add: Add) -> None:
+    """Add the options of the direction from which a scene is seen."""
+    add(
+        "--turn",
+        type=_turn_deg,
+        metavar="DEG",
+        help="see a scene from another side: the cameras go so many degrees to the right round it, -180..180",
+    )
+    add(
+        "--tilt",
+        type=_tilt_deg,
+        metavar="DEG",
+        help="see a scene from above: the cameras go so many degrees up round it, -89..89",
+    )
 
 
 def add_up(add: Add) -> None:

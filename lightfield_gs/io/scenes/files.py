@@ -226,5 +226,5 @@ def write_arrays(
     if any(origin):
         lost.append(f"centres are given from the origin {origin}, which a {suffix} cannot hold")
     if comments:
-        lost.append(f"a {suffix} holds no comments: the framing, and what the scene was made by, are only in a .ply")
+        lost.append(f"a {suffix} holds no comments: what the scene was made by is only in a .ply")
     return lost

@@ -104,19 +104,20 @@ class _Steering:
 
 
 def panel_routes(
-    panel: Panel, native: Callable[[], tuple[int, np.ndarray]], version: Callable[[int], int]
+    panel: Panel, native: Callable[[], tuple[int, np.ndarray]], version: Callable[[int], int], fills: bool = False
 ) -> dict[str, Route]:
     """Return the addresses of the panel's own page.
 
     Args:
         native: Returns the current picture, uint8 [H, W, 3], and its version.
         version: Returns the picture's version once it differs from the given number, or after a while.
+        fills: Whether the picture fills the screen, as of two eyes, instead of being shown pixel for pixel.
     """
 
     def state(query: Query) -> Answer:
         after = int(number(query, "after", -1, 1 << 53))
         size = {"width_px": panel.width_px, "height_px": panel.height_px}
-        return as_json({"name": panel.name, **size, "version": version(after)})
+        return as_json({"name": panel.name, **size, "version": version(after), "fills": fills})
 
     packed = _Packed(native)
     return {
@@ -151,8 +152,12 @@ class _Packed:
             return self._answer
 
 
-def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
-    """Return the routes of `lightfield-gs show`: the panel's page for one picture, uint8 [H, W, 3]."""
+def shown_routes(panel: Panel, pixels: np.ndarray, fills: bool = False) -> dict[str, Route]:
+    """Return the routes of `lightfield-gs show`: the panel's page for one picture, uint8 [H, W, 3].
+
+    Args:
+        fills: See panel_routes.
+    """
     never = threading.Event()
 
     def version(after: int) -> int:
@@ -160,7 +165,7 @@ def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
             never.wait(_WAIT_S)
         return 1
 
-    routes = panel_routes(panel, lambda: (1, pixels), version)
+    routes = panel_routes(panel, lambda: (1, pixels), version, fills)
     return {**routes, "/": routes["/panel"]}
 
 
@@ -241,7 +246,9 @@ def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
     return {
         "native.png": partial(_native, stage),
         f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
-        "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(path),  # in the axes of the scene's file
+        "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(
+            path, stage.panel
+        ),  # in the axes of the scene's file
     }
 
 

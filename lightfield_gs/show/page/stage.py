@@ -22,7 +22,7 @@ from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.comfort import depth_report
-from lightfield_gs.panels.look import CONES_DEG, MOST_AMOUNT, MOST_PAN, ZOOMS, Look
+from lightfield_gs.panels.look import CONES_DEG, MOST_AMOUNT, MOST_PAN, ZOOMS, Look, orbited
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import missing_geometry, simulate
@@ -100,25 +100,6 @@ def number(query: Mapping[str, str], name: str, low: float, high: float) -> floa
     except ValueError:
         raise InputError(f"{name} must be a number, got {query[name][:40]!r}") from None
     return real_number(name, value, low, high)
-
-
-def orbited(rig: Rig, yaw_deg: float, pitch_deg: float) -> Rig:
-    """Return the rig with its cameras turned around the point of the zero plane on the centre camera's axis.
-
-    The horizon stays level. Both angles count from the given rig, so that no turn adds to another.
-
-    Args:
-        yaw_deg: To the right, about the camera's vertical axis.
-        pitch_deg: Up, about its horizontal axis.
-    """
-    yaw, pitch = math.radians(yaw_deg), math.radians(pitch_deg)
-    about_y = np.array([[math.cos(yaw), 0, math.sin(yaw)], [0, 1, 0], [-math.sin(yaw), 0, math.cos(yaw)]])
-    about_x = np.array([[1, 0, 0], [0, math.cos(pitch), -math.sin(pitch)], [0, math.sin(pitch), math.cos(pitch)]])
-    pivot = np.array([0.0, 0.0, rig.zero_depth])
-    turn = np.eye(4)
-    turn[:3, :3] = about_x @ about_y
-    turn[:3, 3] = pivot - turn[:3, :3] @ pivot
-    return replace(rig, world_to_camera=turn @ rig.world_to_camera)
 
 
 _STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed

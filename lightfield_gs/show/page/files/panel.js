@@ -10,6 +10,9 @@ export function reasons(panel, measures) {
   const found = [], { ratio, pinch, screen, window, place } = measures;
   const near = (a, b) => Math.abs(a - b) < 1;
   const isPanel = near(screen.width * ratio, panel.width_px) && near(screen.height * ratio, panel.height_px);
+  const covers = near(window.width * ratio, screen.width * ratio) && near(window.height * ratio, screen.height * ratio) &&
+    place.x === 0 && place.y === 0;
+  if (panel.fills) return covers ? [] : ["The window does not cover the screen: press the button below, or F11."];
   const size = `${panel.width_px} × ${panel.height_px}`;
   if (pinch !== 1) found.push(`The page is pinched to ${percent(pinch)}: pinch it back to 100 %.`);
   if (ratio % 1 !== 0)
@@ -19,8 +22,7 @@ export function reasons(panel, measures) {
     found.push(`This screen has ${Math.round(screen.width * ratio)} × ${Math.round(screen.height * ratio)} pixels, ` +
       `the panel ${panel.name} has ${size}: move this window to the panel, set the panel to ${size}, and the zoom of the ` +
       "browser to 100 % (Ctrl + 0).");
-  if (!near(window.width * ratio, screen.width * ratio) || !near(window.height * ratio, screen.height * ratio) ||
-      place.x !== 0 || place.y !== 0)
+  if (!covers)
     found.push("The window does not cover the screen, so that the picture is not where the lenses expect it: press the " +
       "button below, or F11.");
   return found;
@@ -41,8 +43,9 @@ const percent = (share) => `${Math.round(100 * share)} %`;
 function check() {
   if (panel === null) return;
   const picture = find("#picture");
-  picture.style.width = `${panel.width_px / devicePixelRatio}px`;
-  picture.style.height = `${panel.height_px / devicePixelRatio}px`;
+  // The halves of a stereo picture fill the screen, whatever its pixels
+  picture.style.width = panel.fills ? "100vw" : `${panel.width_px / devicePixelRatio}px`;
+  picture.style.height = panel.fills ? "100vh" : `${panel.height_px / devicePixelRatio}px`;
   const now = measured(), found = reasons(panel, now);
   find("#word").hidden = isHidden || found.length === 0;
   document.body.dataset.exact = found.length === 0;
