@@ -60,7 +60,7 @@ class CpuFrameCache:
         self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool, device: str | None = None
     ):
         self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
-        self.device = device
+        self.device, self.harmonics = device, object()
         self.last: _Drawn | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
@@ -80,7 +80,9 @@ class CpuFrameCache:
         kept = same.work if same is not None and changed <= {"background"} else None
         work = kept
         if self.device is not None:
-            image = draw_direct(self.device, job, self.as_bytes, self.quality)
+            if "sh" in changed:
+                self.harmonics = object()
+            image = draw_direct(self.device, job, self.as_bytes, self.quality, harmonics=self.harmonics)
         else:
             work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
             image = job.new_image(self.as_bytes)

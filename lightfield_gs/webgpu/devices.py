@@ -95,6 +95,7 @@ def draw_direct(
     quality: Quality = EXACT,
     stats: Stats | None = None,
     out: Tensor | None = None,
+    harmonics: object | None = None,
 ) -> Tensor:
     """Draw a light-field image [H, W, 3] by WebGPU; it lies on the CPU.
 
@@ -107,6 +108,7 @@ def draw_direct(
         quality: Error allowed in colours; the rest is exact.
         stats: Filled with times and counts.
         out: An image of that size and type.
+        harmonics: See Frames.draw.
 
     Raises:
         InputError: There is no such adapter, or the scene is too large for it.
@@ -117,7 +119,7 @@ def draw_direct(
         from wgpu import GPUError
 
         try:
-            return frames.draw(job, as_bytes, quality, stats or Stats(), out)
+            return frames.draw(job, as_bytes, quality, stats or Stats(), out, harmonics)
         except (GPUError, RuntimeError) as error:
             words = str(error).splitlines()[-1].strip()
             if not any(word in str(error).lower() for word in _LOST):

@@ -94,8 +94,17 @@ class Frames:
         self.most_rows: int | None = None
         self.clock: Clock | None = None
         self.rate: float | None = None  # instructions a second
+        self.harmonics: object | None = None  # those that the device holds, see draw
 
-    def draw(self, job: DirectRender, as_bytes: bool, quality: Quality, stats: Stats, out: Tensor | None) -> Tensor:
+    def draw(
+        self,
+        job: DirectRender,
+        as_bytes: bool,
+        quality: Quality,
+        stats: Stats,
+        out: Tensor | None,
+        harmonics: object | None = None,
+    ) -> Tensor:
         """Return the image [H, W, 3] on the CPU, uint8 or float32.
 
         Args:
@@ -104,13 +113,15 @@ class Frames:
             quality: Its colour_error alone is given up.
             stats: Filled with times and counts.
             out: An image of that size and type to write to.
+            harmonics: Stays the same object as long as the harmonics have the same values: they are not copied to the
+                device again then. None: they are.
 
         Raises:
             InputError: The scene is too large for the adapter.
         """
         image = job.new_image(as_bytes) if out is None else out
         with stats.stage("project"):
-            frame = _Frame(self, job, as_bytes, quality)
+            frame = _Frame(self, job, as_bytes, quality, harmonics)
             counters, costs = frame.project()
             boxes, cost = frame.choose_boxes(costs)
         with stats.stage("composite"):
@@ -126,8 +137,10 @@ class Frames:
 class _Frame:
     """One frame on its way."""
 
-    def __init__(self, frames: Frames, job: DirectRender, as_bytes: bool, quality: Quality) -> None:
-        self.frames, self.job, self.as_bytes = frames, job, as_bytes
+    def __init__(
+        self, frames: Frames, job: DirectRender, as_bytes: bool, quality: Quality, harmonics: object | None
+    ) -> None:
+        self.frames, self.job, self.as_bytes, self.harmonics = frames, job, as_bytes, harmonics
         self.buffers, self.limits = frames.buffers, frames.limits
         self.lens = job.camera.lens
         self.degree, self.count = job.scene.degree, job.scene.count
@@ -141,6 +154,7 @@ class _Frame:
             0, bool(self.lens.cell_phases), self.lens.bgr, self.degree > 0, job.compensated, not as_bytes
         )
         self.room = {"pairs": 0, "colours": 0, "chunks": _CHUNK}
+        self._parts = 0  # numbers the structs Part
 
     def _write_params(self, boxes: Boxes, rows: _Pass) -> None:
         room = self.room["pairs"], self.room["colours"], self.count, self.room["chunks"]
@@ -151,8 +165,8 @@ class _Frame:
         self.buffers.write("P", data, uniform=True)
 
     def _write_part(self, first: int, count: int = 0, first_row: int = 0, group: int = 0) -> str:
-        """Write a struct Part of its own for one dispatch; return the name of its buffer."""
-        name = f"part {first} {count} {first_row} {group}"
+        """Write a struct Part of its own for one dispatch of this frame; return the name of its buffer."""
+        name, self._parts = f"part {self._parts}", self._parts + 1
         self.buffers.write(name, np.array([first, count, first_row, group], np.uint32).tobytes(), uniform=True)
         return name
 
@@ -198,14 +212,19 @@ class _Frame:
             packed[:, :3] = means[first:end].double() @ pose[:3, :3].T + pose[:3, 3]
             packed[:, 3] = opacities[first:end]
             packed[:, 4:8], packed[:, 8:11] = quaternions[first:end], scales[first:end]
-            for name, values in (("gaussians", packed), ("harmonics", sh[first:end].contiguous())):
-                data = values.numpy().reshape(-1).view(np.uint8).data
-                self.buffers.storage(name, len(data), "a part of the scene")
-                self.buffers.write(name, data)
+            self._upload("gaussians", packed)
+            if self.harmonics is None or self.harmonics is not self.frames.harmonics:
+                self._upload("harmonics", sh[first:end].contiguous())
             part = self._write_part(first, end - first, 0, first // _THREADS)
             work = Work(self.frames.pipelines, self.buffers, self.variant, self.frames.clock)
             work.run("project", (-(-(end - first) // _THREADS),), {"part": part})
             work.submit()
+        self.frames.harmonics = self.harmonics if self.count <= self.part else None
+
+    def _upload(self, name: str, values: Tensor) -> None:
+        data = values.numpy().reshape(-1).view(np.uint8).data
+        self.buffers.storage(name, len(data), "a part of the scene")
+        self.buffers.write(name, data)
 
     @staticmethod
     def _counters(head: memoryview) -> _Counters:

@@ -74,6 +74,8 @@ def test_an_encoder_draws_and_keeps_an_unchanged_frame(frames):
     images = [encoder(gaussians) for _ in range(3)]
     assert torch.equal(images[0], encode(gaussians, shown, fan, background=(0.1, 0.6, 0.3), device="webgpu"))
     assert torch.equal(images[0], images[2]) and encoder.stats["reused"]["composite"] == 1
+    gaussians.sh[:] = gaussians.sh.flip(0)  # which a device that keeps harmonics must not miss
+    assert torch.equal(encoder(gaussians), encode(gaussians, shown, fan, background=(0.1, 0.6, 0.3), device="webgpu"))
     encoder.rig = rig(shown, -0.1)
     assert torch.equal(
         encoder(gaussians), encode(gaussians, shown, encoder.rig, background=(0.1, 0.6, 0.3), device="webgpu")

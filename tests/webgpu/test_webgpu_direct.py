@@ -10,6 +10,7 @@ from rasterizer_cases import all_subpixels, hard_scene, panel, random_scene, rig
 from lightfield_gs import encode, reference
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.webgpu.buffers import Buffers, Limits
+from lightfield_gs.webgpu.frames import _Bands
 
 BACKGROUND = (0.1, 0.6, 0.3)
 SETTLED = 2e-3  # samples whose decisions came nearer to a threshold than this may differ in float32
@@ -116,6 +117,17 @@ def test_small_limits_are_kept_by_parts_and_passes(frames, monkeypatch, tiling):
     again = encode(gaussians, shown, rig(shown, 0.1), background=BACKGROUND, device="webgpu")
     assert torch.equal(again, drawn) and most_apart(again, expected) <= 1
     assert max(sizes) <= limits.most_bytes < 4 * 200 * 140
+
+
+def test_bands_grow_by_the_rate_of_the_device():
+    """At 1e10 instructions a second: 4e9, and then what takes 50 ms; a fast device grows by four each time."""
+    slow, fast = _Bands(None, 1e8), _Bands(None, 1e8)
+    assert slow.rows() == fast.rows() == 40
+    slow.took(40, 0.4)
+    fast.took(40, 0.0004)
+    assert (slow.rows(), fast.rows()) == (5, 160)
+    fast.took(160, 0.0016)
+    assert fast.rows() == 640 and _Bands(slow.rate, 1e8).rows() == 5
 
 
 def test_a_scene_beyond_the_limits_is_refused(frames):
