@@ -20,7 +20,6 @@ from lightfield_gs.io.images import as_floats, read_image, read_info
 from lightfield_gs.io.pillow_images import is_heif
 from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.stereo_screen import StereoScreen
 
 SHOWN_LAYOUTS: tuple[StereoLayout, ...] = ("sbs", "half-sbs", "tab", "anaglyph")
 
@@ -73,6 +72,7 @@ def _show_pair(options: ShowOptions, pair: PairLayout) -> None:
     import torch
 
     from lightfield_gs.encoding.stereo import join_eyes
+    from lightfield_gs.panels.stereo_screen import StereoScreen
     from lightfield_gs.photo.stereo_pair import read_pair
     from lightfield_gs.show.page.routes import shown_routes
     from lightfield_gs.show.preview import to_integers

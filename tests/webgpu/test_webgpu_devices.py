@@ -22,6 +22,9 @@ from lightfield_gs.webgpu.adapters import ALLOW_CPU, Adapter, adapter_at, adapte
 from lightfield_gs.webgpu.buffers import Limits
 from lightfield_gs.webgpu.frames import Frames
 
+# The drivers of GPUs are not ours, and what is drawn on the CPU is tested elsewhere
+pytestmark = pytest.mark.not_sanitized
+
 
 def adapter(kind: str) -> Adapter:
     return Adapter("X1", kind, "Vulkan", "", Limits(1 << 27, 1 << 28), None)

@@ -12,6 +12,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.webgpu.buffers import Buffers, Limits
 from lightfield_gs.webgpu.frames import _Bands
 
+# The drivers of GPUs are not ours, and what is drawn on the CPU is tested elsewhere
+pytestmark = pytest.mark.not_sanitized
+
 BACKGROUND = (0.1, 0.6, 0.3)
 SETTLED = 2e-3  # samples whose decisions came nearer to a threshold than this may differ in float32
 
