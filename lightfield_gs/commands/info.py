@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Print the facts of args.file, or of the devices, a line each. Raises InputError."""
     if args.devices == (args.file is not None):
-        raise InputError("info takes a FILE or --devices, one of them")
+        raise InputError("info: a FILE or --devices is required, and not both")
     if args.devices:
         print("\n".join(f"{name}: {facts}" for name, facts in describe_devices()))
         return
