@@ -171,8 +171,8 @@ def test_info_lists_the_devices(frames, capsys):
     lines = run(capsys, "info --devices").splitlines()
     assert [line.split(": ")[0] for line in lines[:3]] == ["cpu", "cuda", "webgpu:0"]
     assert "MiB at once; " in lines[2]
-    assert "info takes a FILE or --devices, one of them" in complaint(capsys, "info")
-    assert "info takes a FILE or --devices, one of them" in complaint(capsys, "info s.ply --devices")
+    assert "a FILE or --devices is required, and not both" in complaint(capsys, "info")
+    assert "a FILE or --devices is required, and not both" in complaint(capsys, "info s.ply --devices")
 
 
 def test_bench_measures_each_tiling(frames, folder, capsys):
