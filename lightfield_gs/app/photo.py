@@ -138,10 +138,14 @@ def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo and cut its object out; where that fails and depths can be estimated, read the whole photo."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.load import NoCutOut, cut_out_photo
+    from lightfield_gs.photo.stereo_matching import PairMismatch
 
     picture = read_picture(path)
     if not quilt_in_name(path) and (guess := guessed_pair(options, picture)) is not None:
-        return _read_pair(path, options, guess)
+        try:
+            return _read_pair(path, options, guess)
+        except PairMismatch:
+            note(f"{path}: its halves do not match as two eyes' pictures: it is one picture (else: --stereo-in sbs)")
     side = depth_side(picture.pixels)
     notes = _other_ways(path, picture, side)
     try:

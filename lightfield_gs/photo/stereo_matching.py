@@ -13,6 +13,10 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.photo.joint_upsampling import percentiles, upsample
 
 
+class PairMismatch(InputError):
+    """Two pictures are not those of two eyes."""
+
+
 @dataclass(frozen=True)
 class MatchingConstants:
     """Sizes and thresholds of matching.
@@ -86,7 +90,8 @@ def match_eyes(name: str, left: np.ndarray, right: np.ndarray) -> Parallax:
         right: Of the same size.
 
     Raises:
-        InputError: OpenCV is missing, or the pictures do not match.
+        InputError: OpenCV is missing.
+        PairMismatch: The pictures do not match.
     """
     cv2 = cv_library()
     height, width = left.shape[:2]
@@ -95,11 +100,11 @@ def match_eyes(name: str, left: np.ndarray, right: np.ndarray) -> Parallax:
     level, raised = _levelled(cv2, left, right, scale)
     small = [cv2.resize(eye, size, interpolation=cv2.INTER_AREA) if scale < 1 else eye for eye in (left, level)]
     if min(float(eye.std()) for eye in small) < _C.least_textured:
-        raise InputError(f"{name}: the eyes' pictures are (nearly) of one colour, and cannot be matched; {_WAYS}")
+        raise PairMismatch(f"{name}: the eyes' pictures are (nearly) of one colour, and cannot be matched; {_WAYS}")
     agreed = _both_ways(cv2, small, *_range(cv2, *small))
     matched = float(np.isfinite(agreed[0]).mean())
     if matched < _C.least_matched:
-        raise InputError(
+        raise PairMismatch(
             f"{name}: the eyes' pictures do not match (only {matched:.0%} of it is alike in both); {_WAYS}"
         )
     shifts, right_shifts = (_at_full_size(_filled(cv2, part), eye, size[0]) for part, eye in zip(agreed, (left, level)))

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.base.errors import InputError
@@ -63,6 +66,20 @@ def missing() -> str | None:
     return None
 
 
+@contextmanager
+def _runtime_folder() -> Iterator[None]:
+    """Give Wayland's client library a folder where the session has none: it prints an error per driver otherwise."""
+    if "XDG_RUNTIME_DIR" in os.environ:
+        yield
+        return
+    with TemporaryDirectory() as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        try:
+            yield
+        finally:
+            del os.environ["XDG_RUNTIME_DIR"]
+
+
 @lru_cache
 def adapters() -> tuple[Adapter, ...]:
     """Return the adapters, each GPU once, the fastest kinds first."""
@@ -71,7 +88,9 @@ def adapters() -> tuple[Adapter, ...]:
     import wgpu
 
     found: dict[tuple[str, str], Adapter] = {}
-    for gpu in wgpu.gpu.enumerate_adapters_sync():
+    with _runtime_folder():
+        gpus = wgpu.gpu.enumerate_adapters_sync()
+    for gpu in gpus:
         info = gpu.info
         if info["backend_type"] not in _BACKENDS:
             continue
