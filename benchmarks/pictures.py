@@ -15,11 +15,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lightfield_gs.io.atomic import atomic_path
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from lightfield_gs.io.atomic import atomic_path  # noqa: E402
-
 EYES = "--eyes=-536,536,3"  # 15 degrees to the left, in the middle, 15 degrees to the right, at 2 m
 DEMOS = ("scene", "depth")  # the demo's third picture is of one of the photos
 GAP_PX = 12
