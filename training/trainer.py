@@ -13,7 +13,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
 from training.config import Stage, TrainingConfig
 from training.data.batches import Batch
-from training.data.fusing import keep_compile_workers
+from training.data.fusing import keep_compile_workers, keep_one_graph
 from training.distributed import Team
 from training.drawing import draw, drawings, seen_by_network
 from training.losses import total_loss
@@ -99,6 +99,7 @@ class Trainer:
         self._loss = total_loss
         if config.compile:  # sizes change between stages only
             keep_compile_workers()
+            keep_one_graph()
             self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)
             self._loss = torch.compile(total_loss, dynamic=False)
         self._replica = team.replicated(self.net)

@@ -32,6 +32,17 @@ def keep_compile_workers() -> None:
         config.quiesce_async_compile_pool = False
 
 
+def keep_one_graph() -> None:
+    """Let torch.compile make one graph of a network that several processes train, as of a network that one trains.
+
+    By default it cuts the graph where a bucket of gradients ends. Our networks are smaller than two buckets: the cut
+    would save nothing, and the kernels that one process left in the cache would not serve several.
+    """
+    from torch import _dynamo
+
+    _dynamo.config.optimize_ddp = False
+
+
 @cache
 def _compiled(function: Callable, dynamic: bool) -> Callable:
     keep_compile_workers()
