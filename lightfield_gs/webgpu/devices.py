@@ -22,7 +22,7 @@ from lightfield_gs.webgpu.self_test import known_self_test
 
 _LOST = ("lost", "memory", "could not map")  # in wgpu's messages on a device that is gone, or full
 _lost: set[int] = set()  # adapters whose device was lost: the CPU draws in their place
-# Pixels of all frames of a command, below which no GPU pays: the CPU draws them in the half second in which drivers start
+# Pixels of all frames of a command below which no GPU pays: the CPU draws them while drivers start, half a second
 _LEAST_PIXELS = 1 << 24
 
 
