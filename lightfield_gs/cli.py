@@ -36,6 +36,7 @@ COMMANDS = {
     "batch": "encode many photos, scenes, captures and videos on all GPUs",
     "simulate": "simulate the picture that an eye sees through the lenses",
     "view": "open a page that shows and steers a scene",
+    "page": "write a page to send, which draws a scene on a 3D display or any screen",
     "show": "show an encoded image on the panel, full screen",
     "displays": "list the screens that are connected, and the 3D displays among them",
     "calibrate": "calibrate the profile of a panel",
