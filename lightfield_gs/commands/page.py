@@ -13,9 +13,7 @@ from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
-from lightfield_gs.commands.options.panel import add_camera, add_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 
 _SUFFIXES = (".html", ".htm")
@@ -40,24 +38,6 @@ class PageOptions:
     render: RenderOptions
     title: str | None = None
     device: Device = "auto"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs page`."""
-    parser.description = (
-        "Write a page that shows a photo or a scene of 3D Gaussians: on a 3D display pixel for pixel, and on "
-        "any other screen from all sides. It is one file that loads nothing, for the browser of whoever opens it."
-    )
-    add = parser.add_argument
-    add("input", type=Path, metavar="INPUT", help="a photo or a file of Gaussians, as `encode` takes it")
-    add("-o", "--output", type=Path, required=True, metavar="FILE", help="the page, .html")
-    add("--title", metavar="WORDS", help="title of the page (default: the name of the input)")
-    add_panel(add, "for framing; without --panel the page asks its reader for the visual.json of the display")
-    add_camera(add)
-    add_look(add)
-    add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
-    add_rendering(add)
-    add_device(add)
 
 
 def run(args: argparse.Namespace) -> None:

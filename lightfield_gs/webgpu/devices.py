@@ -22,6 +22,8 @@ from lightfield_gs.webgpu.self_test import known_self_test
 
 _LOST = ("lost", "memory", "could not map")  # in wgpu's messages on a device that is gone, or full
 _lost: set[int] = set()  # adapters whose device was lost: the CPU draws in their place
+# Pixels of all frames of a command below which no GPU pays: the CPU draws them while drivers start, half a second
+_LEAST_PIXELS = 1 << 24
 
 
 class DrawingDevice(NamedTuple):
@@ -50,7 +52,7 @@ def choose_drawing_device(name: str, pixels: int, frames: int = 1) -> DrawingDev
     """Return the device of auto, cpu, cuda, webgpu or webgpu:N.
 
     auto takes CUDA. Without it, auto takes a GPU by WebGPU that passes the self-test, if it takes no longer than the
-    CPU.
+    CPU. For few pixels it starts no driver.
 
     Args:
         name: Of the device.
@@ -64,7 +66,7 @@ def choose_drawing_device(name: str, pixels: int, frames: int = 1) -> DrawingDev
         adapter_at(adapter_index(name))
         return DrawingDevice("cpu", name)
     device = choose_device(cast(Device, name))
-    if name != "auto" or device == "cuda" or not frames:
+    if name != "auto" or device == "cuda" or frames * pixels < _LEAST_PIXELS:
         return DrawingDevice(device)
     for index, adapter in enumerate(adapters()):
         if not adapter.is_cpu and (result := known_self_test(adapter)).pays(pixels, frames):
