@@ -13,12 +13,12 @@ from lightfield_gs.app.panel import software
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import StereoLayout
+from lightfield_gs.base.options import DEFAULT_PANEL, StereoLayout
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.stereo_names import stereo_paths
 from lightfield_gs.panels.comfort import COMFORT_DEG, depth_report
-from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.stereo_screen import StereoScreen, eye_geometry
 from lightfield_gs.webgpu.devices import choose_drawing_device

@@ -250,7 +250,7 @@ class VideoTask(EncodeTask):
 @cache
 def _parser(command: str) -> Parser:
     parser = Parser(f"lightfield-gs {command}", allow_abbrev=False)
-    import_module(f"lightfield_gs.commands.{command}").add_arguments(parser)
+    import_module(f"lightfield_gs.commands.arguments.{command}").add_arguments(parser)
     return parser
 
 

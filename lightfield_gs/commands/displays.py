@@ -11,15 +11,6 @@ from lightfield_gs.displays.find import FoundDisplay, Survey, survey_displays
 from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs displays`."""
-    parser.description = (
-        "List the screens that are connected, with size, place and scale, and the Looking Glass displays among them "
-        "with their calibrations. Commands without --panel take the first of these displays."
-    )
-    parser.add_argument("--json", action="store_true", help="print the same as JSON")
-
-
 def run(args: argparse.Namespace) -> None:
     """Print what is connected."""
     survey = survey_displays()

@@ -15,15 +15,7 @@ from lightfield_gs.app.scene import check_scene_path
 from lightfield_gs.base.checks import counted
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.commands.options.fit import (
-    CaptureOptions,
-    FitOptions,
-    add_capture,
-    add_cone,
-    add_optimisation,
-    add_run,
-    read_names,
-)
+from lightfield_gs.commands.options.fit import CaptureOptions, FitOptions, read_names
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_folder, make_folder
 
@@ -32,28 +24,6 @@ if TYPE_CHECKING:
     from lightfield_gs.io.captures.capture import Capture
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs fit`."""
-    parser.description = (
-        "Fit Gaussians to photographs of a scene, with cameras from COLMAP or another program. Ctrl-C "
-        "stops the fit and writes the scene so far; the same command goes on from there. The same capture, "
-        "options and machine give the same file."
-    )
-    add = parser.add_argument
-    add(
-        "input",
-        type=Path,
-        metavar="CAPTURE",
-        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; a .json of this kind with "
-        "another name; an export of Polycam or Record3D; with --sfm, a folder of photographs alone",
-    )
-    add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene: .ply, .spz or .splat")
-    add_capture(parser)
-    add_optimisation(parser)
-    add_cone(parser)
-    add_run(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -159,8 +129,8 @@ def _say_angles(result: FitResult) -> None:
 
 def _panel(cone: str | None) -> str:
     """Return the --panel of `encode` that shows the panel of --cone."""
+    from lightfield_gs.base.options import DEFAULT_PANEL
     from lightfield_gs.fitting.cone import is_angle
-    from lightfield_gs.panels.panel import DEFAULT_PANEL
 
     return DEFAULT_PANEL if cone is None or is_angle(cone) else cone
 

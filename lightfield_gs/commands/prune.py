@@ -21,10 +21,8 @@ from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, r
 from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.commands.options.panel import add_camera, add_filters, add_look, add_panel
-from lightfield_gs.commands.options.parser import read_options, within
-from lightfield_gs.commands.options.scene import add_reading
+from lightfield_gs.base.options import Device
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.panels.stored_rigs import write_rig_beside
 
@@ -50,36 +48,6 @@ class PruneOptions:
     contribution_cut: float
     save_rig: Path | None = None
     device: Device = "auto"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs prune`."""
-    parser.description = (
-        "Write a scene without the Gaussians that contribute least to its image on a panel, from all "
-        "viewpoints of the panel. The scene is then faster to draw."
-    )
-    add = parser.add_argument
-    add("input", type=Path, metavar="INPUT", help="a file of Gaussians: .ply, .spz, .sog, .splat, .ksplat")
-    add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the pruned scene: .ply, .spz or .splat")
-    add_reading(add)
-    add(
-        "--contribution-cut",
-        type=within(0, 1),
-        default=3e-4,
-        metavar="FRACTION",
-        help="0..1, allowed mean error of colours in 0..1 (default 3e-4: 50 dB and more)",
-    )
-    add_filters(add)
-    add_panel(add, "for framing, as `encode` takes it")
-    add_camera(add)
-    add_look(add)
-    add(
-        "--save-rig",
-        type=Path,
-        metavar="YAML",
-        help="write the rig of the unpruned scene; automatic framing of a pruned scene may differ",
-    )
-    add("--device", choices=DEVICES, default="auto", help="device that draws the scene (default auto)")
 
 
 def run(args: argparse.Namespace) -> None:

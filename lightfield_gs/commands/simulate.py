@@ -13,8 +13,7 @@ from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import at_distance, load_panel, parse_panel, stored_panel, why_no_eye
 from lightfield_gs.base.cli_messages import Stopwatch, note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
-from lightfield_gs.commands.options.parser import numbers, read_options, within
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
@@ -44,45 +43,6 @@ class SimulateOptions:
     eyes: tuple[float, float, float] | None = None
     spread: float | None = None
     psf: Path | None = None
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs simulate`."""
-    parser.description = (
-        "Simulate the picture that an eye sees of an encoded image through the lenses, one sample a lens."
-    )
-    add = parser.add_argument
-    add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
-    add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
-    add_device_serial(add)
-    add_viewing_distance(add, "distance at which an eye sees one view all over the panel, in place of the panel's own")
-    add(
-        "--eye",
-        type=numbers(3),
-        metavar="X,Y,Z",
-        help="position of the eye in mm from the panel's centre: right, up, towards the viewer",
-    )
-    add(
-        "--eyes",
-        type=numbers(3),
-        metavar="FROM,TO,COUNT",
-        help="in place of --eye: COUNT eyes side by side at the viewing distance, from FROM to TO mm right of "
-        "the panel's middle; the result has rows of four pictures",
-    )
-    add(
-        "--spread",
-        type=within(0.01, 1000, "sub-pixels"),
-        metavar="SUBPIXELS",
-        help="width that a lens lights, in sub-pixels; more is crosstalk (default 1)",
-    )
-    add(
-        "--psf",
-        type=Path,
-        metavar="FILE",
-        help="in place of --spread: measured brightness of the sub-pixels beside the right one. Each line has a "
-        "distance to the right in sub-pixels, and the light (any unit)",
-    )
-    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
 
 
 def run(args: argparse.Namespace) -> None:
