@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.scripts import filled, joined, json_in_page
 
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
 FILES = ("views.png", "look-around.webp", "look-around.html", *_EYES)
@@ -137,7 +137,7 @@ def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
         images[0].save(temporary, quality=_WEBP_QUALITY, method=2, **loop)
 
 
-_PAGE = Path(__file__).parent / "page" / "files" / "look_around.html"
+_PAGES = Path(__file__).parent / "page" / "files"
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
@@ -145,17 +145,20 @@ def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: st
 
     The frames are in the file as WebP. Raises InputError where it cannot be written.
     """
-    page = _PAGE.read_text(encoding="utf-8")
-    height, width = frames[0].shape[:2]
-    words = {"title": title, "width": width, "height": height, "frames": [_data_url(frame) for frame in frames]}
-    # Within a script a "<" of a title could end it
-    page = page.replace("{/* views */}", json.dumps(words).replace("<", "\\u003c"))
+    data = json_in_page({"title": title, **strip(frames)})
+    page = filled(_PAGES / "look_around.html", {"views": data, "script": joined(_PAGES / "look_around.js")})
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _data_url(frame: np.ndarray) -> str:
-    data = image_bytes(frame, "WEBP", quality=_WEBP_QUALITY, method=2)
+def strip(frames: Sequence[np.ndarray], quality: int = _WEBP_QUALITY) -> dict[str, Any]:
+    """Return frames, each uint8 [h, w, 3], as a page has them: their size, and addresses that hold their WebP."""
+    height, width = frames[0].shape[:2]
+    return {"width": width, "height": height, "frames": [_data_url(frame, quality) for frame in frames]}
+
+
+def _data_url(frame: np.ndarray, quality: int) -> str:
+    data = image_bytes(frame, "WEBP", quality=quality, method=2)
     return f"data:image/webp;base64,{base64.b64encode(data).decode()}"
 
 
