@@ -42,7 +42,8 @@ export class Stage {
 
   /** Scenes turn. Before a photo the eye moves, as before a window, so that its frame stays. */
   onScreen({ yaw, pitch, zoom }, width, height) {
-    const rig = zoomed(fitted(this.page.rig, width, height), zoom), cone = this.page.cone_deg;
+    const { rig: wide, upright_rig: upright, cone_deg: cone } = this.page;
+    const rig = zoomed(fitted(width < height && upright ? upright : wide, width, height), zoom);
     if (this.page.reach_deg === null) return plainCamera(orbited(rig, yaw, pitch), cone, 0, 0);
     const [right, down] = [yaw, -pitch].map((deg) => rig.zero_depth * Math.tan(deg * RADIANS));
     return plainCamera(rig, cone, right, down);
