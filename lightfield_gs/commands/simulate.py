@@ -34,6 +34,7 @@ class SimulateOptions:
         eyes: positions from, to in mm, and their count.
         spread: width that a lens lights, sub-pixels.
         psf: file of a measured spread.
+        stats: whether to print the times of the stages.
     """
 
     image: Path
@@ -43,6 +44,7 @@ class SimulateOptions:
     eyes: tuple[float, float, float] | None = None
     spread: float | None = None
     psf: Path | None = None
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -79,7 +81,7 @@ def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
     height, width = pictures.shape[1:3]
     positions = options.eye or f"{len(eyes)} places, {eyes[0][0]:g} to {eyes[-1][0]:g}"
     print(f"{path}: {width} x {height}, one sample a lens, from {positions} mm")
-    print(watch.line())
+    watch.say_if(options.stats)
     notes = {_implausible_eye(panel, eye): None for eye in (eyes[0], eyes[-1])}  # each once
     for words in (*notes, _other_lens(options, panel)):
         if words:

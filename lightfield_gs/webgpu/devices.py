@@ -18,6 +18,7 @@ from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.webgpu.adapters import adapter_at, adapters
 from lightfield_gs.webgpu.frames import Frames
+from lightfield_gs.webgpu.resident import Kept
 from lightfield_gs.webgpu.self_test import known_self_test
 
 _LOST = ("lost", "memory", "could not map")  # in wgpu's messages on a device that is gone, or full
@@ -97,7 +98,7 @@ def draw_direct(
     quality: Quality = EXACT,
     stats: Stats | None = None,
     out: Tensor | None = None,
-    harmonics: object | None = None,
+    kept: Kept | None = None,
 ) -> Tensor:
     """Draw a light-field image [H, W, 3] by WebGPU; it lies on the CPU.
 
@@ -110,7 +111,7 @@ def draw_direct(
         quality: Error allowed in colours; the rest is exact.
         stats: Filled with times and counts.
         out: An image of that size and type.
-        harmonics: See Frames.draw.
+        kept: See Frames.draw.
 
     Raises:
         InputError: There is no such adapter, or the scene is too large for it.
@@ -121,7 +122,7 @@ def draw_direct(
         from wgpu import GPUError
 
         try:
-            return frames.draw(job, as_bytes, quality, stats or Stats(), out, harmonics)
+            return frames.draw(job, as_bytes, quality, stats or Stats(), out, kept)
         except (GPUError, RuntimeError) as error:
             words = str(error).splitlines()[-1].strip()
             if not any(word in str(error).lower() for word in _LOST):

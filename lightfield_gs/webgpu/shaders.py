@@ -50,7 +50,7 @@ _SPLATS = ("splat_a", "splat_b", "splat_c")
 _LISTS, _SORT = ("frame", "footprint", "lists"), ("frame", "footprint", "sort")
 STAGES = {
     "project": Stage(
-        ("frame", "footprint", "colours", "project"),
+        ("frame", "footprint", "lens", "means", "colours", "project"),
         ("P", "part", "gaussians", "harmonics", *_SPLATS, "colours", "counters", "depths"),
     ),
     "count": Stage(_LISTS, ("P", *_SPLATS, "counters", "bins", "pairs", "large")),
