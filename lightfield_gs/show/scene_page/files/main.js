@@ -63,6 +63,7 @@ async function loop() {
   } finally {
     isDrawing = false;
   }
+  if (drawn !== wanted) loop(); // what took the scene's place
 }
 
 const windowSize = () => [innerWidth, innerHeight].map((side) => Math.max(1, Math.round(side * devicePixelRatio)));

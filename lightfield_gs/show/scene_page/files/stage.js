@@ -10,7 +10,6 @@ export class Stage {
   /** page: the page's data; scene: its Gaussians, unpacked. */
   constructor(device, canvas, page, scene) {
     Object.assign(this, { page, canvas, frames: new Frames(device, page.host, scene), picture: new Picture(device, canvas) });
-    this.device = device;
     this.scale = 1; // of the window's pixels that are drawn while the scene moves
   }
 
@@ -25,7 +24,6 @@ export class Stage {
     if (isPanel && state.isTest) await this.frames.drawPattern(camera, take);
     else await this.frames.draw({ camera, antialiased: this.page.antialiased, background: this.page.background }, take);
     this.picture.end();
-    await this.device.queue.onSubmittedWorkDone();
     if (!isPanel && moves) this.adapt(performance.now() - began);
   }
 
