@@ -15,6 +15,7 @@ from lightfield_gs.app.scene import check_scene_path
 from lightfield_gs.base.checks import counted
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.system import stop_signals
 from lightfield_gs.commands.options.fit import (
     CaptureOptions,
     FitOptions,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from lightfield_gs.fitting.fit import FitResult
     from lightfield_gs.io.captures.capture import Capture
 
-_NUMBERS = (signal.SIGINT, signal.SIGTERM)
+_NUMBERS = (signal.SIGINT, *stop_signals())
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
