@@ -98,9 +98,12 @@ def test_what_windows_tells_of_memory_ends_and_processes(monkeypatch):
 
 
 def test_names_that_a_console_cannot_show_are_printed_as_escapes(tmp_path):
-    (tmp_path / "\u5149.png").write_bytes(b"no picture")
-    line = [sys.executable, "-m", "lightfield_gs", "batch", ".", "-o", "out", "--devices", "cpu", "--processes", "2"]
+    for name in ("\u5149", "\u5f71"):  # one for each process
+        (tmp_path / f"{name}.png").write_bytes(b"no picture")
+    line = [sys.executable, "-m", "lightfield_gs", "batch", ".", "-o", "\u5149", "--devices", "cpu", "--processes", "2"]
     done = subprocess.run(
         line, capture_output=True, cwd=tmp_path, env=os.environ | {"PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}
     )
-    assert done.returncode == 1 and b"failed: \\u5149.png: " in done.stderr, done.stderr
+    assert done.returncode == 1 and b"UnicodeEncodeError" not in done.stderr, done.stderr
+    assert b"\\u5149: 0 of 1 items are done" in done.stdout
+    assert b"failed: \\u5149.png: " in done.stderr and b"failed: \\u5f71.png: " in done.stderr
