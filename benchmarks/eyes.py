@@ -11,7 +11,7 @@ import torch
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import options
-from lightfield_gs.bench.light_field import SCENES
+from lightfield_gs.bench.names import LIGHT_FIELD_SCENES as SCENES
 from lightfield_gs.bench.pareto import Subject, scene_subjects
 from lightfield_gs.bench.report import aligned
 from lightfield_gs.encoding.encode import encode

@@ -12,37 +12,57 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
+from functools import partial
 from typing import NoReturn, cast
 
 from lightfield_gs.base.cli_messages import (
     FOLDER_GONE,
     PatientStream,
+    closing_lines,
     has_working_folder,
     open_closed_streams,
-    print_assumptions,
+    quiet,
     report_error,
 )
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.system import is_closed_pipe, stop_signals
 from lightfield_gs.commands.options.parser import Parser, join_values
+from lightfield_gs.commands.unknown import unknown_command
 
-# Each command is a file of lightfield_gs/commands, which has its arguments and runs it
-COMMANDS = {
-    "fit": "fit Gaussians to photographs of a scene",
-    "encode": "encode a photo or a scene as the image of a panel",
-    "quilt": "render the views of a photo or a scene as a Looking Glass quilt",
-    "weave": "interlace a quilt or a folder of views for a panel",
-    "prune": "remove the Gaussians that hardly show on a panel",
-    "video": "encode a scene with moving cameras, or a sequence of pictures",
-    "batch": "encode many photos, scenes, captures and videos on all GPUs",
-    "simulate": "simulate the picture that an eye sees through the lenses",
-    "view": "open a page that shows and steers a scene",
-    "show": "show an encoded image on the panel, full screen",
-    "displays": "list the screens that are connected, and the 3D displays among them",
-    "calibrate": "calibrate the profile of a panel",
-    "info": "describe the contents of a file",
-    "bench": "measure speed and accuracy",
+# A command has its arguments in a file of lightfield_gs/commands/arguments, and runs by one of lightfield_gs/commands
+COMMAND_GROUPS = {
+    "pictures": {
+        "encode": "turn a photo or a 3D scene into the picture of a 3D display",
+        "video": "make a video of a scene, of a photo or of pictures in a row",
+        "quilt": "render many views in one picture, for Looking Glass programs",
+        "weave": "turn a quilt or a folder of views into the picture of a display",
+        "batch": "encode all photos, scenes and videos of a folder",
+    },
+    "looking": {
+        "view": "look at a photo or a scene in the browser, and adjust it",
+        "page": "make one file to send, which shows a scene in any browser",
+        "show": "show a picture on the 3D display, full screen",
+        "simulate": "see what an eye before the display sees of a picture",
+    },
+    "displays": {
+        "displays": "list the screens that are connected, and the 3D displays",
+        "calibrate": "make a calibration fit its display",
+    },
+    "scenes and files": {
+        "fit": "make a 3D scene of photographs that show it from many sides",
+        "prune": "make a scene smaller: leave out what hardly shows",
+        "info": "say what is in a file",
+        "bench": "measure speed and accuracy",
+    },
 }
+COMMANDS = {name: purpose for commands in COMMAND_GROUPS.values() for name, purpose in commands.items()}
+_EXAMPLES = (
+    ("displays", "which displays are connected"),
+    ("encode photo.jpg -o out.png", "a photo, for the display"),
+    ("show out.png", "the picture, full screen"),
+    ("view photo.jpg", "look at it, and adjust it"),
+)
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 
 
@@ -74,8 +94,10 @@ def _run(arguments: list[str], began: float) -> int:
     try:
         if arguments[:1] and arguments[0] in COMMANDS and not has_working_folder():
             raise InputError(FOLDER_GONE)
+        if arguments and arguments[0] not in COMMANDS and not arguments[0].startswith("-"):
+            raise unknown_command(arguments, COMMANDS)
         args = build_parser(*arguments[:1]).parse_args(join_values(arguments), argparse.Namespace(began=began))
-        with print_assumptions():
+        with quiet() if getattr(args, "quiet", False) else nullcontext(), closing_lines():
             code = importlib.import_module(args.module).run(args) or 0
         return code
     except (Exception, KeyboardInterrupt) as error:
@@ -83,21 +105,27 @@ def _run(arguments: list[str], began: float) -> int:
         return report_error("lightfield-gs", error, remedy)
 
 
-def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser with the arguments of one command only: the arguments of `bench` import torch."""
+def build_parser(command: str | None = None) -> Parser:
+    """Return the parser of all commands; `command` has its arguments at once, the others when they are asked for."""
     parser = Parser(
         "lightfield-gs",
-        description="One photo, or a scene of 3D Gaussians, to the image that a slanted-lenticular 3D panel shows.",
+        description="Turn one photo, or a 3D scene, into the picture of a glasses-free 3D display.",
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    parser.text.examples, parser.text.sections = _EXAMPLES, COMMAND_GROUPS
+    parser.text.footer = "Each command explains itself: lightfield-gs COMMAND --help"
+    parser.add_argument("--version", action=_Version, nargs=0, short="print the version", help="print the version")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Parser)
-    for name, purpose in COMMANDS.items():
-        subparser = commands.add_parser(name, help=purpose, allow_abbrev=False)
+    for name in COMMANDS:
+        subparser = commands.add_parser(name, fill=partial(_fill, name), allow_abbrev=False)
         subparser.set_defaults(module=f"lightfield_gs.commands.{name}")
         if name == command:
-            importlib.import_module(f"lightfield_gs.commands.{name}").add_arguments(subparser)
+            subparser.complete()
     return parser
+
+
+def _fill(name: str, parser: Parser) -> None:
+    importlib.import_module(f"lightfield_gs.commands.arguments.{name}").add_arguments(parser)
 
 
 class _Version(argparse.Action):

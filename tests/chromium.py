@@ -14,6 +14,9 @@ import pytest
 from PIL import Image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+# WebGPU without a GPU, and a canvas of it on the screen
+SWIFTSHADER = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan")
+SWIFTSHADER_CANVAS = (*SWIFTSHADER, "--use-vulkan=swiftshader", "--use-angle=swiftshader", "--ignore-gpu-blocklist")
 
 
 def find() -> str:
@@ -99,6 +102,16 @@ class Browser:
         """Return the picture of the window, uint8 [h, w, 3], in pixels of the screen."""
         png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+    def resize(self, width: int, height: int, scale: float = 1.0) -> None:
+        """Make window and screen this large, in CSS pixels."""
+        size = dict(width=width, height=height, screenWidth=width, screenHeight=height)
+        self.call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=scale, mobile=False)
+
+    def prefer(self, **features: str) -> None:
+        """Set what media queries ask for: prefer(prefers_color_scheme="dark")."""
+        named = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
+        self.call("Emulation.setEmulatedMedia", features=named)
 
     def close(self) -> None:
         self._process.terminate()

@@ -5,6 +5,14 @@
 
 const ORDER = 8;            // of the polynomials, at most
 const CIRCLE_TERMS = 7u;
+// Chebyshev nodes of ORDER, and the angles of the circle: WGSL's own sin and cos may err by 1/2048
+const NODES = ORDER + 1;
+const NODE = array<f32, NODES>(0.984807753, 0.8660254038, 0.6427876097, 0.3420201433, 0.0,
+  -0.3420201433, -0.6427876097, -0.8660254038, -0.984807753);
+const COSINE = array<f32, CIRCLE_TERMS>(1.0, 0.6234898019, -0.222520934, -0.9009688679,
+  -0.9009688679, -0.222520934, 0.6234898019);
+const SINE = array<f32, CIRCLE_TERMS>(0.0, 0.7818314825, 0.9749279122, 0.4338837391,
+  -0.4338837391, -0.9749279122, -0.7818314825);
 
 fn coefficient(i: u32, k: u32) -> vec3f {
   let degree = P.phase1.w;
@@ -89,10 +97,10 @@ fn store_on_circle(i: u32, t: vec3f, circle: vec2f, place: u32) {
   let foot_length = length(t.yz);
   let foot = to_world(select(vec3f(0.0, 0.0, 1.0), vec3f(0.0, t.yz / foot_length), foot_length > 0.0));
   let along = P.turn0.xyz;
+  var cosines = COSINE; var sines = SINE;
   var terms: array<vec3f, 7>;
   for (var j = 0u; j < CIRCLE_TERMS; j++) {
-    let angle = f32(j) * 6.283185307179586 / 7.0;
-    let sine = sin(angle); let cosine = cos(angle);
+    let sine = sines[j]; let cosine = cosines[j];
     let value = colour_towards(i, cosine * foot - sine * along);
     let c2 = 1.0 - 2.0 * sine * sine; let c3 = cosine * (1.0 - 4.0 * sine * sine);
     let s2 = 2.0 * sine * cosine; let s3 = sine * (3.0 - 4.0 * sine * sine); let each = 2.0 / 7.0;
@@ -127,10 +135,10 @@ fn store_colour(i: u32, t: vec3f, before: u32) -> u32 {
   }
 
   // Chebyshev coefficients from values at the nodes, and then powers of s of as many as the tolerance asks for
-  const NODES = ORDER + 1;
+  var nodes = NODE;
   var chebyshev: array<vec3f, 9>;
   for (var j = 0; j < NODES; j++) {
-    let node = cos(3.141592653589793 * (f32(j) + 0.5) / f32(NODES));
+    let node = nodes[j];
     let value = colour_from(i, t, node) / f32(NODES);
     var one = 1.0; var next = node;  // T_k and T_(k+1) at the node
     for (var k = 0; k < NODES; k++) {

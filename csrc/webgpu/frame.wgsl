@@ -12,7 +12,7 @@
 // samples stay in registers.
 
 struct Params {
-  pose0: vec4f, pose1: vec4f, pose2: vec4f,  // takes means to camera axes, [R|t]
+  pose: array<vec4u, 6>,  // takes means to camera axes, [R|t]: bits of twelve doubles, low and high words
   turn0: vec4f, turn1: vec4f, turn2: vec4f,  // rotation from world to camera axes
   optics: vec4f,      // fx, fy, cx, cy, pixels
   limits: vec4f,      // of X/Z and Y/Z in the Jacobian: x low, high, y low, high

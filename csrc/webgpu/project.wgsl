@@ -29,8 +29,7 @@ struct Projected { splat: Splat, t: vec3f, D: vec3f };
 fn projected(g: Gaussian) -> Projected {
   var out: Projected;
   out.splat.c.z = -1.0;
-  let m = vec4f(g.mean.xyz, 1.0);
-  let t = vec3f(dot(P.pose0, m), dot(P.pose1, m), dot(P.pose2, m));
+  let t = vec3f(posed(0u, g.mean.xyz), posed(1u, g.mean.xyz), posed(2u, g.mean.xyz));
   out.t = t;
   let magnitudes = abs(g.quaternion);
   let largest = max(max(magnitudes.x, magnitudes.y), max(magnitudes.z, magnitudes.w));

@@ -13,12 +13,13 @@ from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.io.atomic import sha256
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import parse_json
 from lightfield_gs.panels.display_kinds import DisplayKind, kind_by_size
 from lightfield_gs.panels.looking_glass import LOOKING_GLASS
-from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import missing_geometry
 
 if TYPE_CHECKING:
@@ -222,6 +223,11 @@ def _survey() -> Survey:
     from lightfield_gs.displays.find import survey_displays
 
     return survey_displays()
+
+
+def panel_words(name: str | None) -> tuple[str, ...]:
+    """Return the words by which another command takes the same panel; none for the panel that it takes by itself."""
+    return () if name is None else ("--panel", name)
 
 
 def lens_differs(one: Panel, other: Panel) -> bool:

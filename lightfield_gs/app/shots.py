@@ -31,9 +31,10 @@ from lightfield_gs.app.scene import (
     load_scene,
     read_source,
 )
-from lightfield_gs.app.video import DEFAULT_FPS, DEFAULT_SECONDS, VideoOptions
+from lightfield_gs.app.video import DEFAULT_FPS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.options import DEFAULT_SECONDS, MOST_FRAMES
 from lightfield_gs.io.atomic import scratch_folder, sha256
 from lightfield_gs.io.file_kinds import refuse_video
 from lightfield_gs.io.images import read_picture
@@ -45,7 +46,7 @@ from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.photo.steady_depth import REACH
 from lightfield_gs.scene.axes import find_up, upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians, scene_hash
-from lightfield_gs.video.camera_path import MOST_FRAMES, CameraPath, turntable
+from lightfield_gs.video.camera_path import CameraPath, turntable
 from lightfield_gs.video.rendering import FrameSource
 from lightfield_gs.video.sequence import ImageSequence, is_sequence, open_sequence, pictures_and_maps
 

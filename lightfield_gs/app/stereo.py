@@ -13,12 +13,12 @@ from lightfield_gs.app.panel import software
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import StereoLayout
+from lightfield_gs.base.options import DEFAULT_PANEL, StereoLayout
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.io.stereo_names import stereo_paths
 from lightfield_gs.panels.comfort import COMFORT_DEG, depth_report
-from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.stereo_screen import StereoScreen, eye_geometry
 from lightfield_gs.webgpu.devices import choose_drawing_device
@@ -41,7 +41,6 @@ _OF_PANELS = {
     "save_rig": None,
     "save_gaussians": None,
     "preview": None,
-    "stats": False,
 }
 
 
@@ -96,8 +95,8 @@ def refuse_panel(panel: str | None) -> None:
         raise InputError("--panel is one of many views, and this picture is for another screen; leave it out")
 
 
-def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
-    """Draw the pictures of two eyes of the input and write them. Raises InputError."""
+def write_stereo(options: EncodeOptions, watch: Stopwatch) -> tuple[Path, ...]:
+    """Draw the pictures of two eyes of the input, write them, and return their files. Raises InputError."""
     paths = _check_stereo(options)
     target = StereoTarget.of(options.stereo, options.panel.viewing_distance)
     panel = target.screen.panel()
@@ -122,8 +121,9 @@ def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
     names = " and ".join(map(str, paths))
     height, width = eyes.shape[1:3]
     print(f"{names}: {target.layout}, two eyes of {width} x {height}, {gaussians.count} Gaussians")
-    print(watch.line())
+    watch.say_if(options.stats)
     say(target.line(options.stereo, options.panel.viewing_distance), comfort, *decisions, *framed.messages)
+    return paths
 
 
 def _check_stereo(options: EncodeOptions) -> tuple[Path, ...]:

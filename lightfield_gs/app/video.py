@@ -20,19 +20,18 @@ from lightfield_gs.app.options import (
 )
 from lightfield_gs.app.panel import software
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Compression, QualityName, Views
+from lightfield_gs.base.options import CodecName, Compression, QualityName, VideoKind, Views
 from lightfield_gs.io.atomic import check_folder, check_output_path
 from lightfield_gs.io.stereo_names import stereo_paths
 from lightfield_gs.panels.framing import FramingConstants
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, stated_layout, with_suffix
-from lightfield_gs.video.video_file import VIDEO_SUFFIXES, CodecName, Kind, choose_codec
+from lightfield_gs.video.video_file import VIDEO_SUFFIXES, choose_codec
 
 if TYPE_CHECKING:
     from lightfield_gs.app.shots import Shots
 
-DEFAULT_FPS, DEFAULT_SECONDS = Fraction(30), 10.0
-PRESET_SIZES = {"hololuminescent": (3840, 2160)}
+DEFAULT_FPS = Fraction(30)
 # Fractions of the height above and below the subject of a Hololuminescent display: 9 % and 3 %, and a hundredth more
 # for soft rims, which framing leaves out
 _ROOM = 0.10, 0.04
@@ -79,6 +78,7 @@ class VideoOptions:
         device: auto, cpu, cuda, webgpu or webgpu:N; the one that was chosen, once it is.
         stereo: pictures of two eyes.
         preset: a kind of display that takes ordinary videos, see `for_preset`.
+        stats: whether to print the times of the stages.
     """
 
     output: Path
@@ -88,7 +88,7 @@ class VideoOptions:
     look: LookOptions
     render: RenderOptions
     motion: MotionOptions
-    kind: Kind | None = None
+    kind: VideoKind | None = None
     codec: CodecName | None = None
     crf: int = 18
     quilt: QuiltLayout | tuple[int, ...] | None = None
@@ -104,6 +104,7 @@ class VideoOptions:
     threads: int | None = None
     stereo: StereoOptions = field(default_factory=StereoOptions)
     preset: str | None = None
+    stats: bool = False
 
     def inputs(self) -> tuple[Path | str | None, ...]:
         """Return all files to read, the scene first; None for missing files."""
@@ -122,7 +123,7 @@ class VideoTarget:
     """
 
     path: Path
-    kind: Kind
+    kind: VideoKind
     codec: CodecName | None
     layout: QuiltLayout | None
 
@@ -183,7 +184,7 @@ def video_target(options: VideoOptions, panel: Panel) -> VideoTarget:
     return VideoTarget(check_output_path(path if layout is None else with_suffix(path, layout)), kind, codec, layout)
 
 
-def _refuse_others(options: VideoOptions, kind: Kind) -> None:
+def _refuse_others(options: VideoOptions, kind: VideoKind) -> None:
     """Raise InputError for options of another kind, and for options that exclude each other."""
     for name, own in (("quilt", "quilt"), ("quilt_size", "quilt"), ("bridge", "quilt"), ("sway", "2d")):
         if getattr(options, name) is not None and kind != own:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, field, fields
+from numbers import Real
 from typing import Any
-
-import numpy as np
 
 from lightfield_gs.base.errors import InputError
 
@@ -42,12 +42,17 @@ def expect(what: str, value: object, *kinds: type) -> None:
 def wrong_type(what: str, value: object, *kinds: type) -> InputError:
     """Return the error of a value that has none of the expected types."""
     wanted = [_KIND_NAMES.get(kind.__name__, kind.__name__) for kind in kinds]
-    hint = "; use torch.from_numpy" if isinstance(value, np.ndarray) and "torch.Tensor" in wanted else ""
+    hint = "; use torch.from_numpy" if _is_array(value) and "torch.Tensor" in wanted else ""
     return InputError(f"{what}: expected {' or '.join(wanted)}, got {type(value).__name__}{hint}")
 
 
+def _is_array(value: object) -> bool:
+    numpy = sys.modules.get("numpy")  # without it there is no array; its import takes longer than --help
+    return numpy is not None and isinstance(value, numpy.ndarray)
+
+
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def whole_number(what: str, value: Any, low: int, high: int) -> int:
@@ -70,7 +75,7 @@ def real_number(what: str, value: Any, low: float, high: float) -> float:
 
 def is_row(values: Any, count: int | None = None) -> bool:
     """Return whether `values` is a sequence or array of `count` elements of any kind (None: any number)."""
-    if isinstance(values, np.ndarray):
+    if _is_array(values):
         good = values.ndim == 1
     else:
         good = isinstance(values, Sequence) and not isinstance(values, (str, bytes))

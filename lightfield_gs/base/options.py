@@ -19,6 +19,11 @@ Fit = Literal["auto", "cover", "contain"]
 Compression = Literal["fast", "small"]
 Detail = Literal["auto", 1, 2, 4]
 Device = Literal["auto", "cpu", "cuda"]
+Density = Literal["mcmc", "adaptive"]
+Masks = Literal["ignore", "alpha"]
+TestEvery = int | Literal["own"] | None  # see Capture.split
+VideoKind = Literal["native", "quilt", "2d", "stereo"]
+CodecName = Literal["ffv1", "h264-rgb", "h264", "hevc"]
 StereoInput = Literal["sbs", "half-sbs", "tab", "half-tab", "two", "none"]
 StereoLayout = Literal["sbs", "half-sbs", "tab", "mpo", "anaglyph", "left-right"]
 
@@ -39,6 +44,12 @@ DETAILS: tuple[Detail, ...] = get_args(Detail)
 DEVICES: tuple[Device, ...] = get_args(Device)
 STEREO_INPUTS: tuple[StereoInput, ...] = get_args(StereoInput)
 STEREO_LAYOUTS: tuple[StereoLayout, ...] = get_args(StereoLayout)
+DENSITIES: tuple[Density, ...] = get_args(Density)
+MASKS: tuple[Masks, ...] = get_args(Masks)
+VIDEO_KINDS: tuple[VideoKind, ...] = get_args(VideoKind)
+CODECS: tuple[CodecName, ...] = get_args(CodecName)
+UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
+PRESET_SIZES = {"hololuminescent": (3840, 2160)}  # of videos by their --preset, pixels
 
 # Arguments that only one method of `encode` takes; the options of the command have the same names
 ONLY_FOR: dict[str, Method] = {
@@ -53,4 +64,9 @@ ONLY_FOR: dict[str, Method] = {
 # The network that estimates depth (Yang et al., "Depth Anything V2", 2024), by its name on huggingface.co. The larger
 # networks of its family may not be used commercially.
 DEPTH_MODEL = "depth-anything/Depth-Anything-V2-Small-hf"
+DEFAULT_QUILT = "65"  # preset of a quilt, where no display is connected
+DEFAULT_PANEL = "65in-8k-96v"  # where no display is connected
+MOST_FRAMES = 1_000_000  # of a video
+DEFAULT_SECONDS = 10.0  # of a turntable
+BRIDGE_URL = "http://localhost:33334"  # of Looking Glass Bridge
 DEFAULT_CONE_DEG = 40.0  # cone of a panel that states none

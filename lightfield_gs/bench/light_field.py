@@ -6,7 +6,6 @@ error compares the timed image with the float64 oracle, also rounded to 8 bits.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,13 +16,20 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import METHODS, Method
+from lightfield_gs.base.options import Method
 from lightfield_gs.bench import options
 from lightfield_gs.bench.benchmarks import load_from_checkout
+from lightfield_gs.bench.names import (
+    BENCH_METHODS,
+    GSPLAT,
+    LIGHT_FIELD_METHODS,
+    LIGHT_FIELD_SCENES,
+    NAMED_CONES,
+    ORACLE_SAMPLES,
+)
 from lightfield_gs.bench.report import aligned, in_ms, megabytes, or_dash
-from lightfield_gs.bench.scenes import NAMED_CONES, ORACLE_SAMPLES, benchmark_rig, load_scene, oracle_samples
+from lightfield_gs.bench.scenes import benchmark_rig, load_scene, oracle_samples
 from lightfield_gs.bench.timing import timed
-from lightfield_gs.commands.options.parser import byte_size
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.panels.panel import Panel
@@ -317,9 +323,7 @@ def _counted_on_cuda(counted: Callable[[], dict[str, Any]], image: Tensor) -> tu
     return stats, torch.cuda.max_memory_allocated(image.device) - before - image.numel()
 
 
-GSPLAT = "gsplat-classic"  # a peer, by benchmarks/peers.py
-BENCH_METHODS = (*METHODS, GSPLAT)
-SCENES, USUAL_METHODS = ("sheet:128",), ("direct",)
+add_arguments = options.add_light_field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,7 +331,7 @@ class Options(options.SceneOptions):
     """The options of the benchmark.
 
     Attributes:
-        methods: names with commas. None: those of USUAL_METHODS.
+        methods: names with commas. None: those of LIGHT_FIELD_METHODS.
         memory_budget: bytes of the method sorted.
         oracle_samples: number of sub-pixels. None: ORACLE_SAMPLES.
     """
@@ -337,39 +341,9 @@ class Options(options.SceneOptions):
     oracle_samples: int | None = None
 
 
-def add_arguments(
-    parser: argparse.ArgumentParser, scenes: Sequence[str] = SCENES, methods: Sequence[str] = USUAL_METHODS
-) -> None:
-    """Add the options of a light-field image; scenes, methods: the defaults."""
-    options.add_scene(parser, scenes)
-    options.add_panel(parser)
-    options.add_cone(parser)
-    options.add_sh_degree(parser)
-    parser.add_argument(
-        "--methods",
-        help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
-        f"gsplat is installed; default: {','.join(methods)})",
-    )
-    parser.add_argument(
-        "--memory-budget",
-        type=byte_size,
-        metavar="SIZE",
-        help="work memory of the method sorted, for example 256MB, as in `encode`",
-    )
-    parser.add_argument(
-        "--oracle-samples",
-        type=int,
-        metavar="N",
-        help=f"number of random sub-pixels that the oracle checks (default: {ORACLE_SAMPLES}). Near 80 dB one in "
-        "1,500 is off by 1/255, so the default has an uncertainty of 1 dB",
-    )
-    options.add_repeats(parser)
-    options.add_machine(parser)
-
-
 def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of every case and method, and their text."""
-    result = measure_cases(given, SCENES, USUAL_METHODS)
+    result = measure_cases(given, LIGHT_FIELD_SCENES, LIGHT_FIELD_METHODS)
     lines = [table(result["rows"]), *map(comparison_line, result["comparisons"])]
     return result, "\n".join([*lines, *map(cost_line, result["harmonics"])])
 

@@ -8,14 +8,23 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from lightfield_gs.base.cli_messages import as_options
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.bench.scenes import NAMED_CONES, check_scene
+from lightfield_gs.base.options import DEFAULT_PANEL
+from lightfield_gs.bench.names import (
+    BENCH_METHODS,
+    LIGHT_FIELD_METHODS,
+    LIGHT_FIELD_SCENES,
+    NAMED_CONES,
+    ORACLE_SAMPLES,
+)
 from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.photo.load import load_photo
+from lightfield_gs.commands.options.parser import byte_size
+
+if TYPE_CHECKING:
+    from lightfield_gs.panels.panel import Panel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +66,8 @@ class PanelOptions(BenchmarkOptions):
 
     def load_panel(self) -> Panel:
         """Read the panel. Raises InputError."""
+        from lightfield_gs.panels.panel import Panel
+
         return Panel.load(self.panel, serial=self.device_serial)
 
 
@@ -77,10 +88,17 @@ class SceneOptions(PanelOptions):
 
 def add_machine(parser: argparse.ArgumentParser, several_threads: bool = False) -> None:
     """Add the options of the machine and of the file of rows."""
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
+    parser.add_argument(
+        "--device", choices=("cpu", "cuda"), default="cpu", short="cpu or cuda", help="default: %(default)s"
+    )
     more = "; several with commas" if several_threads else ""
     parser.add_argument("--threads", help=f"threads (default: all cores){more}")
-    parser.add_argument("--json", type=Path, help="file for the rows and a description of the machine")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        short="also write the figures to this file",
+        help="file for the rows and a description of the machine",
+    )
 
 
 def add_repeats(parser: argparse.ArgumentParser) -> None:
@@ -95,6 +113,7 @@ def add_panel(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--panel",
         default=DEFAULT_PANEL,
+        short="the panel, by its name or file",
         help="name, YAML or visual.json (default: %(default)s); bench-8k-96v and bench-4k-71v are the panels of "
         "published figures",
     )
@@ -103,12 +122,16 @@ def add_panel(parser: argparse.ArgumentParser) -> None:
 
 def add_scene(parser: argparse.ArgumentParser, usual: Sequence[str]) -> None:
     parser.add_argument(
-        "--scene", help=f"sheet:S, cloud:N or a .ply; several with commas (default: {', '.join(usual)})"
+        "--scene",
+        short="sheet:S, cloud:N or a .ply, several with commas",
+        help=f"sheet:S, cloud:N or a .ply; several with commas (default: {', '.join(usual)})",
     )
 
 
 def check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (None,)) -> None:
     """Raise InputError before the first measurement, so that no measurements are lost."""
+    from lightfield_gs.bench.scenes import check_scene
+
     for scene in scenes:
         for degree in sh_degrees:
             check_scene(scene, degree)
@@ -158,6 +181,8 @@ def add_photo(parser: argparse.ArgumentParser, usual: Path) -> None:
 
 def check_photos(photos: Sequence[str]) -> None:
     """Raise InputError before the first measurement, so that no measurements are lost."""
+    from lightfield_gs.photo.load import load_photo
+
     for path in photos:
         with named("photo="):
             load_photo(path)
@@ -183,3 +208,35 @@ def thread_counts(text: str | None) -> list[int | None]:
 def progress(line: str) -> None:
     """Print the progress of the benchmark."""
     print(f"bench: {as_options(line)}", file=sys.stderr, flush=True)
+
+
+def add_light_field(
+    parser: argparse.ArgumentParser,
+    scenes: Sequence[str] = LIGHT_FIELD_SCENES,
+    methods: Sequence[str] = LIGHT_FIELD_METHODS,
+) -> None:
+    """Add the options of a light-field image; scenes, methods: the defaults."""
+    add_scene(parser, scenes)
+    add_panel(parser)
+    add_cone(parser)
+    add_sh_degree(parser)
+    parser.add_argument(
+        "--methods",
+        help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
+        f"gsplat is installed; default: {','.join(methods)})",
+    )
+    parser.add_argument(
+        "--memory-budget",
+        type=byte_size,
+        metavar="SIZE",
+        help="work memory of the method sorted, for example 256MB, as in `encode`",
+    )
+    parser.add_argument(
+        "--oracle-samples",
+        type=int,
+        metavar="N",
+        help=f"number of random sub-pixels that the oracle checks (default: {ORACLE_SAMPLES}). Near 80 dB one in "
+        "1,500 is off by 1/255, so the default has an uncertainty of 1 dB",
+    )
+    add_repeats(parser)
+    add_machine(parser)

@@ -18,6 +18,7 @@ import torch
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.bench.names import ORACLE_SAMPLES
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -27,7 +28,6 @@ from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 ZERO_DEPTH = 2.0
 NARROW_PX = 40.0  # disparity over all views of a point at 4/5 of the zero plane's depth, cone "narrow"
 WIDE_DEG = 53.0  # cone "wide"
-NAMED_CONES = ("narrow", "wide")
 _HARMONIC_DEVIATIONS = (0.15, 0.1, 0.05)  # of the coefficients of degree 1, 2, 3
 _HARMONIC_SEED = 99
 
@@ -153,7 +153,6 @@ def _gaussians(
     return from_tensors(torch.from_numpy(field) for field in fields)
 
 
-ORACLE_SAMPLES = 20_000
 ORACLE_SEED = 1
 PSNR_CAP_DB = 120.0  # of images without any error
 

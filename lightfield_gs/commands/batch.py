@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from lightfield_gs.app.panel import load_panel, package_versions
@@ -20,64 +18,9 @@ from lightfield_gs.batch.manifest import Manifest, Plan, make_plan
 from lightfield_gs.batch.run import Run, Worker
 from lightfield_gs.batch.shards import Shard, choose_workers, run_shards
 from lightfield_gs.commands.batch_tasks import BatchOptions, load, read_batch_options
-from lightfield_gs.commands.options.panel import add_encoding
-from lightfield_gs.commands.options.parser import whole
 from lightfield_gs.io.atomic import check_folder, remove_left_over
 
 EXIT_SOME_FAILED = 1
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs batch`."""
-    parser.description = (
-        "Encode all photos and scenes of a folder or a list, fit captures and encode their scenes, and "
-        "make videos, in one to four processes for each GPU. DIR/batch.jsonl records the results. After "
-        "any stop the same command goes on: it leaves finished items alone, and retries failed ones. "
-        "Options of `encode` apply to all items."
-    )
-    add = parser.add_argument
-    add(
-        "input",
-        type=Path,
-        metavar="FOLDER|LIST",
-        help="a folder of inputs; or a text file with a path or a JSON object on each line. Keys of an object: "
-        "input, and optionally output, command (encode, fit, video), fit_options, and options by their "
-        "names",
-    )
-    add("-o", "--output", type=Path, required=True, metavar="DIR", help="the folder of images and of batch.jsonl")
-    add(
-        "--format",
-        choices=("png", "tif", "exr"),
-        default="png",
-        help="format of the images, which are named as their inputs (default png)",
-    )
-    add(
-        "--processes",
-        type=whole(1, 4096),
-        metavar="N",
-        help="number of processes (default: 1 to 4 a GPU, one for 8 of its cores; without a GPU one for 4 cores)",
-    )
-    add(
-        "--devices",
-        metavar="cuda:0,...|cpu",
-        help="devices of the processes (default: all GPUs, or the CPU without one)",
-    )
-    add(
-        "--shard",
-        type=_shard,
-        metavar="I/N",
-        help="take every N-th item from the I-th on, in one process: for GNU parallel, Slurm and Ray, which "
-        "place the N processes on GPUs and machines. All must see the files under the same paths",
-    )
-    add("--fit-options", metavar="TEXT", help="options of `fit`, for captures, in quotation marks")
-    add("--video-options", metavar="TEXT", help="options of `video`, for videos, in quotation marks")
-    add("--overwrite", action="store_true", help="repeat finished items")
-    add(
-        "--check",
-        action="store_true",
-        help="read all inputs and images of finished items, and repeat items that have changed",
-    )
-    add_encoding(add)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -154,11 +97,3 @@ def _without_waiting(call: Callable[[], int]) -> int:
         report_error("lightfield-gs", KeyboardInterrupt(), "")
         sys.stdout.flush()
         os._exit(error.code if isinstance(error, SystemExit) and isinstance(error.code, int) else EXIT_INTERRUPTED)
-
-
-def _shard(text: str) -> Shard:
-    """Parse "2/8"."""
-    match = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text)
-    if match is None or not 1 <= int(match[1]) <= int(match[2]):
-        raise argparse.ArgumentTypeError(f"expected I/N, such as 1/8 to 8/8, got '{text}'")
-    return int(match[1]), int(match[2])

@@ -6,30 +6,12 @@ import argparse
 
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.bench.benchmarks import BENCHMARKS, DEFAULT, load
+from lightfield_gs.bench.benchmarks import load
 from lightfield_gs.bench.options import BenchmarkOptions
 from lightfield_gs.bench.timing import machine, machine_line
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.text_files import write_json
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the default benchmark, and a subcommand for each benchmark."""
-    parser.description = "Measures speed and accuracy. BENCHMARK --help has the options of each."
-    load(DEFAULT).add_arguments(parser)
-    kinds = parser.add_subparsers(
-        title="benchmarks", dest="what", metavar="BENCHMARK", parser_class=type(parser), required=False
-    )
-    for name, purpose in BENCHMARKS.items():
-        try:
-            benchmark = load(name)
-        except InputError:  # `run` gives the reason. Without a prefix of options all words are taken until then.
-            missing = kinds.add_parser(name, help=f"{purpose} (in a checkout)", prefix_chars="\0", add_help=False)
-            missing.add_argument("words", nargs="*")
-        else:
-            benchmark.add_arguments(kinds.add_parser(name, help=purpose, description=f"{purpose}.", allow_abbrev=False))
-    parser.set_defaults(what=DEFAULT)
 
 
 def run(args: argparse.Namespace) -> int:

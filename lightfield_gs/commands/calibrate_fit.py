@@ -11,11 +11,10 @@ import numpy as np
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel, why_no_eye
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import note, say_next
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_nudge import change_lines
-from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
-from lightfield_gs.commands.options.parser import numbers, read_options
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.calibration_fit import CalibrationFit, ViewpointFit, fit_lens, most_spread_views
 from lightfield_gs.panels.calibration_photos import Viewpoint, load_viewpoint, read_viewpoints
@@ -45,59 +44,6 @@ class CalibrationOptions:
     one_place: bool = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs calibrate fit`."""
-    parser.epilog = (
-        "Photograph `calibrate pattern phase --shift 0`, 1 and 2 of exactly the profile START, shown full "
-        "screen and unscaled, in a dark room. Do so from two places at least, a twentieth of the viewing "
-        "zone apart, best at the viewing distance. Only the pattern may change between the three: use the "
-        "same exposure and white balance, no clipping, and a stand. One photograph of `calibrate pattern "
-        "rgb` from each place is quicker; its accuracy depends on how well the camera separates colours."
-    )
-    add = parser.add_argument
-    add(
-        "photos",
-        nargs="+",
-        type=Path,
-        metavar="PHOTO",
-        help="the photographs of shift 0, 1 and 2 from the first place, then from the next; or a .yaml with a "
-        "list places, each with eye_mm, photos and optionally corners_px",
-    )
-    add("--panel", required=True, metavar="START", help="the profile of the pattern: name, .yaml or .json")
-    add_device_serial(add)
-    add_viewing_distance(add, "design distance of the lens, if START does not state it")
-    add(
-        "--eye",
-        type=numbers(3),
-        action="append",
-        metavar="X,Y,Z",
-        help="position of the camera in mm from the panel's middle: right (as the viewer sees it), up, towards "
-        "the viewer; once for each place",
-    )
-    add(
-        "--corners",
-        type=numbers(8),
-        action="append",
-        metavar="X,Y,...",
-        help="corners of the panel in the photographs, in pixels from their upper left: upper left, upper "
-        "right, lower right, lower left; once for each place (default: found automatically, which needs a "
-        "dark room)",
-    )
-    add(
-        "--one-place",
-        action="store_true",
-        help="accept photographs from one place; order, mirroring and position of the eye are then not checked",
-    )
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="NEW",
-        help="START with the estimated lens, in its own format",
-    )
-
-
 def run(args: argparse.Namespace) -> None:
     """Estimate the lens and write it. Raises InputError."""
     options = read_options(CalibrationOptions, args)
@@ -114,6 +60,7 @@ def run(args: argparse.Namespace) -> None:
         print(line)
     for words in implausible_places(fit):
         note(words)
+    say_next("encode", "photo.jpg", "-o", "out.png", "--panel", path)
 
 
 def implausible_places(fit: CalibrationFit) -> list[str]:

@@ -7,10 +7,10 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.calibrate_pattern import KINDS, PatternOptions, draw_pattern, write_pattern
-from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.parser import numbers, read_options
+from lightfield_gs.commands.calibrate_pattern import PatternOptions, draw_pattern, write_pattern
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.lens_change import (
     LensChange,
@@ -24,7 +24,6 @@ from lightfield_gs.panels.lens_change import (
 from lightfield_gs.panels.panel import Panel
 
 _CHANGES = ("pitch_by", "slope_by", "centre_by", "line_number_by", "slant_by", "phase_by")
-_TO_SHOW = [kind for kind in KINDS if kind != "single"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,27 +51,6 @@ class NudgeOptions:
     pattern: str | None = None
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs calibrate nudge`."""
-    parser.epilog = (
-        "Pitch, slope and centre are the words of Looking Glass; line number, slant and phase are the "
-        "words of a .yaml. Profiles of both kinds take both. The content in the middle of the panel stays, "
-        "unless the centre or the phase is moved. `calibrate pattern` pitch, slope and centre label their "
-        "bands with the values for this command."
-    )
-    add = parser.add_argument
-    add("profile", metavar="PROFILE", help="name, .yaml or Looking Glass visual.json")
-    add("-o", "--output", type=Path, required=True, metavar="NEW", help="the changed profile, in the format of PROFILE")
-    add_device_serial(add)
-    add("--pitch-by", type=_amount, metavar="LPI|P%", help="more lenses per inch across their axis, or percent of them")
-    add("--slope-by", type=_amount, metavar="S|P%", help="more slope (dy/dx of the lens axis), or percent of it")
-    add("--centre-by", type=numbers(1), metavar="LENSES", help="move the centre, in lens widths")
-    add("--line-number-by", type=numbers(1), metavar="SUBPIXELS", help="wider lenses, in sub-pixels along a row")
-    add("--slant-by", type=numbers(1), metavar="TAN", help="more slant, in its tangent")
-    add("--phase-by", type=numbers(1), metavar="SUBPIXELS", help="move the phase, in sub-pixels")
-    add("--pattern", choices=_TO_SHOW, metavar="KIND", help="also write a pattern of the new profile: NEW-KIND.png")
-
-
 def run(args: argparse.Namespace) -> None:
     """Write the changed profile. Raises InputError."""
     _nudge(read_options(NudgeOptions, args))
@@ -93,6 +71,9 @@ def _nudge(options: NudgeOptions) -> None:
     if pattern is not None and kind is not None and image is not None:
         write_pattern(pattern, after, kind, image)
         print(f"{pattern}: {kind}, for the new profile; show it full screen, unscaled")
+        say_next("show", pattern)
+    else:
+        say_next("calibrate", "pattern", "pitch", "--panel", path, "-o", path.with_name(f"{path.stem}-pitch.png"))
 
 
 def lens_change(options: NudgeOptions, panel: Panel) -> LensChange:
@@ -151,9 +132,3 @@ def change_lines(source: str | Path, before: Panel, after: Panel, serial: str | 
     moved = phase_in_middle(after) - phase_in_middle(before)
     lines.append(f"the middle of the panel moves by {moved:+.4g} lens widths, {moved * after.views:+.4g} views")
     return lines
-
-
-def _amount(text: str) -> tuple[float, bool]:
-    """Parse "0.1%" to (0.1, True), which is percent; "0.05" to (0.05, False)."""
-    relative = text.endswith("%")
-    return numbers(1)(text.removesuffix("%"))[0], relative

@@ -3,51 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
 from lightfield_gs.app.stereo import refuse_stereo, write_stereo
-from lightfield_gs.base.cli_messages import Stopwatch, note, say
-from lightfield_gs.commands.options.panel import add_drawing_device, add_encoding
+from lightfield_gs.base.cli_messages import Stopwatch, note, say, say_next
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.options.stereo import add_stereo
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs encode`."""
-    parser.description = "Encode a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel."
-    add = parser.add_argument
-    add(
-        "input",
-        type=Path,
-        metavar="INPUT",
-        help="a photo of an object (RGBA, or RGB with a plain background, --mask "
-        "or --remove-background), a photo of a scene with --depth, or a file of Gaussians (.ply, "
-        ".spz, .sog or its folder, .splat, .ksplat)",
-    )
-    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
-    add_encoding(add)
-    add_drawing_device(add)
-    add("--save-rig", type=Path, metavar="YAML", help="write the rig of the image")
-    add(
-        "--save-gaussians",
-        type=Path,
-        metavar="SCENE",
-        help="write the scene as .ply, .spz or .splat; a .ply also has the framing, so that its encoding gives "
-        "the same picture",
-    )
-    add(
-        "--preview",
-        type=Path,
-        metavar="DIR",
-        help="write views.png, look-around.webp and look-around.html (follows the mouse, needs no network); "
-        "also left-eye.png and right-eye.png, if the panel has a pixel pitch and a viewing distance",
-    )
-    add("--stats", action="store_true", help="print statistics of drawn and skipped parts")
-    add_stereo(add)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -55,7 +18,9 @@ def run(args: argparse.Namespace) -> None:
     options, watch = read_options(EncodeOptions, args), Stopwatch(args.began)
     refuse_stereo(options.stereo)
     if options.stereo.stereo is not None:
-        write_stereo(options, watch)
+        paths = write_stereo(options, watch)
+        if options.stereo.stereo in ("sbs", "half-sbs", "tab", "mpo"):  # as `show` takes them
+            say_next("show", *paths)
         return
     encoding = Encoding(options, watch)
     if args.threads is not None:
@@ -64,6 +29,7 @@ def run(args: argparse.Namespace) -> None:
     encoding.draw()
     encoding.write()
     _say(encoding)
+    say_next("show", options.output)
 
 
 def _say(encoding: Encoding) -> None:
@@ -72,7 +38,7 @@ def _say(encoding: Encoding) -> None:
     if options.preview is not None and (why := why_no_eye(panel)):
         note(f"{options.preview} has no left-eye.png and right-eye.png: {why}")
     print(f"{options.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {count} Gaussians")
-    print(encoding.watch.line())
+    encoding.watch.say_if(options.stats)
     if options.stats:
         print("\n".join(_stats_lines(encoding.stats, count)))
     say(*encoding.messages)

@@ -11,20 +11,14 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.app.panel import panel_words
 from lightfield_gs.app.scene import check_scene_path
 from lightfield_gs.base.checks import counted
+from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.system import stop_signals
-from lightfield_gs.commands.options.fit import (
-    CaptureOptions,
-    FitOptions,
-    add_capture,
-    add_cone,
-    add_optimisation,
-    add_run,
-    read_names,
-)
+from lightfield_gs.commands.options.fit import CaptureOptions, FitOptions, read_names
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_folder, make_folder
 
@@ -33,28 +27,6 @@ if TYPE_CHECKING:
     from lightfield_gs.io.captures.capture import Capture
 
 _NUMBERS = (signal.SIGINT, *stop_signals())
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs fit`."""
-    parser.description = (
-        "Fit Gaussians to photographs of a scene, with cameras from COLMAP or another program. Ctrl-C "
-        "stops the fit and writes the scene so far; the same command goes on from there. The same capture, "
-        "options and machine give the same file."
-    )
-    add = parser.add_argument
-    add(
-        "input",
-        type=Path,
-        metavar="CAPTURE",
-        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; a .json of this kind with "
-        "another name; an export of Polycam or Record3D; with --sfm, a folder of photographs alone",
-    )
-    add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene: .ply, .spz or .splat")
-    add_capture(parser)
-    add_optimisation(parser)
-    add_cone(parser)
-    add_run(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -129,18 +101,21 @@ def _say(options: FitOptions, result: FitResult, folder: Path) -> None:
         print(f"{result.scores.table()}\n{describe_protocol(result.settings.poses)}")
         _say_angles(result)
     print(f"{options.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
+    words: list[object] = ["encode", options.output, "-o", options.output.with_suffix(".png")]
     scores = ", scores.json" if result.scores is not None else ""
     print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
         from lightfield_gs.panels.stored_rigs import rig_path
 
         rig = rig_path(options.output)
-        encode = f"encode {options.output} --rig {rig} --panel {_panel(options.cone.cone)}"
-        print(f"{rig}: the rig in the capture's coordinates: {encode}")
+        words += ["--rig", rig, *panel_words(_panel(options.cone.cone))]
+        print(f"{rig}: the rig in the capture's coordinates")
         if result.pruning is None:
             print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
+    else:
+        say_next(*words)
 
 
 def _say_angles(result: FitResult) -> None:
@@ -160,8 +135,8 @@ def _say_angles(result: FitResult) -> None:
 
 def _panel(cone: str | None) -> str:
     """Return the --panel of `encode` that shows the panel of --cone."""
+    from lightfield_gs.base.options import DEFAULT_PANEL
     from lightfield_gs.fitting.cone import is_angle
-    from lightfield_gs.panels.panel import DEFAULT_PANEL
 
     return DEFAULT_PANEL if cone is None or is_angle(cone) else cone
 

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.options.panel import add_device_serial, add_up
-from lightfield_gs.commands.options.scene import add_reading
 from lightfield_gs.io.file_kinds import refuse_stand_in, refuse_unsupported
 from lightfield_gs.io.scenes.files import is_scene_path
 from lightfield_gs.io.text_files import MOST_BYTES, read_text
@@ -20,27 +18,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _CAMERAS_SHOWN = 20
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs info`."""
-    parser.add_argument(
-        "file",
-        type=Path,
-        nargs="?",
-        metavar="FILE",
-        help="a file of Gaussians (.ply, .spz, .sog or its folder, .splat, .ksplat), an image, a panel or "
-        "rig (.yaml, visual.json, panel name) or a .safetensors file",
-    )
-    parser.add_argument(
-        "--devices",
-        action="store_true",
-        help="in place of a file: what --device can name here, and whether each adapter of WebGPU draws what the CPU "
-        "draws, and how fast",
-    )
-    add_device_serial(parser.add_argument)
-    add_reading(parser.add_argument)
-    add_up(parser.add_argument)
 
 
 def run(args: argparse.Namespace) -> None:

@@ -16,15 +16,13 @@ from lightfield_gs.app.options import (
     files_read,
     rig_beside,
 )
-from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.panel import load_panel, panel_words
 from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, read_noted, say_origin, settle_render
-from lightfield_gs.base.cli_messages import Stopwatch, say
+from lightfield_gs.base.cli_messages import Stopwatch, say, say_next
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES, Device
-from lightfield_gs.commands.options.panel import add_camera, add_filters, add_look, add_panel
-from lightfield_gs.commands.options.parser import read_options, within
-from lightfield_gs.commands.options.scene import add_reading
+from lightfield_gs.base.options import Device
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.panels.stored_rigs import write_rig_beside
 
@@ -39,6 +37,7 @@ class PruneOptions:
         contribution_cut: mean error that colours of 0..1 may have.
         save_rig: file for the rig.
         device: where the scene is drawn.
+        stats: whether to print the times of the stages.
     """
 
     output: Path
@@ -50,36 +49,7 @@ class PruneOptions:
     contribution_cut: float
     save_rig: Path | None = None
     device: Device = "auto"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs prune`."""
-    parser.description = (
-        "Write a scene without the Gaussians that contribute least to its image on a panel, from all "
-        "viewpoints of the panel. The scene is then faster to draw."
-    )
-    add = parser.add_argument
-    add("input", type=Path, metavar="INPUT", help="a file of Gaussians: .ply, .spz, .sog, .splat, .ksplat")
-    add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the pruned scene: .ply, .spz or .splat")
-    add_reading(add)
-    add(
-        "--contribution-cut",
-        type=within(0, 1),
-        default=3e-4,
-        metavar="FRACTION",
-        help="0..1, allowed mean error of colours in 0..1 (default 3e-4: 50 dB and more)",
-    )
-    add_filters(add)
-    add_panel(add, "for framing, as `encode` takes it")
-    add_camera(add)
-    add_look(add)
-    add(
-        "--save-rig",
-        type=Path,
-        metavar="YAML",
-        help="write the rig of the unpruned scene; automatic framing of a pruned scene may differ",
-    )
-    add("--device", choices=DEVICES, default="auto", help="device that draws the scene (default auto)")
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -127,7 +97,7 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
         f"{output}: {kept.count} of {scene.gaussians.count} Gaussians, the others within "
         f"{options.contribution_cut:g} of the light of {panel.width_px} x {panel.height_px}, {panel.views} views"
     )
-    print(watch.line())
+    watch.say_if(options.stats)
     if beside is not None:
         own, _ = settle_render(replace(options.render, background=None), source, file)
         write_rig_beside(output, rig_of_file, panel, own.background, render.antialiased)
@@ -135,3 +105,4 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
     else:
         messages.append(f"{output}: in the axes of {source}, with the framing it was pruned for: encode takes it")
     say(*messages)
+    say_next("encode", output, "-o", output.with_suffix(".png"), *panel_words(options.panel.panel))

@@ -10,23 +10,20 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.panel import connected_preset, load_panel, package_versions, panel_of_views, software
+from lightfield_gs.app.panel import (
+    connected_preset,
+    load_panel,
+    package_versions,
+    panel_of_views,
+    panel_words,
+    software,
+)
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cli_messages import Stopwatch, say
+from lightfield_gs.base.cli_messages import Stopwatch, say, say_next
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, Compression
-from lightfield_gs.commands.options.panel import (
-    add_camera,
-    add_depth_report,
-    add_device_serial,
-    add_drawing_device,
-    add_look,
-    add_rendering,
-    add_viewing_distance,
-)
-from lightfield_gs.commands.options.parser import read_options, whole_numbers, within
-from lightfield_gs.commands.options.scene import add_scene
+from lightfield_gs.base.options import DEFAULT_CONE_DEG, DEFAULT_QUILT, Compression
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_output_path, check_outputs, make_folder
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
@@ -47,8 +44,6 @@ if TYPE_CHECKING:
 
     from lightfield_gs.panels.rig import Rig
 
-_DEFAULT_PRESET = "65"
-
 
 @dataclass(frozen=True, slots=True)
 class QuiltOptions:
@@ -66,6 +61,7 @@ class QuiltOptions:
         save_rgbd: file for the centre view beside its depth map.
         device: where network and rasterizer run.
         compression: of the file.
+        stats: whether to print the times of the stages.
     """
 
     output: Path
@@ -83,84 +79,7 @@ class QuiltOptions:
     save_rgbd: Path | None = None
     device: str = "auto"
     compression: Compression = "fast"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs quilt`."""
-    parser.description = (
-        "Render the views of a photo or a scene of 3D Gaussians as a quilt, which Looking Glass displays "
-        "and `weave` take. The left-most camera's view is at the bottom left; views go on to the right, "
-        "then up."
-    )
-    add = parser.add_argument
-    add("input", type=Path, metavar="INPUT", help="a photo or a scene, as `encode` takes it")
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="NAME",
-        help="the quilt, .png (default) or .tif; _qs<columns>x<rows>a<aspect> is appended to a name without it",
-    )
-    _add_layout(add)
-    add_camera(add)
-    add_look(add)
-    add_depth_report(add)
-    add("--save-rig", type=Path, metavar="YAML", help="write the rig of the quilt, at the pixels of a tile")
-    add(
-        "--save-rgbd",
-        type=Path,
-        metavar="NAME",
-        help="also write the centre camera's picture beside its depth map (right half, bright is near), as "
-        "NAME_rgbd.png",
-    )
-    add_scene(add, "cut the object out of a photo with rembg")
-    add_rendering(add)
-    add_drawing_device(add)
-    add(
-        "--compression",
-        choices=COMPRESSIONS,
-        default="fast",
-        help="fast: quick to write; small: a small file (default fast)",
-    )
-
-
-def _add_layout(add) -> None:
-    add(
-        "--preset",
-        "--device-preset",
-        choices=tuple(QUILT_PRESETS),
-        help=f"tiles, size and aspect of a Looking Glass device, by its name or its inches (default: "
-        f"the display that is connected, else {_DEFAULT_PRESET})",
-    )
-    add(
-        "--panel",
-        metavar="PANEL",
-        help="in place of a preset: the views, aspect and cone of a panel, each view as large as the panel if "
-        "the quilt then has at most 8192 pixels a side",
-    )
-    add_device_serial(add)
-    add_viewing_distance(add, "viewing distance of --panel, in place of its own, for framing")
-    add(
-        "--tiles",
-        type=whole_numbers(1, 65536, "x", 2),
-        metavar="CxR",
-        help="columns and rows of views, in place of the preset's",
-    )
-    add(
-        "--sweep",
-        type=whole_numbers(1, 1000, "x", 2),
-        metavar="Nx1",
-        help="single views in place of a quilt, N from the left-most camera's on, each of a tile's size, in the folder "
-        "NAME: view_000.png, ...; `weave` takes them too",
-    )
-    add("--size", type=whole_numbers(1, 65536, "x", 2), metavar="WxH", help="size of the whole quilt, pixels")
-    add(
-        "--aspect",
-        type=within(0.01, 100),
-        metavar="A",
-        help="width by height of a view as it is seen; its tile may have another aspect (default: the preset's)",
-    )
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -210,8 +129,9 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
     width, height = layout.tile_px()
     name = options.output if options.sweep else output
     print(f"{name}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
-    print(watch.line())
+    watch.say_if(options.stats)
     say(*decisions, *framed.messages)
+    say_next("weave", name, "-o", f"{options.output.with_suffix('')}-3d.png", *panel_words(options.panel.panel))
 
 
 def _for_sweep(options: QuiltOptions) -> QuiltOptions:
@@ -226,7 +146,7 @@ def _for_sweep(options: QuiltOptions) -> QuiltOptions:
         )
     if options.output.suffix:
         raise InputError(f"{options.output}: --sweep writes files into a folder; leave the extension out")
-    base = QUILT_PRESETS[options.preset or _DEFAULT_PRESET]
+    base = QUILT_PRESETS[options.preset or DEFAULT_QUILT]
     size = options.size
     if options.panel.panel is None and size is None:
         width, height = base.tile_px()
@@ -251,7 +171,7 @@ def quilt_layout(options: QuiltOptions, panel: Panel | None) -> QuiltLayout:
         base = panel_quilt(panel, tiles)
     else:
         asked = options.preset or (None if stated or options.tiles else connected_preset())
-        base = QUILT_PRESETS[asked or _DEFAULT_PRESET]
+        base = QUILT_PRESETS[asked or DEFAULT_QUILT]
     if panel is None and options.preset is None and tiles:
         alike = [one for one in QUILT_PRESETS.values() if (one.columns, one.rows) == tiles]
         base = alike[0] if alike else base

@@ -13,15 +13,12 @@ from lightfield_gs.app.panel import shown_panel, where_to_show
 from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import StereoLayout
-from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve
+from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.io.images import as_floats, read_image, read_info
 from lightfield_gs.io.pillow_images import is_heif
 from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.panels.panel import Panel
-
-SHOWN_LAYOUTS: tuple[StereoLayout, ...] = ("sbs", "half-sbs", "tab", "anaglyph")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,30 +33,6 @@ class ShowOptions:
     panel: PanelOptions
     serving: ServingOptions
     stereo: StereoLayout | None = None
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs show`."""
-    parser.description = (
-        "Open a page in the browser with an encoded image, full screen and pixel for pixel: on the panel, "
-        "if the browser is there. A large warning appears if the image is scaled or on another screen. "
-        "Ctrl-C ends it."
-    )
-    add = parser.add_argument
-    add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
-    add(
-        "--panel",
-        metavar="PANEL",
-        help="name, .yaml or visual.json (default: the profile in the image, else the display that is connected)",
-    )
-    add_device_serial(add)
-    add(
-        "--stereo",
-        choices=SHOWN_LAYOUTS,
-        help="fill a screen of two eyes with a stereo picture: side by side, one above the other, or as an anaglyph "
-        "(default sbs, for pictures whose file or name says that they are stereo)",
-    )
-    add_serving(add)
 
 
 def run(args: argparse.Namespace) -> None:

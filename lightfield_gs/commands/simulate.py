@@ -13,8 +13,7 @@ from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import at_distance, load_panel, parse_panel, stored_panel, why_no_eye
 from lightfield_gs.base.cli_messages import Stopwatch, note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
-from lightfield_gs.commands.options.parser import numbers, read_options, within
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
@@ -35,6 +34,8 @@ class SimulateOptions:
         eyes: positions from, to in mm, and their count.
         spread: width that a lens lights, sub-pixels.
         psf: file of a measured spread.
+        lens_pixels: whether a lens is one pixel of the file; else the picture is enlarged to fill a screen.
+        stats: whether to print the times of the stages.
     """
 
     image: Path
@@ -44,45 +45,8 @@ class SimulateOptions:
     eyes: tuple[float, float, float] | None = None
     spread: float | None = None
     psf: Path | None = None
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs simulate`."""
-    parser.description = (
-        "Simulate the picture that an eye sees of an encoded image through the lenses, one sample a lens."
-    )
-    add = parser.add_argument
-    add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
-    add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
-    add_device_serial(add)
-    add_viewing_distance(add, "distance at which an eye sees one view all over the panel, in place of the panel's own")
-    add(
-        "--eye",
-        type=numbers(3),
-        metavar="X,Y,Z",
-        help="position of the eye in mm from the panel's centre: right, up, towards the viewer",
-    )
-    add(
-        "--eyes",
-        type=numbers(3),
-        metavar="FROM,TO,COUNT",
-        help="in place of --eye: COUNT eyes side by side at the viewing distance, from FROM to TO mm right of "
-        "the panel's middle; the result has rows of four pictures",
-    )
-    add(
-        "--spread",
-        type=within(0.01, 1000, "sub-pixels"),
-        metavar="SUBPIXELS",
-        help="width that a lens lights, in sub-pixels; more is crosstalk (default 1)",
-    )
-    add(
-        "--psf",
-        type=Path,
-        metavar="FILE",
-        help="in place of --spread: measured brightness of the sub-pixels beside the right one. Each line has a "
-        "distance to the right in sub-pixels, and the light (any unit)",
-    )
-    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
+    lens_pixels: bool = False
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -91,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
-    from lightfield_gs.show.preview import in_rows, to_integers
+    from lightfield_gs.show.preview import enlarged, in_rows, to_integers
 
     path = check_image_path(options.output)
     check_outputs((path,), (options.image, options.panel.panel, options.psf))
@@ -112,14 +76,22 @@ def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
     watch.lap("load")
     eyes = _eyes(options, panel)
     pictures = simulate_eyes(image, panel, eyes, options.spread or 1.0, psf=psf)
-    seen = in_rows(list(pictures))
     watch.lap("simulate")
-    write_image(path, seen if path.suffix.lower() == ".exr" else to_integers(seen, 8), compression="small")
-    watch.lap("write")
     height, width = pictures.shape[1:3]
+    size = f"{width} x {height}, one sample a lens"
+    if path.suffix.lower() == ".exr":  # for measurements
+        seen = in_rows(list(pictures))
+    elif options.lens_pixels:
+        seen = in_rows([to_integers(picture, 8) for picture in pictures])
+    else:
+        large = enlarged(list(pictures))
+        seen, times = in_rows(large), large[0].shape[0] // height
+        size += f", enlarged {times} times" if times > 1 else ""
+    write_image(path, seen, compression="small")
+    watch.lap("write")
     positions = options.eye or f"{len(eyes)} places, {eyes[0][0]:g} to {eyes[-1][0]:g}"
-    print(f"{path}: {width} x {height}, one sample a lens, from {positions} mm")
-    print(watch.line())
+    print(f"{path}: {size}, from {positions} mm")
+    watch.say_if(options.stats)
     notes = {_implausible_eye(panel, eye): None for eye in (eyes[0], eyes[-1])}  # each once
     for words in (*notes, _other_lens(options, panel)):
         if words:

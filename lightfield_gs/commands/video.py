@@ -5,74 +5,19 @@ from __future__ import annotations
 import argparse
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 
 from lightfield_gs.app.panel import load_panel, panel_of_views
 from lightfield_gs.app.stereo import StereoTarget, refuse_panel, refuse_stereo
-from lightfield_gs.app.video import PRESET_SIZES, VideoOptions, for_preset, frame_drawer, frame_sink, video_target
+from lightfield_gs.app.video import VideoOptions, for_preset, frame_drawer, frame_sink, video_target
 from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
-from lightfield_gs.commands.options.panel import (
-    add_camera,
-    add_depth_report,
-    add_drawing_device,
-    add_look,
-    add_panel,
-    add_rendering,
-)
-from lightfield_gs.commands.options.parser import read_options, threads
-from lightfield_gs.commands.options.scene import add_scene
-from lightfield_gs.commands.options.stereo import add_stereo
-from lightfield_gs.commands.options.video import add_motion, add_result
+from lightfield_gs.base.options import PRESET_SIZES
+from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.stereo_screen import StereoScreen
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs video`."""
-    parser.description = (
-        "Encode frames for a slanted-lenticular panel: of a scene that the cameras go round, or of a "
-        "sequence of pictures. The same command continues a stopped folder of frames."
-    )
-    add = parser.add_argument
-    add(
-        "input",
-        type=Path,
-        metavar="INPUT",
-        help="a scene or a photo, as `encode` takes it; or a sequence: a folder of photos or of RGB-D pictures, or a "
-        "video of either",
-    )
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="PATH",
-        help="a folder for PNG files, or .mp4, .mkv or .mov (pip install 'lightfield-gs[video]')",
-    )
-    add_motion(add)
-    add_result(add)
-    add_stereo(add)
-    add_panel(add, "for framing")
-    add_camera(add)
-    add_look(add)
-    add_depth_report(add)
-    cut_outs = "cut-out of a photo; of a sequence, a folder or a video of cut-outs"
-    add_scene(add, "cut the object out of photos with rembg, as `encode` does", cut_outs, "PATH")
-    add_drawing_device(add)
-    add("--views", choices=VIEWS, default="integer", help="of native pictures, as in `encode` (default integer)")
-    add(
-        "--quality",
-        choices=QUALITY_NAMES,
-        default="exact",
-        help="of native pictures: less time for more error (default exact)",
-    )
-    add_rendering(add)
-    add("--threads", type=threads, metavar="N", help="number of threads that draw (default: all cores)")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -128,8 +73,9 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     kept = f", of which {there} were there" if there else ""
     rate = f"{float(shots.fps):g} a second"
     print(f"{target.path}: {shots.count} frames of {width} x {height}, {target.words()}{kept}, {rate}")
-    print(made.words())
-    print(watch.line())
+    if options.stats:
+        print(made.words())
+    watch.say_if(options.stats)
     say(*decisions, *screen, *shots.messages)
     if options.bridge is not None and target.layout is not None:
         layout = target.layout

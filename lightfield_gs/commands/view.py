@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.commands.options.panel import add_camera, add_drawing_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.options.scene import add_scene
-from lightfield_gs.commands.options.serving import ServingOptions, add_serving, serve
+from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
@@ -26,6 +23,7 @@ class ViewOptions:
 
     Attributes:
         device: Device that draws the scene.
+        stats: whether to print the times of the stages.
     """
 
     scene: SceneOptions
@@ -35,24 +33,7 @@ class ViewOptions:
     render: RenderOptions
     serving: ServingOptions
     device: str = "auto"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `lightfield-gs view`."""
-    parser.description = (
-        "Open a page in the browser with the picture that an eye before the panel sees of a photo or a "
-        "scene of 3D Gaussians, with sliders for depth, and the panel's own page for the native picture. "
-        "Ctrl-C ends it."
-    )
-    add = parser.add_argument
-    add("input", type=Path, metavar="INPUT", help="a photo or a file of Gaussians, as `encode` takes it")
-    add_panel(add, "for framing, and for the eye on the page")
-    add_camera(add)
-    add_look(add)
-    add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
-    add_rendering(add)
-    add_drawing_device(add)
-    add_serving(add)
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -79,5 +60,6 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     drawn_as = render.background, render.antialiased, path.name, render.view_filter
     stage = Stage(scene.gaussians, panel, framed.rig, *drawn_as, webgpu)
     print(f"{path}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {webgpu or device}")
-    say(watch.line(), *decisions, *framed.messages)
+    watch.say_if(options.stats)
+    say(*decisions, *framed.messages)
     serve(options.serving, steering_routes(stage, exports(stage)), "/")

@@ -16,10 +16,11 @@ from typing import Any
 
 from lightfield_gs.base.assumptions import collect_assumptions
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import BRIDGE_URL
 from lightfield_gs.io.text_files import read_json
 from lightfield_gs.panels.display_kinds import DisplayKind, kind_by_hardware, kind_by_serial
 from lightfield_gs.panels.looking_glass import LIMIT_BYTES, calibration_serials, find_calibration
-from lightfield_gs.show.bridge import BRIDGE_URL, connected_displays
+from lightfield_gs.show.bridge import connected_displays
 
 WHERE_IT_LIES = (
     "a Looking Glass keeps visual.json on a small drive of its own, in the folder LKG_calibration: "

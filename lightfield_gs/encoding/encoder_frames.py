@@ -26,6 +26,7 @@ from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace_cuda import Workspace
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.webgpu.devices import draw_direct
+from lightfield_gs.webgpu.resident import Kept
 
 STAGES = ("project", "order", "bin", "composite")
 _BITS = {torch.float32: torch.int32, torch.float64: torch.int64}
@@ -60,7 +61,7 @@ class CpuFrameCache:
         self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool, device: str | None = None
     ):
         self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
-        self.device, self.harmonics = device, object()
+        self.device, self.kept = device, Kept.new()
         self.last: _Drawn | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour, view: LenticularCamera) -> tuple[Tensor, set[str]]:
@@ -80,9 +81,8 @@ class CpuFrameCache:
         kept = same.work if same is not None and changed <= {"background"} else None
         work = kept
         if self.device is not None:
-            if "sh" in changed:
-                self.harmonics = object()
-            image = draw_direct(self.device, job, self.as_bytes, self.quality, harmonics=self.harmonics)
+            self.kept = self.kept.after(changed - {"background"})
+            image = draw_direct(self.device, job, self.as_bytes, self.quality, kept=self.kept)
         else:
             work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
             image = job.new_image(self.as_bytes)

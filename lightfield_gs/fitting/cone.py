@@ -17,11 +17,12 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, expect, real_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.fitting.evaluate import ConeAngles
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.pinhole import nearest_rotation
-from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.stored_rigs import framing_comment
 

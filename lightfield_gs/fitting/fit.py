@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
@@ -16,7 +15,8 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES, Device
+from lightfield_gs.base.options import DEVICES, Device, TestEvery
+from lightfield_gs.base.suggestions import nearest
 from lightfield_gs.fitting import checkpoint, memory
 from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.cone import Display, place_display
@@ -31,7 +31,7 @@ from lightfield_gs.fitting.run import Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over
-from lightfield_gs.io.captures.capture import Capture, TestEvery, read_capture
+from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
 from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
@@ -189,8 +189,8 @@ def make_settings(**values: Any) -> FitSettings:
     known = [setting.name for setting in fields(FitSettings)]
     for name in values:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
+            near = nearest(name, known)
+            hint = f"did you mean {near}?" if near else f"expected one of {', '.join(known)}"
             raise InputError(f"fit: there is no setting {name}; {hint}")
     return FitSettings(**values)
 

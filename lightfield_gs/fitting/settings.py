@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 from lightfield_gs.base.checks import check_fields, checked_field, expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DENSITIES, MASKS, Density, Masks
 
-Density = Literal["mcmc", "adaptive"]
-Masks = Literal["ignore", "alpha"]
-DENSITIES: tuple[Density, ...] = get_args(Density)
-MASKS: tuple[Masks, ...] = get_args(Masks)
 RECIPE_STEPS = 30_000  # of the published recipes; shorter and longer fits scale their schedules
 _MOST_STEPS = 10_000_000
 _RECOVERY = 1000  # recipe steps that opacities need after a reset

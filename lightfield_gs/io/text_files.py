@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import json
 import re
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.suggestions import nearest
 from lightfield_gs.io.atomic import atomic_path, checked_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
 
@@ -157,8 +157,8 @@ def check_keys(data: dict[str, Any], required: Collection[str], optional: Collec
     known = [*required, *optional]
     for key in data:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+            near = nearest(str(key), known)
+            hint = f"did you mean '{near}'?" if near else f"known: {', '.join(known)}"
             raise InputError(f"{where}: unknown key '{str(key)[:60]}'; {hint}")
     missing = [key for key in required if key not in data]
     if missing:
@@ -204,6 +204,6 @@ def config_path(kind: str, name: str, others: Collection[str] = ()) -> Path:
     if name in names:
         return config_folder(kind) / f"{name}.yaml"
     names = [*names, *others]
-    near = difflib.get_close_matches(name, names, 1)
-    hint = f"did you mean '{near[0]}'? " if near else ""
+    near = nearest(name, names)
+    hint = f"did you mean '{near}'? " if near else ""
     raise InputError(f"unknown name '{name}' in configs/{kind}; {hint}known: {', '.join(names)}, or give a file")

@@ -13,8 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from lightfield_gs.panels.looking_glass import panel_fields
-
 _SAME_DPI = 0.1  # relative difference within which two displays of one size in pixels are alike
 
 
@@ -80,6 +78,8 @@ class DisplayKind:
         }
         if lens.has_cells:
             calibration |= {"subpixelCells": _CELLS, "CellPatternMode": 2}
+        from lightfield_gs.panels.looking_glass import panel_fields  # slower to import than this table
+
         return {**panel_fields(calibration, views), "viewing_distance_mm": self.viewing_distance_mm}
 
 
@@ -180,6 +180,8 @@ DISPLAY_KINDS = {
         ("65", "65_gen2"),
     ),
 }
+# Presets of quilts, of all kinds
+QUILT_NAMES = tuple(name for kind in DISPLAY_KINDS.values() for name in kind.quilts)
 
 
 def kind_by_serial(serial: str) -> DisplayKind | None:

@@ -49,7 +49,6 @@ from lightfield_gs.rasterizer.lenticular_camera import Lens
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
-DEFAULT_PANEL = "65in-8k-96v"
 _LOOKING_GLASS_VIEWS = 96  # a calibration does not say into how many views its lens divides
 STRIPES: tuple[Cell, ...] = ()  # the sub-pixel cells of a panel that has none
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import UP_AXES
 
-UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 DEFAULT_UP = "-y"  # OpenCV axes: y points down
 _PREFIX = "vertical axis"
 # Viewing direction of an upright camera for each vertical axis, with x to the right. It is +z where y points down, -z

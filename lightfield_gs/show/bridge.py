@@ -16,9 +16,9 @@ from typing import Any
 
 from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import BRIDGE_URL
 from lightfield_gs.io.atomic import checked_path
 
-BRIDGE_URL = "http://localhost:33334"
 _TIMEOUT_S = 10.0
 _LIMIT_BYTES = 4 << 20
 _PLAYLIST = "lightfield-gs"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.scripts import filled, joined, json_in_page
 
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
 FILES = ("views.png", "look-around.webp", "look-around.html", *_EYES)
@@ -30,6 +30,7 @@ _FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels tak
 _MANY_GAUSSIANS = 200_000
 _MOST_SPLATS = 1_000_000  # that the views have which are rendered at a time, so that threads wait less for each other
 SHEET_VIEWS, SHEET_WIDTH_PX = 12, 1920
+_EYE_PX, _EYE_IN_ROW_PX = 1280, 640  # longer side at least of what an eye sees, alone and beside others
 
 
 def write_preview(
@@ -41,8 +42,8 @@ def write_preview(
     that the sheet fills a screen.
     look-around.webp: a camera that goes from left to right and back.
     look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
-    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, for eyes 63 mm apart at the viewing distance. If
-    the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
+    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, enlarged, for eyes 63 mm apart at the viewing
+    distance. If the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
     Views are rendered at a reduced size. drawn_as: background, antialiased and view_filter, as in look_around. Raises
     InputError.
     """
@@ -67,8 +68,22 @@ def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
         return []
     for path, side in zip(paths, _EYES.values()):
         eye = (side * EYE_SEPARATION_MM, 0.0, cast(float, panel.viewing_distance_mm))
-        write_image(path, to_integers(simulate(image, panel, eye), 8))
+        write_image(path, enlarged([simulate(image, panel, eye)])[0])
     return paths
+
+
+def enlarged(pictures: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return what eyes see, each float [h, w, 3] with one sample a lens, as uint8 pictures that fill a screen.
+
+    Each is a whole number of times as large, smooth between the samples.
+    """
+    from PIL import Image
+
+    least = _EYE_PX if len(pictures) == 1 else _EYE_IN_ROW_PX
+    height, width = pictures[0].shape[:2]
+    times = math.ceil(least / max(height, width))
+    small = [Image.fromarray(to_integers(picture, 8)) for picture in pictures]
+    return [np.asarray(one.resize((times * width, times * height), Image.Resampling.BICUBIC)) for one in small]
 
 
 def look_around(
@@ -137,7 +152,7 @@ def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
         images[0].save(temporary, quality=_WEBP_QUALITY, method=2, **loop)
 
 
-_PAGE = Path(__file__).parent / "page" / "files" / "look_around.html"
+_PAGES = Path(__file__).parent / "page" / "files"
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
@@ -145,17 +160,20 @@ def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: st
 
     The frames are in the file as WebP. Raises InputError where it cannot be written.
     """
-    page = _PAGE.read_text(encoding="utf-8")
-    height, width = frames[0].shape[:2]
-    words = {"title": title, "width": width, "height": height, "frames": [_data_url(frame) for frame in frames]}
-    # Within a script a "<" of a title could end it
-    page = page.replace("{/* views */}", json.dumps(words).replace("<", "\\u003c"))
+    data = json_in_page({"title": title, **strip(frames)})
+    page = filled(_PAGES / "look_around.html", {"views": data, "script": joined(_PAGES / "look_around.js")})
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _data_url(frame: np.ndarray) -> str:
-    data = image_bytes(frame, "WEBP", quality=_WEBP_QUALITY, method=2)
+def strip(frames: Sequence[np.ndarray], quality: int = _WEBP_QUALITY) -> dict[str, Any]:
+    """Return frames, each uint8 [h, w, 3], as a page has them: their size, and addresses that hold their WebP."""
+    height, width = frames[0].shape[:2]
+    return {"width": width, "height": height, "frames": [_data_url(frame, quality) for frame in frames]}
+
+
+def _data_url(frame: np.ndarray, quality: int) -> str:
+    data = image_bytes(frame, "WEBP", quality=quality, method=2)
     return f"data:image/webp;base64,{base64.b64encode(data).decode()}"
 
 

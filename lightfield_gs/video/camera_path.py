@@ -12,11 +12,11 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.options import MOST_FRAMES
 from lightfield_gs.io.text_files import check_keys, read_mapping, read_object
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 
-MOST_FRAMES = 1_000_000
 _FULL_TURN_DEG = 360.0
 _LIMIT_BYTES = 16 << 20
 _RIG_KEYS, _RIG_OPTIONAL = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth"), ("cone_deg",)

@@ -7,21 +7,17 @@ import queue
 import threading
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 from torch import Tensor
 
 from lightfield_gs.base.device import to_numpy
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import StereoLayout
+from lightfield_gs.base.options import CodecName, StereoLayout, VideoKind
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.video.decoding import av_library
 
-Kind = Literal["native", "quilt", "2d", "stereo"]
-CodecName = Literal["ffv1", "h264-rgb", "h264", "hevc"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-CODECS: tuple[CodecName, ...] = get_args(CodecName)
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov")
 _WAITING = 4  # frames between the drawing and the encoder
 _BT709 = 1  # the number of ITU-T H.273 for primaries, transfer and matrix
@@ -70,7 +66,7 @@ _PACKINGS: dict[StereoLayout, _Packing] = {
 }
 
 
-def choose_codec(path: Path, kind: Kind, name: CodecName | None) -> CodecName:
+def choose_codec(path: Path, kind: VideoKind, name: CodecName | None) -> CodecName:
     """Return the codec of a video: the requested one, or the default of its kind and file.
 
     Args:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 from lightfield_gs.base.errors import InputError
@@ -31,11 +33,18 @@ class Limits(NamedTuple):
 
 
 class Buffers:
-    """The buffers of the frames of one device."""
+    """The buffers of the frames of one device.
+
+    Attributes:
+        uploaded_bytes: What the host wrote so far.
+        version: Changes with every buffer that is made.
+    """
 
     def __init__(self, device: wgpu.GPUDevice, limits: Limits) -> None:
         self.device, self.limits = device, limits
+        self.uploaded_bytes = self.version = 0
         self._buffers: dict[str, wgpu.GPUBuffer] = {}
+        self._parameters: dict[str, bytes] = {}  # what the buffers for parameters hold
 
     def __getitem__(self, name: str) -> wgpu.GPUBuffer:
         return self._buffers[name]
@@ -70,18 +79,39 @@ class Buffers:
         if old is None or old.size != size:
             self._make(name, size)
 
-    def write(self, name: str, data: bytes | memoryview, uniform: bool = False) -> None:
-        """Write the beginning of a buffer, which must be large enough; one for parameters is made here."""
+    def results(self, name: str, size: int) -> None:
+        """Make sure that a buffer that the host reads has room for this many bytes, a multiple of 4."""
         import wgpu
 
-        if uniform and name not in self._buffers:
-            usage = wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST
-            self._buffers[name] = self.device.create_buffer(size=len(data), usage=usage)
+        old = self._buffers.get(name)
+        if old is None or old.size < size:
+            self._make(name, size, wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST)
+
+    def write(self, name: str, data: bytes | memoryview) -> None:
+        """Write the beginning of a storage buffer, which must be large enough."""
+        self.uploaded_bytes += len(data)
         self.device.queue.write_buffer(self._buffers[name], 0, data)
 
-    def read(self, name: str, size: int) -> memoryview:
-        """Return the first bytes of a buffer, once all work before has ended."""
-        return self.device.queue.read_buffer(self._buffers[name], 0, size)
+    def parameters(self, name: str, data: bytes) -> None:
+        """Write a buffer for parameters, of always the same size, unless it holds these bytes."""
+        import wgpu
+
+        if self._parameters.get(name) == data:
+            return
+        if name not in self._buffers:
+            self._make(name, len(data), wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST)
+        self._parameters[name] = data
+        self.write(name, data)
+
+    @contextmanager
+    def mapped(self, name: str, size: int) -> Iterator[memoryview]:
+        """Wait for the work before, and give the first bytes of a buffer of `results`; they go at the end."""
+        buffer = self._buffers[name]
+        buffer.map_sync("READ", 0, size)
+        try:
+            yield memoryview(buffer.read_mapped(0, size, copy=False))
+        finally:
+            buffer.unmap()
 
     def bytes(self) -> int:
         """Return the bytes of all buffers."""
@@ -92,12 +122,14 @@ class Buffers:
         for buffer in self._buffers.values():
             buffer.destroy()
         self._buffers.clear()
+        self._parameters.clear()
 
-    def _make(self, name: str, size: int) -> int:
+    def _make(self, name: str, size: int, usage: int | None = None) -> int:
         import wgpu
 
         if (old := self._buffers.pop(name, None)) is not None:
             old.destroy()
-        usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
-        self._buffers[name] = self.device.create_buffer(size=size, usage=usage)
+        storage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
+        self._buffers[name] = self.device.create_buffer(size=size, usage=storage if usage is None else usage)
+        self.version += 1
         return size

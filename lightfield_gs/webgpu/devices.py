@@ -18,10 +18,13 @@ from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.webgpu.adapters import adapter_at, adapters
 from lightfield_gs.webgpu.frames import Frames
+from lightfield_gs.webgpu.resident import Kept
 from lightfield_gs.webgpu.self_test import known_self_test
 
 _LOST = ("lost", "memory", "could not map")  # in wgpu's messages on a device that is gone, or full
 _lost: set[int] = set()  # adapters whose device was lost: the CPU draws in their place
+# Pixels of all frames of a command below which no GPU pays: the CPU draws them while drivers start, half a second
+_LEAST_PIXELS = 1 << 24
 
 
 class DrawingDevice(NamedTuple):
@@ -50,7 +53,7 @@ def choose_drawing_device(name: str, pixels: int, frames: int = 1) -> DrawingDev
     """Return the device of auto, cpu, cuda, webgpu or webgpu:N.
 
     auto takes CUDA. Without it, auto takes a GPU by WebGPU that passes the self-test, if it takes no longer than the
-    CPU.
+    CPU. For few pixels it starts no driver.
 
     Args:
         name: Of the device.
@@ -64,7 +67,7 @@ def choose_drawing_device(name: str, pixels: int, frames: int = 1) -> DrawingDev
         adapter_at(adapter_index(name))
         return DrawingDevice("cpu", name)
     device = choose_device(cast(Device, name))
-    if name != "auto" or device == "cuda" or not frames:
+    if name != "auto" or device == "cuda" or frames * pixels < _LEAST_PIXELS:
         return DrawingDevice(device)
     for index, adapter in enumerate(adapters()):
         if not adapter.is_cpu and (result := known_self_test(adapter)).pays(pixels, frames):
@@ -95,7 +98,7 @@ def draw_direct(
     quality: Quality = EXACT,
     stats: Stats | None = None,
     out: Tensor | None = None,
-    harmonics: object | None = None,
+    kept: Kept | None = None,
 ) -> Tensor:
     """Draw a light-field image [H, W, 3] by WebGPU; it lies on the CPU.
 
@@ -108,7 +111,7 @@ def draw_direct(
         quality: Error allowed in colours; the rest is exact.
         stats: Filled with times and counts.
         out: An image of that size and type.
-        harmonics: See Frames.draw.
+        kept: See Frames.draw.
 
     Raises:
         InputError: There is no such adapter, or the scene is too large for it.
@@ -119,7 +122,7 @@ def draw_direct(
         from wgpu import GPUError
 
         try:
-            return frames.draw(job, as_bytes, quality, stats or Stats(), out, harmonics)
+            return frames.draw(job, as_bytes, quality, stats or Stats(), out, kept)
         except (GPUError, RuntimeError) as error:
             words = str(error).splitlines()[-1].strip()
             if not any(word in str(error).lower() for word in _LOST):

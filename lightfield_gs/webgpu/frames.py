@@ -1,13 +1,17 @@
-"""Light-field frames by WebGPU: project, lists, order, composite and pack, pass by pass over the panel's rows."""
+"""Light-field frames by WebGPU: one submission each, once it is known what frames of their kind need.
+
+A first frame waits for the device three times: for the costs of the tilings, for the lengths of the lists, and for the
+image. The next frames take what it needed: the host waits once, for the image and the counters. If these show that a
+frame lacked room, it is drawn again with more.
+"""
 
 from __future__ import annotations
 
-import math
 import time
-from typing import TYPE_CHECKING, NamedTuple
+from collections import OrderedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
@@ -15,67 +19,21 @@ from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.webgpu.buffers import Buffers, Limits
-from lightfield_gs.webgpu.parameters import BOX_ROWS, ORDINALS, Boxes, pack_params, tilings
+from lightfield_gs.webgpu.parameters import BOX_ROWS, Boxes, pack_params
 from lightfield_gs.webgpu.pipelines import WORKGROUPS_ACROSS, Clock, Pipelines, Work
+from lightfield_gs.webgpu.plans import CHUNK, HEAD_BYTES, MOST_PAIRS, Bands, Counters, Pass, Plan, Room
+from lightfield_gs.webgpu.resident import Kept, Part, Resident
 from lightfield_gs.webgpu.shaders import Variant
 
 if TYPE_CHECKING:
     import wgpu
 
 _THREADS = 256  # of a workgroup of most stages
-_CHUNK = 1024  # elements of a long list that are sorted together, as in csrc/webgpu/sort.wgsl
-_MOST_PAIRS = (1 << 25) - (1 << 20)  # of a pass, so that the chunks of long lists fit into one dispatch
 _LARGE_GROUPS = 256  # workgroups that share the splats with many boxes
-_GAUSSIAN_BYTES, _VECTOR_BYTES = 48, 16
+_VECTOR_BYTES = 16
 _COLOURS_EACH = 4  # vectors of a colour that varies, at first: pools grow
-_HEAD, _HEAD_BYTES = 16, 64  # counters before the costs
-# A composite is dispatched in bands: Windows resets a GPU after two seconds in one dispatch, and screens wait for it.
-# The first band has so many instructions, which the slowest GPUs that still matter run in 30 ms. Each later one has at
-# most four times those of the band before, and takes so many seconds by the slowest rate of the first frame.
-_FIRST_BAND, _BAND_GROWTH, _BAND_SECONDS = 4e9, 4, 0.05
-
-
-class _Counters(NamedTuple):
-    """The first counters of csrc/webgpu/frame.wgsl."""
-
-    pairs: int
-    longest: int
-    colours: int
-    chunks: int
-    large: int
-    drawn: int
-    error: float
-
-
-class _Pass(NamedTuple):
-    """Rows of boxes that are drawn together: first, and one behind the last."""
-
-    first: int
-    end: int
-
-
-class _Bands:
-    """The bands of a composite: how many rows of boxes are drawn at once.
-
-    Args:
-        rate: Instructions a second, of frames before; None: bands are timed.
-        row_cost: Instructions of a row of boxes, on average.
-    """
-
-    def __init__(self, rate: float | None, row_cost: float) -> None:
-        self.rate, self.are_timed = rate, rate is None
-        self._row_cost = max(row_cost, 1.0)
-        self._budget = _FIRST_BAND if rate is None else rate * _BAND_SECONDS
-
-    def rows(self) -> int:
-        """Return the rows of the next band."""
-        return max(int(self._budget / self._row_cost), 1)
-
-    def took(self, rows: int, seconds: float) -> None:
-        """Learn from the time of a band."""
-        own = rows * self._row_cost / seconds
-        self.rate = own if self.rate is None else min(self.rate, own)
-        self._budget = min(_BAND_GROWTH * self._budget, self.rate * _BAND_SECONDS)
+_MOST_PLANS = 64  # kinds of frames that are remembered
+_SUBMISSION_SECONDS = 0.5  # of bands in a submission, by the device's rate: screens wait for submissions too
 
 
 class Frames:
@@ -85,16 +43,19 @@ class Frames:
         tiling: For tests and measurements: the ordinals of boxes; None: the cheapest.
         most_rows: Likewise, rows of boxes that a composite draws at once; None: by cost.
         clock: Likewise; None: no stage is timed.
+        submissions: How often work was handed to the device.
     """
 
     def __init__(self, device: wgpu.GPUDevice, limits: Limits) -> None:
         self.device, self.limits = device, limits
         self.pipelines, self.buffers = Pipelines(device), Buffers(device, limits)
+        self.scene = Resident(self.buffers, WORKGROUPS_ACROSS)
         self.tiling: int | None = None
         self.most_rows: int | None = None
         self.clock: Clock | None = None
         self.rate: float | None = None  # instructions a second
-        self.harmonics: object | None = None  # those that the device holds, see draw
+        self.submissions = 0
+        self._plans: OrderedDict[tuple[object, ...], Plan] = OrderedDict()
 
     def draw(
         self,
@@ -103,7 +64,7 @@ class Frames:
         quality: Quality,
         stats: Stats,
         out: Tensor | None,
-        harmonics: object | None = None,
+        kept: Kept | None = None,
     ) -> Tensor:
         """Return the image [H, W, 3] on the CPU, uint8 or float32.
 
@@ -113,231 +74,251 @@ class Frames:
             quality: Its colour_error alone is given up.
             stats: Filled with times and counts.
             out: An image of that size and type to write to.
-            harmonics: Stays the same object as long as the harmonics have the same values: they are not copied to the
-                device again then. None: they are.
+            kept: What the scene's values are, so that they are copied to the device once; None: they are copied.
 
         Raises:
             InputError: The scene is too large for the adapter.
         """
         image = job.new_image(as_bytes) if out is None else out
-        with stats.stage("project"):
-            frame = _Frame(self, job, as_bytes, quality, harmonics)
-            counters, costs = frame.project()
-            boxes, cost = frame.choose_boxes(costs)
-        with stats.stage("composite"):
-            for rows in frame.passes(boxes):
-                stats.intersections += frame.draw_rows(boxes, rows, cost, image)
-        stats.images, stats.gaussians_drawn = 1, counters.drawn
-        stats.colour_error = counters.error
-        stats.kernel = f"webgpu-{'pixel' if not boxes.ordinals else f'lens-{boxes.ordinals}'}"
+        frame = _Frame(self, job, as_bytes, quality, self._plan(job, as_bytes))
+        with stats.stage("upload"):
+            frame.upload(kept)
+        with stats.stage("frame"):
+            frame.draw(image, stats)
         stats.work_bytes += self.buffers.bytes()
         return image
+
+    def work(self, variant: Variant) -> Work:
+        """Return a new submission."""
+        return Work(self.pipelines, self.buffers, variant, self.clock)
+
+    def submit(self, work: Work) -> None:
+        """Hand the work to the device."""
+        self.submissions += 1
+        work.submit()
+
+    def _plan(self, job: DirectRender, as_bytes: bool) -> Plan:
+        kind = job.camera.lens, job.scene.count, job.scene.degree, job.compensated, as_bytes
+        plan = self._plans.setdefault(kind, Plan())
+        self._plans.move_to_end(kind)
+        if len(self._plans) > _MOST_PLANS:
+            self._plans.popitem(last=False)
+        return plan
 
 
 class _Frame:
     """One frame on its way."""
 
-    def __init__(
-        self, frames: Frames, job: DirectRender, as_bytes: bool, quality: Quality, harmonics: object | None
-    ) -> None:
-        self.frames, self.job, self.as_bytes, self.harmonics = frames, job, as_bytes, harmonics
+    def __init__(self, frames: Frames, job: DirectRender, as_bytes: bool, quality: Quality, plan: Plan) -> None:
+        self.frames, self.job, self.as_bytes, self.plan = frames, job, as_bytes, plan
+        self.parts: list[Part] = []
         self.buffers, self.limits = frames.buffers, frames.limits
-        self.lens = job.camera.lens
+        self.lens, self.tolerance = job.camera.lens, quality.colour_error
         self.degree, self.count = job.scene.degree, job.scene.count
-        self.tolerance = quality.colour_error
         self.background = job.background.detach().cpu().numpy()
-        self.pixel_bytes = 4 if as_bytes else 12
-        each = max(_GAUSSIAN_BYTES, 12 * (self.degree + 1) ** 2)
-        # Gaussians that are projected in one dispatch
-        self.part = max(min(self.limits.most_bytes // each, WORKGROUPS_ACROSS * _THREADS) // _THREADS, 1) * _THREADS
+        self.pixel_bytes, self.result_bytes = (4, 3) if as_bytes else (12, 12)
+        self.groups = -(-self.count // _THREADS)
+        self.head_bytes = HEAD_BYTES + _VECTOR_BYTES * max(self.groups, 1)
+        self.most_pairs = min(self.limits.most_bytes // 4, MOST_PAIRS)
         self.variant = Variant(
             0, bool(self.lens.cell_phases), self.lens.bgr, self.degree > 0, job.compensated, not as_bytes
         )
-        self.room = {"pairs": 0, "colours": 0, "chunks": _CHUNK}
-        self._parts = 0  # numbers the structs Part
+        self.written = 0  # structs Part of this submission
 
-    def _write_params(self, boxes: Boxes, rows: _Pass) -> None:
-        room = self.room["pairs"], self.room["colours"], self.count, self.room["chunks"]
-        job = self.job
-        data = pack_params(
-            job.camera, job.antialiased, self.degree, self.count, self.background, self.tolerance, boxes, rows, room
-        )
-        self.buffers.write("P", data, uniform=True)
+    def draw(self, image: Tensor, stats: Stats) -> None:
+        """Draw the image, pass by pass, each again until it had room; count into `stats`."""
+        forced, plan = self.frames.tiling, self.plan
+        is_projected = False
+        if plan.ordinals is None or forced not in (None, plan.ordinals):
+            plan.choose(self.lens, self._projected().costs, forced)
+            is_projected = True
+        boxes = Boxes.of(self.lens, plan.ordinals or 0)
+        self.variant = Variant(**{**vars(self.variant), "ordinals": boxes.ordinals})
+        room = plan.rooms.setdefault(boxes.ordinals, Room(self._passes(boxes)))
+        waiting = room.passes[::-1]
+        while waiting:
+            rows = waiting.pop()
+            found = self._pass(boxes, rows, room, is_projected, image)
+            is_projected = found.colours <= plan.colours
+            if is_projected and room.holds(found):
+                stats.intersections += found.pairs
+            elif is_projected and found.pairs > self.most_pairs and rows.end - rows.first > 1:
+                waiting += room.split(rows)[::-1]
+            else:
+                waiting.append(rows)
+            self._enlarge(found, room, rows)
+        plan.choose(self.lens, found.costs, forced)
+        stats.images, stats.gaussians_drawn, stats.colour_error = 1, found.drawn, found.error
+        stats.kernel = f"webgpu-{'pixel' if not boxes.ordinals else f'lens-{boxes.ordinals}'}"
 
-    def _write_part(self, first: int, count: int = 0, first_row: int = 0, group: int = 0) -> str:
-        """Write a struct Part of its own for one dispatch of this frame; return the name of its buffer."""
-        name, self._parts = f"part {self._parts}", self._parts + 1
-        self.buffers.write(name, np.array([first, count, first_row, group], np.uint32).tobytes(), uniform=True)
-        return name
-
-    def project(self) -> tuple[_Counters, np.ndarray]:
-        """Project all Gaussians; return the counters, and the costs of the tilings [4]."""
-        groups = -(-self.count // _THREADS)
-        if groups > WORKGROUPS_ACROSS:
+    def upload(self, kept: Kept | None) -> None:
+        """Make the buffers of the stage project, and bring the scene to the device. Raises InputError."""
+        if self.groups > WORKGROUPS_ACROSS:
             raise InputError(
                 f"webgpu: expected at most {WORKGROUPS_ACROSS * _THREADS} Gaussians, got {self.count}: use device cpu, "
                 "or leave out Gaussians (lightfield-gs prune)"
             )
-        extra = int(self.variant.compensated)
-        colours = (1 + extra if not self.degree else _COLOURS_EACH + extra) * max(self.count, 1)
         for name in ("splat_a", "splat_b", "splat_c"):
             self.buffers.storage(name, _VECTOR_BYTES * self.count, f"a scene of {self.count} Gaussians")
         self.buffers.storage("depths", 4 * self.count, "a depth each")
         self.buffers.storage("large", 4 * self.count, "a number each")
-        self.buffers.storage("counters", _HEAD_BYTES + _VECTOR_BYTES * groups, "a sum for 256 Gaussians each")
-        while True:
-            what = f"the colours of {self.count} Gaussians with harmonics of degree {self.degree}"
+        self.buffers.storage("counters", self.head_bytes, "a sum for 256 Gaussians each")
+        extra = int(self.variant.compensated)
+        self._make_colours((1 + extra if not self.degree else _COLOURS_EACH + extra) * max(self.count, 1))
+        self.parts = self.frames.scene.hold(self.job.scene, kept)
+
+    def _make_colours(self, colours: int) -> None:
+        """Make room for so many vectors; at first for fewer, where the adapter allows no more."""
+        if not self.plan.colours:
             colours = min(colours, max(self.limits.most_bytes // _VECTOR_BYTES, 1))
-            self.room["colours"] = self.buffers.storage("colours", _VECTOR_BYTES * colours, what) // _VECTOR_BYTES
-            self._project_parts()
-            head = self.buffers.read("counters", _HEAD_BYTES + _VECTOR_BYTES * groups)
-            counters = self._counters(head)
-            if counters.colours <= self.room["colours"]:
-                costs = np.frombuffer(head, np.float32, 4 * groups, _HEAD_BYTES).reshape(groups, 4)
-                return counters, costs.sum(0, dtype=np.float64)
-            colours = counters.colours
-            self.buffers.storage("colours", _VECTOR_BYTES * colours, what)
+        colours = max(colours, self.plan.colours)
+        what = f"the colours of {self.count} Gaussians with harmonics of degree {self.degree}"
+        self.plan.colours = self.buffers.storage("colours", _VECTOR_BYTES * colours, what) // _VECTOR_BYTES
 
-    def _project_parts(self) -> None:
-        self._write_params(Boxes.of(self.lens, 0), _Pass(0, 1))
-        work = Work(self.frames.pipelines, self.buffers, self.variant, self.frames.clock)
+    def _enlarge(self, found: Counters, room: Room, rows: Pass) -> None:
+        """Make room for what a pass lacked."""
+        if found.colours > self.plan.colours:
+            self._make_colours(found.colours)
+        elif not room.holds(found):
+            if found.pairs > self.most_pairs and rows.end - rows.first == 1:
+                self.buffers.storage("pairs", 4 * found.pairs, "a row of the picture")  # raises
+            room.grow(found, self.most_pairs)
+
+    def _projected(self) -> Counters:
+        """Project alone, and return the counters."""
+        self.buffers.results("results", self.head_bytes)
+        while True:
+            self._write_params(Boxes.of(self.lens, 0), Pass(0, 1), Room([]))
+            work = self._begin(False)
+            work.copy("counters", 0, "results", 0, self.head_bytes)
+            self.frames.submit(work)
+            found = self._counters()
+            if found.colours <= self.plan.colours:
+                return found
+            self._make_colours(found.colours)
+
+    def _begin(self, is_projected: bool) -> Work:
+        """Return work that clears the counters, and projects."""
+        work, self.written = self.frames.work(self.variant), 0
+        if is_projected:
+            work.clear_words("counters", 0, 2)  # those of lists; colours and splats stay counted
+            work.clear_words("counters", 3, 2)
+            return work
         work.clear("counters")
-        work.submit()
-        means, quaternions, scales, opacities, sh = (t[0] for t in self.job.scene.tensors)
-        pose = torch.tensor(self.job.camera.world_to_camera, dtype=torch.float64).reshape(4, 4)
-        for first in range(0, self.count, self.part):
-            end = min(first + self.part, self.count)
-            packed = torch.zeros(end - first, 12)
-            # In double, so that near Gaussians keep the order of depths that the CPU finds
-            packed[:, :3] = means[first:end].double() @ pose[:3, :3].T + pose[:3, 3]
-            packed[:, 3] = opacities[first:end]
-            packed[:, 4:8], packed[:, 8:11] = quaternions[first:end], scales[first:end]
-            self._upload("gaussians", packed)
-            if self.harmonics is None or self.harmonics is not self.frames.harmonics:
-                self._upload("harmonics", sh[first:end].contiguous())
-            part = self._write_part(first, end - first, 0, first // _THREADS)
-            work = Work(self.frames.pipelines, self.buffers, self.variant, self.frames.clock)
-            work.run("project", (-(-(end - first) // _THREADS),), {"part": part})
-            work.submit()
-        self.frames.harmonics = self.harmonics if self.count <= self.part else None
+        for part in self.parts:
+            groups = -(-part.size // _THREADS)
+            names = {**part.names, "part": self._part(part.first, part.size, 0, part.first // _THREADS)}
+            work.run("project", (groups,), names)
+        return work
 
-    def _upload(self, name: str, values: Tensor) -> None:
-        data = values.numpy().reshape(-1).view(np.uint8).data
-        self.buffers.storage(name, len(data), "a part of the scene")
-        self.buffers.write(name, data)
+    def _counters(self) -> Counters:
+        with self.buffers.mapped("results", self.head_bytes) as data:
+            return Counters.of(data)
 
-    @staticmethod
-    def _counters(head: memoryview) -> _Counters:
-        words = np.frombuffer(head, np.uint32, _HEAD)
-        pairs, longest, colours, chunks, large, drawn = (int(word) for word in words[:6])
-        return _Counters(pairs, longest, colours, chunks, large, drawn, float(words[6:7].view(np.float32)[0]))
-
-    def choose_boxes(self, costs: np.ndarray) -> tuple[Boxes, float]:
-        """Return the cheapest boxes, and the instructions of their composite."""
-        allowed = tilings(self.lens)
-        by_tiling = dict(zip(ORDINALS, costs.tolist()))
-        ordinals = min(allowed, key=lambda k: by_tiling[k]) if self.frames.tiling is None else self.frames.tiling
-        return Boxes.of(self.lens, ordinals), by_tiling[ordinals]
-
-    def passes(self, boxes: Boxes) -> list[_Pass]:
+    def _passes(self, boxes: Boxes) -> list[Pass]:
         """Return the rows of boxes of each pass, as many as image and lists allow."""
-        most = self.limits.most_bytes
-        image_rows = most // (self.lens.width_px * self.pixel_bytes * BOX_ROWS)
+        most, results = self.limits.most_bytes, self.limits.buffer_bytes - self.head_bytes
+        each = self.lens.width_px * BOX_ROWS
+        image_rows = min(most // (each * self.pixel_bytes), results // (each * self.result_bytes))
         list_rows = most // (12 * boxes.across * boxes.groups)
         scan_rows = WORKGROUPS_ACROSS * _THREADS // (boxes.across * boxes.groups)
         rows = max(min(image_rows, list_rows, scan_rows, WORKGROUPS_ACROSS, boxes.down), 1)
-        return [_Pass(first, min(first + rows, boxes.down)) for first in range(0, boxes.down, rows)]
+        return [Pass(first, min(first + rows, boxes.down)) for first in range(0, boxes.down, rows)]
 
-    def draw_rows(self, boxes: Boxes, rows: _Pass, cost: float, image: Tensor) -> int:
-        """Draw the rows of a pass into the image; return the number of intersections."""
-        counters = self._list(boxes, rows)
-        most = min(self.limits.most_bytes // 4, _MOST_PAIRS)
-        if counters.pairs > most and rows.end - rows.first > 1:
-            middle = (rows.first + rows.end) // 2
-            halves = _Pass(rows.first, middle), _Pass(middle, rows.end)
-            return sum(self.draw_rows(boxes, half, cost, image) for half in halves)
-        self._sort(boxes, rows, counters)
-        self._composite(boxes, rows, cost, image)
-        return counters.pairs
+    def _pass(self, boxes: Boxes, rows: Pass, room: Room, is_projected: bool, image: Tensor) -> Counters:
+        """Draw rows into the image; where nothing is known of the lists, only count them. Return the counters."""
+        own, draws = boxes.across * boxes.groups * (rows.end - rows.first), room.pairs is not None
+        self.buffers.storage("bins", 12 * own, f"a panel of {own} boxes")
+        self.buffers.storage("pairs", 4 * (room.pairs or 1), "the lists of the picture")
+        self.buffers.storage("chunks", 8 * max(room.chunks, 1), "lists of Gaussians this long")
+        if room.chunks:
+            self.buffers.storage("merged", self.buffers["pairs"].size, "lists of Gaussians this long")
+        first_row, end_row = rows.first * BOX_ROWS, min(rows.end * BOX_ROWS, self.lens.height_px)
+        pixels = -(-(end_row - first_row) * self.lens.width_px // 4) * 4
+        size = self.head_bytes + pixels * self.result_bytes * int(draws)
+        self.buffers.results("results", size)
+        self._write_params(boxes, rows, room)
 
-    def _list(self, boxes: Boxes, rows: _Pass) -> _Counters:
-        """Count the lists of a pass and give them their places."""
-        buffers, own = self.buffers, boxes.across * boxes.groups * (rows.end - rows.first)
-        self.variant = Variant(**{**vars(self.variant), "ordinals": boxes.ordinals})
-        buffers.storage("bins", 12 * own, f"a panel of {own} boxes")
-        buffers.storage("pairs", 4, "an empty list")
-        while True:
-            chunk_bytes = buffers.storage("chunks", 8 * self.room["chunks"], "lists of Gaussians this long")
-            self.room["chunks"] = chunk_bytes // 8
-            self._write_params(boxes, rows)
-            work = Work(self.frames.pipelines, buffers, self.variant, self.frames.clock)
-            work.clear("counters", "bins")
-            groups = -(-self.count // _THREADS)
-            work.run("count", (groups,))
-            work.run("count_large", (min(_LARGE_GROUPS, self.count),))
-            work.run("allocate", (-(-own // _THREADS),))
-            work.submit()
-            counters = self._counters(buffers.read("counters", _HEAD_BYTES))
-            if counters.chunks <= self.room["chunks"]:
-                return counters
-            self.room["chunks"] = counters.chunks
+        work = self._begin(is_projected)
+        work.clear("bins")
+        work.run("count", (self.groups,))
+        work.run("count_large", (min(_LARGE_GROUPS, self.count),))
+        work.run("allocate", (-(-own // _THREADS),))
+        if draws:
+            self._order(work, boxes, rows, room)
+            work = self._composite(work, boxes, rows, pixels)
+            work.copy("packed" if self.as_bytes else "image", 0, "results", self.head_bytes, size - self.head_bytes)
+        work.copy("counters", 0, "results", 0, self.head_bytes)
+        self.frames.submit(work)
+        with self.buffers.mapped("results", size) as data:
+            found = Counters.of(data[: self.head_bytes])
+            if draws and room.holds(found) and found.colours <= self.plan.colours:
+                values = np.frombuffer(data, np.uint8 if self.as_bytes else np.float32, offset=self.head_bytes)
+                shape = end_row - first_row, self.lens.width_px, 3
+                np.copyto(image.numpy()[first_row:end_row], values[: np.prod(shape)].reshape(shape))
+        return found
 
-    def _sort(self, boxes: Boxes, rows: _Pass, counters: _Counters) -> None:
+    def _order(self, work: Work, boxes: Boxes, rows: Pass, room: Room) -> None:
         """Fill the lists and bring each into the order of depths."""
-        self.room["pairs"] = self.buffers.storage("pairs", 4 * counters.pairs, "a row of the picture") // 4
-        self._write_params(boxes, rows)
-        work = Work(self.frames.pipelines, self.buffers, self.variant, self.frames.clock)
-        groups = -(-self.count // _THREADS)
-        work.run("scatter", (groups,))
-        work.run("scatter_large", (min(_LARGE_GROUPS, counters.large),))
+        work.run("scatter", (self.groups,))
+        work.run("scatter_large", (min(_LARGE_GROUPS, self.count),))
         work.run("sort_short", (boxes.across, rows.end - rows.first, boxes.groups))
-        if counters.chunks:
-            work.run("sort_chunk", (counters.chunks,))
-            self._merge(work, counters)
-        work.submit()
-
-    def _merge(self, work: Work, counters: _Counters) -> None:
-        """Merge the chunks of long lists; as many passes there as back, so that they end where they began."""
-        self.buffers.storage("merged", self.buffers["pairs"].size, "lists of Gaussians this long")
-        passes = max(math.ceil(math.log2(counters.longest / _CHUNK)), 0)
-        for k in range(passes + passes % 2):
-            part = self._write_part(0, _CHUNK << k)
+        if not room.chunks:
+            return
+        work.run("sort_chunk", (room.chunks,))
+        for k in range(room.merges):  # as many there as back, so that the lists end where they began
             there = {"pairs": "pairs", "merged": "merged"} if k % 2 == 0 else {"pairs": "merged", "merged": "pairs"}
-            work.run("merge_runs", (counters.chunks,), {"part": part, **there})
+            work.run("merge_runs", (room.chunks,), {"part": self._part(0, CHUNK << k), **there})
 
-    def _composite(self, boxes: Boxes, rows: _Pass, cost: float, image: Tensor) -> None:
-        """Draw the samples of a pass, in dispatches that no GPU is busy with for long, and copy them to the image."""
-        first = rows.first * BOX_ROWS
-        end = min(rows.end * BOX_ROWS, self.lens.height_px)
-        pixels = -(-(end - first) * self.lens.width_px // 4) * 4
+    def _composite(self, work: Work, boxes: Boxes, rows: Pass, pixels: int) -> Work:
+        """Draw the samples of a pass, no dispatch of which takes any GPU long; return the work to go on with."""
         self.buffers.exactly("image", pixels * self.pixel_bytes)
-        begin, bands = rows.first, _Bands(self.frames.rate, cost / boxes.down)
+        if boxes.ordinals and self.as_bytes:
+            work.clear("image")
+        begin, bands = rows.first, Bands(self.frames.rate, self.plan.costs[boxes.ordinals] / boxes.down)
+        seconds = 0.0
         while begin < rows.end:
             at_once = bands.rows() if self.frames.most_rows is None else self.frames.most_rows
-            work = Work(self.frames.pipelines, self.buffers, self.variant, self.frames.clock)
-            if begin == rows.first and boxes.ordinals and self.as_bytes:
-                work.clear("image")
-            part = self._write_part(begin, 0, first)
             at_once = min(at_once, rows.end - begin)
-            work.run("composite", (boxes.across, at_once, boxes.groups), {"part": part})
-            start = time.perf_counter()
-            work.submit()
             if bands.are_timed:
-                self.buffers.read("counters", 4)  # waits
+                work = self._flushed(work)
+            seconds += bands.seconds(at_once)
+            if seconds > _SUBMISSION_SECONDS:
+                self.frames.submit(work)
+                work, seconds = self.frames.work(self.variant), bands.seconds(at_once)
+            part = self._part(begin, 0, rows.first * BOX_ROWS)
+            work.run("composite", (boxes.across, at_once, boxes.groups), {"part": part})
+            if bands.are_timed:
+                start = time.perf_counter()
+                work = self._flushed(work)
                 bands.took(at_once, time.perf_counter() - start)
             begin += at_once
         self.frames.rate = bands.rate
-        image[first:end] = self._read_image(pixels, (end - first, self.lens.width_px, 3))
-
-    def _read_image(self, pixels: int, shape: tuple[int, int, int]) -> Tensor:
-        dtype, name = (np.uint8, "packed") if self.as_bytes else (np.float32, "image")
         if self.as_bytes:
             self.buffers.exactly("packed", 3 * pixels)
-            work = Work(self.frames.pipelines, self.buffers, self.variant, self.frames.clock)
             groups = -(-pixels // (4 * _THREADS))
             down = -(-groups // WORKGROUPS_ACROSS)
             work.run("pack", (-(-groups // down), down))
-            work.submit()
-        count = math.prod(shape)
-        data = self.buffers.read(name, -(-count * np.dtype(dtype).itemsize // 4) * 4)
-        return torch.from_numpy(np.frombuffer(data, dtype, count).reshape(shape).copy())
+        return work
+
+    def _flushed(self, work: Work) -> Work:
+        """Submit work, wait for its end, and return new work."""
+        self.buffers.results("waited for", 4)
+        work.copy("counters", 0, "waited for", 0, 4)
+        self.frames.submit(work)
+        with self.buffers.mapped("waited for", 4):
+            return self.frames.work(self.variant)
+
+    def _write_params(self, boxes: Boxes, rows: Pass, room: Room) -> None:
+        sizes = room.pairs or 0, self.plan.colours, self.count, room.chunks
+        job, tolerance = self.job, self.tolerance
+        data = pack_params(
+            job.camera, job.antialiased, self.degree, self.count, self.background, tolerance, boxes, rows, sizes
+        )
+        self.buffers.parameters("P", data)
+
+    def _part(self, first: int, count: int = 0, first_row: int = 0, group: int = 0) -> str:
+        """Write a struct Part of its own for one dispatch of this submission; return the name of its buffer."""
+        name, self.written = f"part {self.written}", self.written + 1
+        self.buffers.parameters(name, np.array([first, count, first_row, group], np.uint32).tobytes())
+        return name

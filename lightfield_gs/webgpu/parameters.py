@@ -14,7 +14,6 @@ BOX_ROWS, TILE_WIDTH, BOX_LENSES = 16, 32, 16  # as in csrc/webgpu/footprint.wgs
 ORDINALS = (0, 2, 3, 6)  # tilings in the order of cost_of_splat in csrc/webgpu/project.wgsl; 0: tiles of pixels
 LENS_WIDTHS = 6.0, 200.0  # sub-pixels, of lenses that boxes are made of: not less than the ordinals of a box
 _WORD = 0xFFFFFFFF
-PARAMS_BYTES = 4 * (12 * 4 + 5 * 4 + _core.CELL_SUBPIXELS * 4)
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def pack_params(
     rows: tuple[int, int],
     room: tuple[int, int, int, int],
 ) -> bytes:
-    """Return the struct Params of csrc/webgpu/frame.wgsl. Means are in the axes of the centre camera already.
+    """Return the struct Params of csrc/webgpu/frame.wgsl.
 
     Args:
         camera: Of the panel.
@@ -86,7 +85,6 @@ def pack_params(
     reach = lens.native().reach()
     start, step = (value / reach if reach > 0 else 0.0 for value in (lens.offset_start, lens.offset_step))
     floats = [
-        *np.eye(4)[:3].ravel(),
         *turn.ravel(),
         *camera.intrinsics,
         *camera.limits[:4],
@@ -105,7 +103,8 @@ def pack_params(
     cells = np.zeros((_core.CELL_SUBPIXELS, 4), np.uint32)
     for k, (phase, channel) in enumerate(zip(lens.cell_phases, lens.cell_channels)):
         cells[k, :3] = (*_words(phase), channel)
-    return np.array(floats, np.float32).tobytes() + np.array(words, np.uint32).tobytes() + cells.tobytes()
+    arrays = pose[:3], np.array(floats, np.float32), np.array(words, np.uint32), cells
+    return b"".join(array.tobytes() for array in arrays)
 
 
 def _words(phase: int) -> tuple[int, int]:

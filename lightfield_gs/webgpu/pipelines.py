@@ -20,6 +20,8 @@ class Pipelines:
     def __init__(self, device: wgpu.GPUDevice) -> None:
         self.device = device
         self._made: dict[tuple[str, Variant], tuple[wgpu.GPUComputePipeline, wgpu.GPUBindGroupLayout]] = {}
+        self._groups: dict[tuple[wgpu.GPUBindGroupLayout, tuple[str, ...]], wgpu.GPUBindGroup] = {}
+        self._version = 0  # of the buffers that are bound
 
     def stage(self, name: str, variant: Variant) -> tuple[wgpu.GPUComputePipeline, wgpu.GPUBindGroupLayout]:
         """Return the pipeline of a stage for a kind of frame, and the layout of its buffers."""
@@ -39,6 +41,22 @@ class Pipelines:
             )
             self._made[key] = pipeline, layout
         return self._made[key]
+
+    def group(
+        self, stage: str, layout: wgpu.GPUBindGroupLayout, buffers: Buffers, names: tuple[str, ...]
+    ) -> wgpu.GPUBindGroup:
+        """Return buffers bound to a stage; kept until a buffer is made."""
+        if self._version != buffers.version:
+            self._groups.clear()
+            self._version = buffers.version
+        key = layout, names
+        if key not in self._groups:
+            entries: list[Any] = []
+            for binding, name in zip(STAGES[stage].bindings, names):
+                resource = {"buffer": buffers[name], "offset": 0, "size": buffers[name].size}
+                entries.append({"binding": BINDINGS[binding][0], "resource": resource})
+            self._groups[key] = self.device.create_bind_group(layout=layout, entries=entries)
+        return self._groups[key]
 
 
 class Work:
@@ -60,6 +78,14 @@ class Work:
         for name in names:
             self.encoder.clear_buffer(self.buffers[name])
 
+    def clear_words(self, name: str, first: int, count: int) -> None:
+        """Set numbers of a buffer to zero."""
+        self.encoder.clear_buffer(self.buffers[name], 4 * first, 4 * count)
+
+    def copy(self, source: str, source_at: int, target: str, target_at: int, size: int) -> None:
+        """Copy bytes between buffers; places and size are multiples of 4."""
+        self.encoder.copy_buffer_to_buffer(self.buffers[source], source_at, self.buffers[target], target_at, size)
+
     def run(self, stage: str, groups: tuple[int, ...], names: Mapping[str, str] | None = None) -> None:
         """Add a dispatch.
 
@@ -71,12 +97,8 @@ class Work:
         if not all(groups):
             return
         pipeline, layout = self.pipelines.stage(stage, self.variant)
-        entries: list[Any] = []
-        for binding in STAGES[stage].bindings:
-            buffer = self.buffers[(names or {}).get(binding, binding)]
-            resource = {"buffer": buffer, "offset": 0, "size": buffer.size}
-            entries.append({"binding": BINDINGS[binding][0], "resource": resource})
-        group = self.pipelines.device.create_bind_group(layout=layout, entries=entries)
+        bound = tuple((names or {}).get(binding, binding) for binding in STAGES[stage].bindings)
+        group = self.pipelines.group(stage, layout, self.buffers, bound)
         timed = {} if self.clock is None else self.clock.writes(stage)
         timed_pass = self.encoder.begin_compute_pass(**timed)
         timed_pass.set_pipeline(pipeline)

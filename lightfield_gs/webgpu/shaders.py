@@ -50,7 +50,7 @@ _SPLATS = ("splat_a", "splat_b", "splat_c")
 _LISTS, _SORT = ("frame", "footprint", "lists"), ("frame", "footprint", "sort")
 STAGES = {
     "project": Stage(
-        ("frame", "footprint", "colours", "project"),
+        ("frame", "footprint", "lens", "means", "colours", "project"),
         ("P", "part", "gaussians", "harmonics", *_SPLATS, "colours", "counters", "depths"),
     ),
     "count": Stage(_LISTS, ("P", *_SPLATS, "counters", "bins", "pairs", "large")),
@@ -65,6 +65,7 @@ STAGES = {
         ("frame", "footprint", "lens", "composite"), ("P", "part", *_SPLATS, "colours", "bins", "pairs", "image")
     ),
     "pack": Stage(("pack",), ("image", "packed")),
+    "pattern": Stage(("frame", "lens", "pattern"), ("P", "part", "image")),
 }
 
 
@@ -117,7 +118,7 @@ class Variant:
 
 def source(stage: str, variant: Variant) -> str:
     """Return the WGSL of a stage for a kind of frame."""
-    text = variant.constants() + "\n".join(_file(name) for name in STAGES[stage].files)
+    text = variant.constants() + "\n".join(wgsl(name) for name in STAGES[stage].files)
     for name, kept in (("floats", variant.floats), ("bytes", not variant.floats), ("pixels", not variant.ordinals)):
         text = re.sub(rf"[ ]*//\{{{name}\n(.*?)[ ]*//{name}\}}\n", r"\1" if kept else "", text, flags=re.DOTALL)
     return re.sub(
@@ -135,7 +136,8 @@ def _repeated(lines: str, count: int) -> str:
 
 
 @lru_cache
-def _file(name: str) -> str:
+def wgsl(name: str) -> str:
+    """Return a file of the sources as it is. Raises InputError where it is missing."""
     for folder in (_PACKAGE / "wgsl", _PACKAGE.parent / "csrc" / "webgpu"):
         if (folder / f"{name}.wgsl").is_file():
             return (folder / f"{name}.wgsl").read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ from lightfield_gs.rasterizer.lenticular_camera import Aperture, Lens, Lenticula
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.webgpu.devices import draw_direct
+from lightfield_gs.webgpu.resident import Kept
 
 
 def draw_views(
@@ -31,12 +32,12 @@ def draw_views(
         InputError: As in draw_direct.
     """
     width, height = cast(int, cameras.width_px), cast(int, cameras.height_px)
-    out = torch.empty(cameras.count, height, width, 3)
+    out, kept = torch.empty(cameras.count, height, width, 3), Kept.new()
     lens = Lens(width, height, 1, (0, 0, 0), 1.0, 0.0, 0.0, bgr=False, continuous=False)
     rows = zip(*(t.double().tolist() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())))
     for image, (pose, intrinsics, limits) in zip(out, rows):
         numbers = tuple(number for row in pose for number in row), tuple(intrinsics), tuple(limits)
         camera = LenticularCamera(*numbers, aperture.zero_depth, lens, aperture.deviation)
         job = DirectRender(gaussians.fields().values(), background, camera, antialiased)
-        draw_direct(device, job, out=image)
+        draw_direct(device, job, out=image, kept=kept)
     return out

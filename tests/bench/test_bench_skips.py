@@ -1,10 +1,10 @@
 """The benchmark of what skipping saves: what it draws with and without each skip is the same picture."""
 
-import argparse
 import json
 
 import pytest
 import torch
+from bench_cases import arguments
 
 from lightfield_gs import Panel
 from lightfield_gs.bench import skips
@@ -68,27 +68,24 @@ def test_the_veil_leaves_no_tile_empty(found):
 
 def test_rows_and_table(tmp_path, capsys):
     PANEL.to_yaml(tmp_path / "small.yaml")
-    parser, path = argparse.ArgumentParser(), tmp_path / "skips.json"
-    command.add_arguments(parser)
+    path = tmp_path / "skips.json"
     threads = torch.get_num_threads()
     assert (
         command.run(
-            parser.parse_args(
-                [
-                    "skips",
-                    "--scene",
-                    "sheet:16,cloud:100",
-                    "--panel",
-                    str(tmp_path / "small.yaml"),
-                    "--cone",
-                    "5,20",
-                    "--repeats",
-                    "1",
-                    "--threads",
-                    "1",
-                    "--json",
-                    str(path),
-                ]
+            arguments(
+                "skips",
+                "--scene",
+                "sheet:16,cloud:100",
+                "--panel",
+                str(tmp_path / "small.yaml"),
+                "--cone",
+                "5,20",
+                "--repeats",
+                "1",
+                "--threads",
+                "1",
+                "--json",
+                str(path),
             )
         )
         == 0

@@ -12,8 +12,8 @@ from rasterizer_cases import CELLS, MIRRORED
 from torch import Tensor
 
 from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
+from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
-from lightfield_gs.panels.panel import DEFAULT_PANEL
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {

@@ -28,8 +28,9 @@ import surface_cases
 import torch
 
 import lightfield_gs
+from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.models import unet
-from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import lenticular_camera
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.direct import DirectRender

@@ -11,13 +11,13 @@ from screen_cases import bridge_answer, calibration, connector, edid
 from lightfield_gs import InputError, Panel
 from lightfield_gs.app import panel as app_panel
 from lightfield_gs.app.options import PanelOptions
+from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.displays import calibrations, find, linux
 from lightfield_gs.displays.calibrations import Calibration
 from lightfield_gs.displays.find import match_displays
 from lightfield_gs.displays.screens import Screen
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.display_kinds import DISPLAY_KINDS, kind_by_serial, kind_by_size
-from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.panels.quilt import QUILT_PRESETS
 
 PORTRAIT = Screen("HDMI-1", "LKG-P00671", "", 1536, 2048, (1920, 0), 1.0)

@@ -167,6 +167,15 @@ def test_auto_takes_an_adapter_that_passes_and_pays(monkeypatch, tmp_path):
         assert devices.choose_drawing_device("auto", pixels, 10_000).webgpu is None
 
 
+def test_auto_starts_no_driver_for_few_pixels(monkeypatch):
+    asked = []
+    monkeypatch.setattr(devices, "adapters", lambda: asked.append(1) or ())
+    monkeypatch.setattr(devices, "choose_device", lambda name: "cpu")
+    for pixels, frames, times in ((3840 * 2160, 1, 0), (7680 * 4320, 0, 0), (7680 * 4320, 1, 1), (1920 * 1080, 100, 2)):
+        assert devices.choose_drawing_device("auto", pixels, frames) == devices.DrawingDevice("cpu")
+        assert len(asked) == times
+
+
 def test_info_lists_the_devices(frames, capsys):
     lines = run(capsys, "info --devices").splitlines()
     assert [line.split(": ")[0] for line in lines[:3]] == ["cpu", "cuda", "webgpu:0"]

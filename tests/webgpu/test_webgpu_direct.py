@@ -9,8 +9,10 @@ from rasterizer_cases import all_subpixels, hard_scene, panel, random_scene, rig
 
 from lightfield_gs import encode, reference
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.webgpu import devices
 from lightfield_gs.webgpu.buffers import Buffers, Limits
-from lightfield_gs.webgpu.frames import _Bands
+from lightfield_gs.webgpu.frames import Frames
+from lightfield_gs.webgpu.plans import Bands
 
 # The drivers of GPUs are not ours, and what is drawn on the CPU is tested elsewhere
 pytestmark = pytest.mark.not_sanitized
@@ -46,6 +48,13 @@ def both(gaussians, shown, fan, **options):
     """The image by WebGPU, and the CPU's."""
     options = {"background": BACKGROUND, **options}
     return (encode(gaussians, shown, fan, device=where, **options) for where in ("webgpu", None))
+
+
+def limited(frames: Frames, limits: Limits, monkeypatch) -> Frames:
+    """Let an adapter of small limits draw."""
+    small = Frames(frames.device, limits)
+    monkeypatch.setattr(devices, "frames_on", lambda index: small)
+    return small
 
 
 @pytest.mark.parametrize("tiling", [0, 3])
@@ -114,9 +123,9 @@ def test_small_limits_are_kept_by_parts_and_passes(frames, monkeypatch, tiling):
     gaussians = random_scene(900, 3, size=0.03, dtype=torch.float32)
     frames.tiling = tiling
     drawn, expected = both(gaussians, shown, rig(shown, 0.1))
-    monkeypatch.setattr(Buffers, "_make", lambda self, name, size: sizes.append(size) or make(self, name, size))
-    frames.limits, frames.most_rows = limits, 1
-    frames.buffers = Buffers(frames.device, limits)
+    monkeypatch.setattr(Buffers, "_make", lambda self, *given: sizes.append(given[1]) or make(self, *given))
+    small = limited(frames, limits, monkeypatch)
+    small.tiling, small.most_rows = tiling, 1
     again = encode(gaussians, shown, rig(shown, 0.1), background=BACKGROUND, device="webgpu")
     assert torch.equal(again, drawn) and most_apart(again, expected) <= 1
     assert max(sizes) <= limits.most_bytes < 4 * 200 * 140
@@ -124,18 +133,17 @@ def test_small_limits_are_kept_by_parts_and_passes(frames, monkeypatch, tiling):
 
 def test_bands_grow_by_the_rate_of_the_device():
     """At 1e10 instructions a second: 4e9, and then what takes 50 ms; a fast device grows by four each time."""
-    slow, fast = _Bands(None, 1e8), _Bands(None, 1e8)
+    slow, fast = Bands(None, 1e8), Bands(None, 1e8)
     assert slow.rows() == fast.rows() == 40
     slow.took(40, 0.4)
     fast.took(40, 0.0004)
     assert (slow.rows(), fast.rows()) == (5, 160)
     fast.took(160, 0.0016)
-    assert fast.rows() == 640 and _Bands(slow.rate, 1e8).rows() == 5
+    assert fast.rows() == 640 and Bands(slow.rate, 1e8).rows() == 5
 
 
-def test_a_scene_beyond_the_limits_is_refused(frames):
-    frames.limits = Limits(4096, 4096)
-    frames.buffers = Buffers(frames.device, frames.limits)
+def test_a_scene_beyond_the_limits_is_refused(frames, monkeypatch):
+    limited(frames, Limits(13312, 13312), monkeypatch)
     shown = panel()
     with pytest.raises(InputError, match="a scene of 900 Gaussians: needs a buffer .* use device cpu"):
         encode(random_scene(900, dtype=torch.float32), shown, rig(shown), device="webgpu")

@@ -17,7 +17,6 @@ VARIANTS = (
     Variant(6),
     Variant(cells=True, harmonics=True, compensated=True),
 )
-SWIFTSHADER = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan")
 OPEN = """(async () => {
   const adapter = navigator.gpu && await navigator.gpu.requestAdapter();
   window.device = adapter && await adapter.requestDevice();
@@ -52,7 +51,7 @@ def test_samples_of_a_thread_are_variables_of_their_own():
 @pytest.mark.not_sanitized
 def test_chromium_compiles_every_stage(tmp_path):
     (tmp_path / "page.html").write_text("<p>")
-    browser = chromium.Browser(tmp_path, 300, 300, gpu=SWIFTSHADER)
+    browser = chromium.Browser(tmp_path, 300, 300, gpu=chromium.SWIFTSHADER)
     try:
         browser.open((tmp_path / "page.html").as_uri())
         browser.wait("location.protocol == 'file:' && document.readyState == 'complete'")

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.captures.pinhole import TO_OPENCV
-from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from training.command import with_line_errors
 from training.data.distance import OBJECT_DISTANCE

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES, Device
+from lightfield_gs.base.options import DENSITIES, DEVICES, MASKS, Density, Device, Masks, TestEvery
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import background, whole, within
-from lightfield_gs.fitting.settings import DENSITIES, MASKS, Density, Masks
-from lightfield_gs.io.captures.capture import TestEvery
 
-Add = Callable[..., argparse.Action]
 _MOST = 10_000_000
 # Names of options, and of their settings
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
@@ -148,15 +145,21 @@ def _backdrop(text: str) -> tuple[float, ...] | None:
     return None if text == "random" else background(text)
 
 
-def add_capture(parser: argparse.ArgumentParser) -> None:
+def add_capture(add: Add) -> None:
     """Add the options of the capture."""
-    group = parser.add_argument_group("capture")
-    add = group.add_argument
-    add("--images", type=Path, metavar="FOLDER", help="folder of photographs, absolute or in CAPTURE (default: images)")
+    add = in_group(add, "photographs")
+    add(
+        "--images",
+        type=Path,
+        metavar="FOLDER",
+        short="folder of the photographs (default: images)",
+        help="folder of photographs, absolute or in CAPTURE (default: images)",
+    )
     add(
         "--mask-folder",
         type=Path,
         metavar="FOLDER",
+        short="folder of masks, white on what counts",
         help="folder of masks named as the photographs, white on the pixels that count (default: masks)",
     )
     add(
@@ -166,45 +169,55 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
         help="meaning of black in masks and of transparent pixels in photographs. ignore: anything may be "
         "there; alpha: the scene is transparent there; default ignore",
     )
-    size = group.add_mutually_exclusive_group().add_argument
-    size(
+    add(
         "--scale",
+        instead_of="size",
         type=within(1e-3, 1),
         metavar="FRACTION",
+        short="0..1: shrink the photographs to this fraction",
         help="0..1, shrink photographs to this fraction of their width (default 1)",
     )
-    size(
+    add(
         "--longest-px",
+        instead_of="size",
         type=whole(16, 1 << 20),
         metavar="PIXELS",
         help="shrink photographs whose longer side has more pixels",
     )
-    test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group().add_argument
-    test(
+    add(
         "--test-every",
+        instead_of="test",
         type=_every_or_none,
         default="own",
         metavar="N",
         help="hold out the middle one of every N photographs, in the order of their names, to score the scene; "
         "none: fit to all; own: hold out the capture's own test photographs, else as with 8 (default own)",
     )
-    test("--test-list", type=Path, metavar="FILE", help="hold out the photographs that a text file names, one a line")
+    add(
+        "--test-list",
+        instead_of="test",
+        type=Path,
+        metavar="FILE",
+        help="hold out the photographs that a text file names, one a line",
+    )
     add(
         "--sfm",
         action="store_true",
+        short="CAPTURE has photographs alone: find their cameras",
         help="CAPTURE is a folder of photographs with unknown cameras. pycolmap finds them first (pip install "
         "'lightfield-gs[sfm]'), and stores them in the folder of the run",
     )
 
 
-def add_optimisation(parser: argparse.ArgumentParser) -> None:
+def add_optimisation(add: Add) -> None:
     """Add the options that become FitSettings."""
-    add = parser.add_argument_group("fit").add_argument
+    add = in_group(add, "fit")
     add(
         "--steps",
         type=whole(1, _MOST),
         default=30_000,
         metavar="N",
+        short="number of steps; 7000 is quick (default 30000)",
         help="number of steps; schedules scale with it (default 30000)",
     )
     add(
@@ -212,6 +225,7 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
         type=whole(1, 2**31 - 1),
         default=300_000,
         metavar="N",
+        short="number of Gaussians (default 300000)",
         help="number of Gaussians at the end, or at most with --density adaptive (default 300000)",
     )
     add(
@@ -244,6 +258,7 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
     add(
         "--exposure",
         action="store_true",
+        short="for photographs of different exposure",
         help="also fit an affine change of colours for each photograph, for different exposure or white balance",
     )
     add(
@@ -251,16 +266,23 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
         type=within(0.0, 0.9),
         default=0.0,
         metavar="FRACTION",
+        short="0.2 helps with a dozen photographs or fewer",
         help="each step leaves out a random fraction of the Gaussians, which grows from 0 to this value at the "
         "end, 0..0.9. With a dozen photographs or fewer it removes stray Gaussians before the views "
         "between them; 0.2 gains up to 1 dB there or loses up to 1.5, by the scene (default 0: none)",
     )
-    add("--poses", action="store_true", help="also refine the cameras' poses, if they are off by some pixels")
+    add(
+        "--poses",
+        action="store_true",
+        short="also refine the cameras",
+        help="also refine the cameras' poses, if they are off by some pixels",
+    )
     add(
         "--background",
         type=_backdrop,
         default=(0.0, 0.0, 0.0),
         metavar="COLOUR",
+        short="R,G,B in 0..1, or a name (default black)",
         help="background of the scene in the fit, and later in encode: R,G,B in 0..1, a name, #rrggbb, or random, "
         "another colour at each step (default black)",
     )
@@ -280,13 +302,14 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=DEVICES,
         default="auto",
+        short="cpu or cuda (default auto: a GPU where there is one)",
         help="device of the fit (default auto: cuda if there is a GPU and this build can use it)",
     )
 
 
-def add_run(parser: argparse.ArgumentParser) -> None:
+def add_run(add: Add) -> None:
     """Add the options of the run's folder."""
-    add = parser.add_argument_group("run").add_argument
+    add = in_group(add, "files of the run")
     add(
         "--run",
         type=Path,
@@ -294,7 +317,12 @@ def add_run(parser: argparse.ArgumentParser) -> None:
         help="folder of checkpoints, scores and pictures (default: beside the output, scene.fit for scene.ply); "
         "a stopped fit goes on from there",
     )
-    add("--fresh", action="store_true", help="start over, and remove the checkpoint in the folder of the run")
+    add(
+        "--fresh",
+        action="store_true",
+        short="start over, do not go on from where a fit stopped",
+        help="start over, and remove the checkpoint in the folder of the run",
+    )
     for name, words in (
         ("checkpoint", "checkpoints (default: they take 2 %% of the time)"),
         ("evaluate", "scores of the held-out photographs (default: a tenth of --steps)"),
@@ -304,17 +332,19 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add(
         "--stop-early",
         action="store_true",
+        short="end when it gets no better",
         help="end once the held-out PSNR has not improved over the last 3 evaluations",
     )
     add("--tensorboard", action="store_true", help="write scalars for TensorBoard in the folder of the run")
 
 
-def add_cone(parser: argparse.ArgumentParser) -> None:
+def add_cone(add: Add) -> None:
     """Add the options of the panel that a scene is fitted for, and of the cone that it is scored in."""
-    add = parser.add_argument_group("panel").add_argument
+    add = in_group(add, groups.DISPLAY)
     add(
         "--cone",
         metavar="PANEL|DEG",
+        short="the display that it is for: 27, visual.json, ...",
         help="fit for the views of a panel, by its name, .yaml or .json, or for the default panel with a cone "
         "of this full angle, 1..179. Photographs in the cone count fully, others less. Gaussians that no "
         "view of the panel sees are left out. The rig is written beside the scene, scene.rig.yaml for "

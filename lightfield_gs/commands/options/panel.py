@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
 from pathlib import Path
 
-from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
+from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_PANEL, DEVICES, METHODS, QUALITY_NAMES, UP_AXES, VIEWS
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import (
     background_or_auto,
     byte_size,
     camera_choice,
     drawing_device,
     numbers,
+    panel_name,
     threads,
     within,
 )
 from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
-from lightfield_gs.panels.panel import DEFAULT_PANEL
-from lightfield_gs.scene.axes import UP_AXES
 
-Add = Callable[..., argparse.Action]
 _distance_mm = within(1e-3, 1e9, "mm")
 _depth_amount = within(0, 2)
 _cone_deg = within(0, 179, "degrees")
@@ -53,9 +52,12 @@ def add_panel(add: Add, purpose: str) -> None:
     Args:
         purpose: The use of the distance, for the help.
     """
+    add = in_group(add, groups.DISPLAY)
     add(
         "--panel",
+        type=panel_name,
         metavar="PANEL",
+        short="visual.json of the display, or its name (27, go)",
         help="a Looking Glass visual.json, a .yaml, the name of a profile, or of a Looking Glass display "
         f"({', '.join(DISPLAY_KINDS)}) (default: the display that is connected, else {DEFAULT_PANEL})",
     )
@@ -64,6 +66,7 @@ def add_panel(add: Add, purpose: str) -> None:
 
 
 def add_device_serial(add: Add) -> None:
+    add = in_group(add, groups.DISPLAY)
     add(
         "--device-serial",
         metavar="SERIAL",
@@ -72,11 +75,12 @@ def add_device_serial(add: Add) -> None:
 
 
 def add_viewing_distance(add: Add, help: str) -> None:
-    add("--viewing-distance", type=_distance_mm, metavar="MM", help=help)
+    in_group(add, groups.DISPLAY)("--viewing-distance", type=_distance_mm, metavar="MM", help=help)
 
 
 def add_camera(add: Add) -> None:
     """Add the options of the cameras of the views."""
+    add = in_group(add, groups.VIEWPOINT)
     add(
         "--rig",
         type=Path,
@@ -97,25 +101,30 @@ def add_camera(add: Add) -> None:
 
 def add_turn(add: Add) -> None:
     """Add the options of the direction from which a scene is seen."""
+    add = in_group(add, groups.VIEWPOINT)
     add(
         "--turn",
         type=_turn_deg,
         metavar="DEG",
+        short="go so many degrees round the scene, to the right",
         help="see a scene from another side: the cameras go so many degrees to the right round it, -180..180",
     )
     add(
         "--tilt",
         type=_tilt_deg,
         metavar="DEG",
+        short="go so many degrees up",
         help="see a scene from above: the cameras go so many degrees up round it, -89..89",
     )
 
 
 def add_up(add: Add) -> None:
+    add = in_group(add, groups.VIEWPOINT)
     add(
         "--up",
         choices=UP_AXES,
         metavar="AXIS",
+        short="axis that points up, as z where a scene lies",
         help="axis that points up in the file, x, y, z, -x, -y or -z, for automatic framing; the Gaussians stay "
         "as they are (default: as stored in the file, else -y)",
     )
@@ -123,10 +132,12 @@ def add_up(add: Add) -> None:
 
 def add_look(add: Add) -> None:
     """Add the options of focus, amount of depth, cone, zoom and pan."""
+    add = in_group(add, groups.LOOK)
     add(
         "--focus",
         type=_focus,
         metavar="DEPTH|X,Y",
+        short="point of the picture that lies in the screen: 0.5,0.4",
         help="depth of the panel's plane before the camera, in scene units; or a point of the picture whose "
         "surface lies in the plane: X of its width from the left, Y of its height from the top, 0..1 each "
         "(default: the rig's, else automatic)",
@@ -135,6 +146,7 @@ def add_look(add: Add) -> None:
         "--depth-amount",
         type=_depth_amount,
         metavar="FACTOR",
+        short="0 (flat) to 2 (twice as deep)",
         help="factor of all disparities, 0 (flat) to 2 (default 1)",
     )
     add(
@@ -143,7 +155,13 @@ def add_look(add: Add) -> None:
         metavar="DEG",
         help="full angle that the cameras of the views span, in degrees, 0..179 (default: the rig's or the panel's)",
     )
-    add("--zoom", type=_zoom, metavar="FACTOR", help="factor of the picture's size, about its middle (default 1)")
+    add(
+        "--zoom",
+        type=_zoom,
+        metavar="FACTOR",
+        short="size of the picture (default 1)",
+        help="factor of the picture's size, about its middle (default 1)",
+    )
     add(
         "--pan",
         type=_pan,
@@ -153,6 +171,7 @@ def add_look(add: Add) -> None:
 
 
 def add_depth_report(add: Add) -> None:
+    add = in_group(add, groups.LOOK)
     add(
         "--depth-report",
         action="store_true",
@@ -184,6 +203,7 @@ def _pan(text: str) -> tuple[float, ...]:
 
 def add_device(add: Add) -> None:
     """Add the option of the device."""
+    add = in_group(add, groups.DRAWING)
     add(
         "--device",
         choices=DEVICES,
@@ -194,11 +214,13 @@ def add_device(add: Add) -> None:
 
 def add_drawing_device(add: Add) -> None:
     """Add the option of the device for commands that WebGPU can draw for."""
+    add = in_group(add, groups.DRAWING)
     add(
         "--device",
         type=drawing_device,
         default="auto",
         metavar="{auto,cpu,cuda,webgpu[:N]}",
+        short="cpu, cuda, or webgpu: a graphics card of any maker",
         help="device of network and rasterizer; webgpu draws on a GPU of any maker, N of `info --devices`, and the "
         "network stays on the CPU (default auto: cuda if there is a GPU and this build can use it)",
     )
@@ -206,6 +228,7 @@ def add_drawing_device(add: Add) -> None:
 
 def add_views(add: Add) -> None:
     """Add the options of cameras and a view map, in place of a rig and a lens."""
+    add = in_group(add, groups.VIEWPOINT)
     add(
         "--cameras",
         type=Path,
@@ -225,6 +248,7 @@ def add_views(add: Add) -> None:
 
 def add_method(add: Add) -> None:
     """Add the options of how the image is computed."""
+    add = in_group(add, groups.DRAWING)
     add(
         "--method",
         choices=METHODS,
@@ -255,6 +279,7 @@ def add_method(add: Add) -> None:
 
 def add_filters(add: Add) -> None:
     """Add the options of anti-aliasing, of pixels and of views."""
+    add = in_group(add, groups.DRAWING)
     add(
         "--antialiased",
         action=argparse.BooleanOptionalAction,
@@ -275,11 +300,13 @@ def add_filters(add: Add) -> None:
 
 def add_rendering(add: Add) -> None:
     """Add the options of how a scene is drawn: anti-aliasing and background."""
+    add = in_group(add, groups.DRAWING)
     add_filters(add)
     add(
         "--background",
         type=background_or_auto,
         metavar="COLOUR",
+        short="white, #rrggbb, or R,G,B in 0..1",
         help="R,G,B in 0..1, a name as white, black or grey, #rrggbb, or auto (default). auto: for a photo of one "
         "object white or a dark grey, whichever its outline stands out from; for a scene the background that "
         "lightfield-gs fitted it before, if the file states it, else white",
@@ -288,6 +315,7 @@ def add_rendering(add: Add) -> None:
 
 def add_file(add: Add) -> None:
     """Add the options of how the image is stored."""
+    add = in_group(add, groups.STORAGE)
     add(
         "--bit-depth",
         type=int,

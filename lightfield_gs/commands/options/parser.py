@@ -7,12 +7,16 @@ import contextlib
 import dataclasses
 import math
 import re
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, get_type_hints
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
+from lightfield_gs.base.suggestions import did_you_mean
+from lightfield_gs.commands.options.help_text import HelpText
+from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
 
 # Options whose values may begin with a minus sign
 _VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--eyes", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
@@ -29,10 +33,92 @@ _Options = TypeVar("_Options", bound=_Dataclass)
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are InputErrors of one line."""
+    """A parser whose errors are InputErrors of one line, with a short --help and a whole --help-all.
+
+    Attributes:
+        fill: Adds the arguments when they are first asked for: commands import only what they take.
+        takes_anything: Whether unknown options are left to the command.
+        text: What the help is made of.
+    """
+
+    def __init__(
+        self, prog: str | None = None, *, fill: Callable[[Parser], None] | None = None, **arguments: Any
+    ) -> None:
+        self.text, self.fill, self.takes_anything = HelpText(), fill, False
+        self._exclusive: dict[str, Any] = {}
+        super().__init__(prog=prog, add_help=False, **arguments)
+        super().add_argument("-h", "--help", action="help", help=argparse.SUPPRESS)
+        super().add_argument("--help-all", action=_WholeHelp, nargs=0, help=argparse.SUPPRESS)
+
+    def add_argument(self, *names: Any, **arguments: Any) -> argparse.Action:
+        """Add an argument.
+
+        Args:
+            names: As argparse takes them.
+            arguments: As argparse takes them, and more. short: its line in --help, for what most people need; group:
+                its title in --help-all; instead_of: a name that options share of which only one may be given.
+        """
+        short, group = arguments.pop("short", None), arguments.pop("group", "options")
+        shared = arguments.pop("instead_of", None)
+        if shared is None:
+            action = super().add_argument(*names, **arguments)
+        else:
+            if shared not in self._exclusive:
+                self._exclusive[shared] = self.add_mutually_exclusive_group()
+            action = self._exclusive[shared].add_argument(*names, **arguments)
+        self.text.groups.setdefault(group, []).append(action)
+        if short is not None:
+            self.text.shorts[action] = short
+        return action
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        self.complete()
+        words = list(sys.argv[1:] if args is None else args)
+        if self.takes_anything:
+            return super().parse_known_args([], namespace)
+        self._refuse_unknown(words)
+        return super().parse_known_args(words, namespace)
+
+    def complete(self) -> None:
+        """Add the arguments that wait for it."""
+        fill, self.fill = self.fill, None
+        if fill is not None:
+            fill(self)
+
+    def format_help(self) -> str:
+        self.complete()
+        return self.text.short(self)
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            hint = did_you_mean(str(value), map(str, action.choices or ()))
+            raise argparse.ArgumentError(action, f"{error.message}{hint}") from None
+
+    def _refuse_unknown(self, words: Sequence[str]) -> None:
+        """Raise InputError for the first option that there is not: argparse asks for missing ones before."""
+        options = [name[2:] for name in self._option_string_actions if name.startswith("--")]
+        parents = self._subparsers._group_actions if self._subparsers else []
+        commands = [name for action in parents for name in action.choices or ()]
+        for word in words:
+            if word == "--" or word in commands:
+                return
+            name = word.partition("=")[0]
+            is_known = name in self._option_string_actions or name[:2] in self._option_string_actions
+            if re.fullmatch(r"--?[A-Za-z][\w-]+", name) and not is_known:
+                self.error(f"unrecognized arguments: {name}{did_you_mean(name.lstrip('-'), options, '--')}")
+
+
+class _WholeHelp(argparse.Action):
+    """Prints all options."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        print(parser.text.whole(parser), end="")
+        parser.exit()
 
 
 def read_options(kind: type[_Options], args: argparse.Namespace) -> _Options:
@@ -66,7 +152,23 @@ def drawing_device(text: str) -> str:
     """Parse auto, cpu, cuda, webgpu or webgpu:N."""
     if text in DEVICES or re.fullmatch(r"webgpu(:\d{1,3})?", text):
         return text
-    raise argparse.ArgumentTypeError(f"invalid choice: '{text}' (choose from {', '.join(DEVICES)}, webgpu, webgpu:N)")
+    hint = did_you_mean(text, (*DEVICES, "webgpu"))
+    raise argparse.ArgumentTypeError(
+        f"invalid choice: '{text}' (choose from {', '.join(DEVICES)}, webgpu, webgpu:N){hint}"
+    )
+
+
+def panel_name(text: str) -> str:
+    """Return the path of a panel, or its name if there is one of it."""
+    from lightfield_gs.io.text_files import config_path
+
+    is_path = text.lower().endswith((".yaml", ".yml", ".json")) or "/" in text or Path(text).is_file()
+    if not is_path and text not in DISPLAY_KINDS:
+        try:
+            config_path("panels", text, tuple(DISPLAY_KINDS))
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def numbers(count: int):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 
 from lightfield_gs.base.options import (
@@ -16,9 +15,10 @@ from lightfield_gs.base.options import (
     MAP_ORIENTATIONS,
     STEREO_INPUTS,
 )
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import numbers, within
 
-Add = Callable[..., argparse.Action]
 _time = within(-1e6, 1e6)
 _depth_range = numbers(2)
 _pixel_aspect = within(0.1, 10)
@@ -39,8 +39,9 @@ def add_scene(
         mask: help of --mask.
         of_mask: placeholder of --mask.
     """
-    add("--mask", type=Path, metavar=of_mask, help=mask)
-    add("--remove-background", action="store_true", help=cutting)
+    add = in_group(add, groups.PHOTO)
+    add("--mask", type=Path, metavar=of_mask, short="cut-out of the object: a picture, bright there", help=mask)
+    add("--remove-background", action="store_true", short="cut the object out of the photo", help=cutting)
     add(
         "--clean-edges",
         action=argparse.BooleanOptionalAction,
@@ -59,6 +60,7 @@ def add_scene(
 
 def add_reading(add: Add) -> None:
     """Add the options of how a file of Gaussians is read."""
+    add = in_group(add, groups.SCENE)
     add(
         "--skip-invalid",
         action="store_true",
@@ -75,10 +77,12 @@ def add_reading(add: Add) -> None:
 
 def add_depth(add: Add) -> None:
     """Add the options of a photo's depth map, and of the meaning of its numbers."""
+    add = in_group(add, groups.DEPTH)
     add(
         "--depth",
         type=Path,
         metavar="FILE|auto|flat",
+        short="depth map; auto: estimate it; flat: none",
         help="depth map of the photo, of the same shape; the whole scene is then shown, without the network of "
         "the object. A grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz "
         "of numbers [H,W]; auto: a network of transformers estimates it (pip install "
@@ -154,6 +158,7 @@ def add_depth(add: Add) -> None:
 
 def add_pair(add: Add) -> None:
     """Add the options of where the pictures of two eyes are in a stereo photo."""
+    add = in_group(add, groups.EYES)
     add(
         "--stereo-in",
         choices=STEREO_INPUTS,
@@ -170,6 +175,7 @@ def add_pair(add: Add) -> None:
 
 
 def add_depth_model(add: Add) -> None:
+    add = in_group(add, groups.DEPTH)
     add(
         "--depth-model",
         metavar="NAME|FOLDER",
@@ -178,9 +184,11 @@ def add_depth_model(add: Add) -> None:
 
 
 def add_fit(add: Add) -> None:
+    add = in_group(add, groups.DEPTH)
     add(
         "--fit",
         choices=FITS,
+        short="cover: crop the photo; contain: show all of it",
         help="how a photo with depths fills a panel of another shape: cover crops it; contain shows all of it "
         "before its blurred, darker continuation; auto (default): cover about the subject, unless that would crop it",
     )
@@ -188,6 +196,7 @@ def add_fit(add: Add) -> None:
 
 def add_detail(add: Add) -> None:
     """Add the options of how finely a photo is laid over the network's Gaussians."""
+    add = in_group(add, groups.PHOTO)
     add(
         "--detail",
         type=lambda text: int(text) if text.isdecimal() else text,

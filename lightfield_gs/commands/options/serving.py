@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.cli_messages import note
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import whole
 
 if TYPE_CHECKING:
@@ -31,8 +32,9 @@ class ServingOptions:
     no_open: bool = False
 
 
-def add_serving(add: Callable[..., argparse.Action]) -> None:
+def add_serving(add: Add) -> None:
     """Add the options of where the page is served."""
+    add = in_group(add, groups.PAGE)
     add(
         "--port",
         type=whole(0, 65535),
@@ -44,10 +46,16 @@ def add_serving(add: Callable[..., argparse.Action]) -> None:
         "--host",
         default=_HOST,
         metavar="ADDRESS",
+        short="0.0.0.0: let other machines open the page",
         help="address of the server (default 127.0.0.1, or ::1: this machine alone; 0.0.0.0, or ::: everybody "
         "in the whole network)",
     )
-    add("--no-open", action="store_true", help="print the address without opening the browser")
+    add(
+        "--no-open",
+        action="store_true",
+        short="print the address, leave the browser closed",
+        help="print the address without opening the browser",
+    )
 
 
 def serve(options: ServingOptions, routes: Mapping[str, Route], start: str) -> None:

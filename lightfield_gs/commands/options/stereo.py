@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable
-
 from lightfield_gs.base.options import STEREO_LAYOUTS
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import whole_numbers, within
 
 
-def add_stereo(add: Callable[..., argparse.Action]) -> None:
+def add_stereo(add: Add) -> None:
     """Add the options of the layout of two eyes' pictures, of the screen, and of the eyes before it."""
+    add = in_group(add, groups.EYES)
     add(
         "--stereo",
         choices=STEREO_LAYOUTS,
+        short="for two eyes instead: sbs, tab, mpo, anaglyph, ...",
         help="pictures of two eyes in place of the image of a panel. sbs: side by side; half-sbs: the same, squeezed "
         "to one picture's width; tab: left eye on top; mpo: two pictures in one .mpo; anaglyph: for red and cyan "
         "glasses; left-right: two files. Names get what players read: _LRF_Full_SBS, _half_2x1, _LR_Full_TAB",

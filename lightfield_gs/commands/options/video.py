@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lightfield_gs.app.video import DEFAULT_SECONDS, PRESET_SIZES
-from lightfield_gs.base.options import COMPRESSIONS
+from lightfield_gs.base.options import (
+    BRIDGE_URL,
+    CODECS,
+    COMPRESSIONS,
+    DEFAULT_SECONDS,
+    MOST_FRAMES,
+    PRESET_SIZES,
+    VIDEO_KINDS,
+)
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import whole, whole_numbers, within
-from lightfield_gs.panels.quilt import QUILT_PRESETS, QuiltLayout
-from lightfield_gs.show.bridge import BRIDGE_URL
-from lightfield_gs.video.camera_path import MOST_FRAMES
-from lightfield_gs.video.video_file import CODECS, KINDS
+from lightfield_gs.panels.display_kinds import QUILT_NAMES
+
+if TYPE_CHECKING:
+    from lightfield_gs.panels.quilt import QuiltLayout
 
 _MOST_SECONDS = 1e5
 
 
-def add_motion(add: Callable[..., argparse.Action]) -> None:
+def add_motion(add: Add) -> None:
     """Add the options of the cameras' motion and of the number of frames."""
+    add = in_group(add, groups.MOTION)
     add(
         "--turntable",
         type=within(1e-3, _MOST_SECONDS, "seconds"),
         metavar="SECONDS",
+        short="seconds of one turn (default 10)",
         help="the cameras go round the content in the middle of the panel, about the vertical axis, once in "
         f"this time (default {DEFAULT_SECONDS:g} without --path)",
     )
@@ -31,6 +42,7 @@ def add_motion(add: Callable[..., argparse.Action]) -> None:
         "--degrees",
         type=within(-1e6, 1e6, "degrees"),
         metavar="DEG",
+        short="angle of the turn or swing (default 360; photos 20)",
         help="of --turntable: 360 or a multiple goes round, to the right if positive; another angle is a swing "
         "of this full angle from the middle to both sides and back (default 360; 20 for photos)",
     )
@@ -46,7 +58,13 @@ def add_motion(add: Callable[..., argparse.Action]) -> None:
         action="store_true",
         help="of a sequence: frame each picture by itself (default: all like the first, so that nothing jumps)",
     )
-    add("--fps", type=_rate, metavar="RATE", help="frames a second, 1..1000, for example 30 or 30000/1001 (default 30)")
+    add(
+        "--fps",
+        type=_rate,
+        metavar="RATE",
+        short="frames a second (default 30)",
+        help="frames a second, 1..1000, for example 30 or 30000/1001 (default 30)",
+    )
     add(
         "--frames",
         type=whole(1, MOST_FRAMES),
@@ -55,17 +73,20 @@ def add_motion(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_result(add: Callable[..., argparse.Action]) -> None:
+def add_result(add: Add) -> None:
     """Add the options of the contents and the storage of a frame."""
+    add = in_group(add, groups.STORAGE)
     add(
         "--kind",
-        choices=KINDS,
+        choices=VIDEO_KINDS,
+        short="native: for the display; quilt; 2d: of one eye",
         help="native: the picture of the panel, only lossless; quilt: all views side by side, for Looking "
         "Glass; 2d: the picture of one eye (default native, or quilt by the name or --quilt)",
     )
     add(
         "--preset",
         choices=tuple(PRESET_SIZES),
+        short="hololuminescent: for an HLD, on white",
         help="a display of ordinary videos. hololuminescent: Looking Glass's HLD, 3840x2160, white around the subject, "
         "9 %% of the height above it and 3 %% below",
     )
@@ -86,7 +107,8 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
         "--quilt",
         type=_quilt,
         metavar="PRESET|CxR",
-        help=f"of --kind quilt: the preset of a Looking Glass device ({', '.join(QUILT_PRESETS)}), or columns "
+        short="tiles of a quilt: 8x6, or a display as portrait",
+        help=f"of --kind quilt: the preset of a Looking Glass device ({', '.join(QUILT_NAMES)}), or columns "
         "and rows of views (default: by the name, else 8x6)",
     )
     add(
@@ -125,12 +147,15 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
         nargs="?",
         const=BRIDGE_URL,
         metavar="URL",
+        short="show the quilt by Looking Glass Bridge",
         help=f"show the finished quilt by Looking Glass Bridge (default address {BRIDGE_URL})",
     )
 
 
 def _quilt(text: str) -> QuiltLayout | tuple[int, ...]:
     """Parse "portrait" to its layout, "8x6" to (8, 6)."""
+    from lightfield_gs.panels.quilt import QUILT_PRESETS
+
     return QUILT_PRESETS[text] if text in QUILT_PRESETS else whole_numbers(1, 1000, "x", 2)(text)
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.base.options import TestEvery
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.app_captures import read_app_capture
 from lightfield_gs.io.captures.camera_models import Distortion
@@ -24,7 +24,6 @@ from lightfield_gs.io.captures.undistortion import LARGEST_FOLDED_FRACTION, fold
 from lightfield_gs.io.images import read_info
 
 EVERY = 8  # one in EVERY photographs is held out by default
-TestEvery = int | Literal["own"] | None  # see Capture.split
 _SAME_POSITION = 1e-12  # of the distance from the origin: closer centres differ by rounding
 _SMALLEST_PX = 16  # least longest_px
 _ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\xfd7zXZ", b"BZh")

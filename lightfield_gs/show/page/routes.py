@@ -124,6 +124,7 @@ def panel_routes(
         "/panel": page_file("panel.html"),
         "/panel.css": page_file("panel.css"),
         "/panel.js": page_file("panel.js"),
+        "/display.js": page_file("display.js"),
         "/panel.json": Route(state),
         "/panel.png": Route(
             lambda query: packed.answer(version(-1)), place=lambda query: Reservation(True, version(-1))

@@ -1,0 +1,41 @@
+"""The arguments of `lightfield-gs info`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import in_group, rarely
+from lightfield_gs.commands.options.panel import add_device_serial, add_up
+from lightfield_gs.commands.options.parser import Parser
+from lightfield_gs.commands.options.scene import add_reading
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add the arguments of `lightfield-gs info`."""
+    parser.description = "Say what is in a file: a scene, a picture, a display's calibration."
+    parser.text.examples = (
+        ("info scene.ply", "size, axes and cameras of a scene"),
+        ("info out.png", "which display a picture is for"),
+        ("info visual.json", "a calibration"),
+        ("info --devices", "what can draw on this computer"),
+    )
+    add = in_group(parser.add_argument, groups.OWN)
+    add(
+        "file",
+        type=Path,
+        nargs="?",
+        metavar="FILE",
+        short="a scene, a picture, a .yaml, visual.json, a display",
+        help="a file of Gaussians (.ply, .spz, .sog or its folder, .splat, .ksplat), an image, a panel or "
+        "rig (.yaml, visual.json, panel name) or a .safetensors file",
+    )
+    add(
+        "--devices",
+        action="store_true",
+        short="what --device can name on this computer",
+        help="in place of a file: what --device can name here, and whether each adapter of WebGPU draws what the CPU "
+        "draws, and how fast",
+    )
+    for add_more in (add_device_serial, add_reading, add_up):
+        add_more(rarely(add))

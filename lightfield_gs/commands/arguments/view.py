@@ -1,0 +1,42 @@
+"""The arguments of `lightfield-gs view`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_stats
+from lightfield_gs.commands.options.panel import add_camera, add_drawing_device, add_look, add_panel, add_rendering
+from lightfield_gs.commands.options.parser import Parser
+from lightfield_gs.commands.options.scene import add_scene
+from lightfield_gs.commands.options.serving import add_serving
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add the arguments of `lightfield-gs view`."""
+    parser.description = "Look at a photo or a scene in the browser as the display shows it, and adjust it."
+    parser.epilog = (
+        "The page shows the picture that an eye before the panel sees, with sliders for depth, and has the "
+        "panel's own page for the native picture. Ctrl-C ends it."
+    )
+    parser.text.examples = (
+        ("view photo.jpg", "for the connected display"),
+        ("view scene.ply --panel 27", "for a Looking Glass 27"),
+    )
+    add = in_group(parser.add_argument, groups.OWN)
+    add(
+        "input",
+        type=Path,
+        metavar="INPUT",
+        short="a photo, or a scene",
+        help="a photo or a file of Gaussians, as `encode` takes it",
+    )
+    add_panel(add, "for framing, and for the eye on the page")
+    add_camera(add)
+    add_look(add)
+    add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
+    add_rendering(add)
+    add_drawing_device(add)
+    add_serving(add)
+    add_stats(add)

@@ -1,0 +1,84 @@
+"""`lightfield-gs page`: a photo or a scene becomes one file to send, which a browser draws."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from lightfield_gs.app.cameras import read_camera
+from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
+from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.scene import check_scene_options, load_framed
+from lightfield_gs.base.cli_messages import Stopwatch, note, say
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Device
+from lightfield_gs.commands.options.parser import read_options
+from lightfield_gs.io.atomic import check_output_path, check_outputs
+
+_SUFFIXES = (".html", ".htm")
+_LARGE_BYTES = 25 << 20  # that mail takes
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """A scene that becomes a page.
+
+    Attributes:
+        output: The page.
+        title: Of the page; None: the input's name.
+        device: Where the network runs, and where views for browsers without WebGPU are drawn.
+    """
+
+    output: Path
+    scene: SceneOptions
+    panel: PanelOptions
+    camera: CameraOptions
+    look: LookOptions
+    render: RenderOptions
+    title: str | None = None
+    device: Device = "auto"
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write the page of args.input. Raises InputError."""
+    _write(read_options(PageOptions, args), Stopwatch(args.began))
+
+
+def _write(options: PageOptions, watch: Stopwatch) -> None:
+    check_output_path(options.output)
+    check_outputs((options.output,), files_read(options.scene, options.camera, options.panel))
+    if options.output.suffix.lower() not in _SUFFIXES:
+        raise InputError(f"{options.output}: a page ends with {' or '.join(_SUFFIXES)}; give such a name")
+    check_scene_options(options.scene, options.camera)
+    panel = load_panel(options.panel)
+    choice = read_camera(options.camera, panel)
+
+    import torch
+
+    from lightfield_gs.base.device import choose_device
+    from lightfield_gs.show.scene_page.write import DrawnAs, write_scene_page
+
+    device = choose_device(options.device)
+    watch.lap("start")
+    path = options.scene.input
+    with torch.inference_mode():
+        framed = load_framed(options.scene, choice, options.render, options.look, panel, device, watch)
+        render = framed.scene.render
+        page = write_scene_page(
+            options.output,
+            options.title or path.stem,
+            framed.scene.gaussians,
+            panel,
+            framed.rig,
+            DrawnAs(render.background, render.antialiased, render.view_filter),
+            is_photo=framed.scene.photo is not None,
+            is_for_panel=options.panel.panel is not None,
+        )
+    watch.lap("page")
+    size, each = page.size / 1e6, len(page.packed.data) / page.packed.count
+    print(f"{options.output}: {size:.1f} MB, {page.packed.count} Gaussians of {each:.1f} bytes, panel {panel.name}")
+    print(watch.line())
+    if page.size > _LARGE_BYTES:
+        note(f"{options.output} is large for mail; `lightfield-gs prune` leaves out what the panel does not show")
+    say(*framed.messages)

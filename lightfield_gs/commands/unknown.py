@@ -1,0 +1,51 @@
+"""What a first word that is no command may have been meant for: a command with a slip, or a file for one."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.suggestions import did_you_mean
+
+_SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
+_PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".exr", ".mpo", ".jps")
+_VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".gif")
+_DESCRIBED = (".yaml", ".yml", ".json", ".safetensors")
+
+
+def unknown_command(words: Sequence[str], commands: Collection[str]) -> InputError:
+    """Return the error for a command line whose first word is no command, with what may be meant."""
+    word = words[0]
+    if meant := _for_file(Path(word)):
+        hint = f"; did you mean `{shlex.join(['lightfield-gs', *meant, *words[1:]])}`?"
+        return InputError(f"invalid choice: '{word}' is a file, and a command is expected before it{hint}")
+    hint = did_you_mean(word, commands) or f": {', '.join(commands)}"
+    return InputError(f"invalid choice: there is no command '{word}'{hint}; see lightfield-gs --help")
+
+
+def _for_file(path: Path) -> list[str]:
+    """Return the command for a file, [] where its name tells of none."""
+    name, suffix = str(path), path.suffix.lower()
+    if "_qs" in path.stem.lower() and suffix in (*_PHOTOS, *_VIDEOS):
+        return ["weave", name, "-o", f"{path.stem.partition('_qs')[0]}-3d{suffix if suffix in _VIDEOS else '.png'}"]
+    if suffix in _VIDEOS:
+        return ["video", name, "-o", f"{path.stem}-3d.mp4"]
+    if suffix in (".png", ".tif", ".tiff", ".exr") and _is_encoded(path):
+        return ["show", name]
+    if suffix in (*_SCENES, *_PHOTOS):
+        return ["encode", name, "-o", f"{path.stem}-3d.png"]
+    if suffix in _DESCRIBED:
+        return ["info", name]
+    return ["batch", name, "-o", f"{path.name}-3d"] if path.is_dir() else []
+
+
+def _is_encoded(path: Path) -> bool:
+    """Return whether an image says which panel it is for."""
+    from lightfield_gs.io.images import read_info
+
+    try:
+        return "panel" in read_info(path).metadata
+    except InputError:
+        return False

@@ -1,0 +1,52 @@
+// The numbers of a frame as csrc/webgpu/frame.wgsl takes them, and how the panel is cut into boxes: twin of
+// lightfield_gs/webgpu/parameters.py.
+
+export const BOX_ROWS = 16, TILE_WIDTH = 32, BOX_LENSES = 16; // as in csrc/webgpu/footprint.wgsl
+export const ORDINALS = [0, 2, 3, 6]; // tilings in the order of cost_of_splat in csrc/webgpu/project.wgsl
+const LENS_WIDTHS = [6, 200]; // sub-pixels, of lenses that boxes are made of
+const CELLS = 48, POSE_DOUBLES = 12, HEAD_FLOATS = 60, HEAD_WORDS = 20; // the pose takes 24 of HEAD_FLOATS
+
+/** The boxes of a panel: {ordinals, across, down, groups, firstLens}. */
+export function boxesOf(lens, ordinals) {
+  const down = Math.ceil(lens.height_px / BOX_ROWS);
+  if (!ordinals) return { ordinals, across: Math.ceil(lens.width_px / TILE_WIDTH), down, groups: 1, firstLens: 0 };
+  const corners = [0, 3 * lens.width_px].flatMap((place) => [0, lens.height_px].map((row) =>
+    (place + 3 * row * lens.slant_tan + lens.phase) / lens.line_number));
+  const firstLens = Math.floor(Math.min(...corners)) - 1;
+  const across = Math.ceil((Math.ceil(Math.max(...corners)) + 1 - firstLens) / BOX_LENSES);
+  return { ordinals, across, down, groups: Math.ceil((Math.floor(lens.line_number) + 1) / ordinals), firstLens };
+}
+
+/** The cheapest tiling of a panel, by the costs of all; boxes of lenses need stripes. */
+export function cheapest(lens, costs) {
+  const fit = LENS_WIDTHS[0] <= lens.line_number && lens.line_number <= LENS_WIDTHS[1] && !lens.cells;
+  const allowed = fit ? ORDINALS : ORDINALS.slice(0, 1);
+  const best = allowed.reduce((a, b) => (costs[ORDINALS.indexOf(b)] < costs[ORDINALS.indexOf(a)] ? b : a));
+  return { ordinals: best, cost: costs[ORDINALS.indexOf(best)] };
+}
+
+/** The struct Params.
+ *  room: for pairs, colours, large splats and chunks of long lists. rows: of boxes of this pass, first and one behind. */
+export function packParams({ camera, antialiased, background, tolerance }, { degree, count }, boxes, rows, room) {
+  const { lens, pose } = camera, data = new ArrayBuffer(4 * (HEAD_FLOATS + HEAD_WORDS + 4 * CELLS));
+  const floats = new Float32Array(data), words = new Uint32Array(data);
+  const reach = Math.max(Math.abs(lens.offset_start), Math.abs(lens.offset_start + lens.offset_step * lens.views));
+  const [start, step] = [lens.offset_start, lens.offset_step].map((value) => (reach > 0 ? value / reach : 0));
+  const turn = [0, 4, 8].flatMap((row) => [...pose.slice(row, row + 3), 0]);
+  floats.set([
+    ...turn, ...camera.intrinsics, ...camera.limits.slice(0, 4),
+    reach, 1 / camera.zero_depth, start, step, ...background, 0,
+    lens.line_number, lens.slant_tan, lens.phase, boxes.firstLens,
+    camera.aperture, antialiased ? 1 : 0, tolerance, camera.limits[4],
+  ], 2 * POSE_DOUBLES);
+  new Float64Array(data, 0, POSE_DOUBLES).set(pose.slice(0, POSE_DOUBLES));
+  words.set([
+    lens.width_px, lens.height_px, lens.views, count, ...lens.phases.flatMap(halves), lens.continuous ? 1 : 0, degree,
+    boxes.across, rows[1] - rows[0], boxes.groups, rows[0], ...room,
+  ], HEAD_FLOATS);
+  lens.cells?.forEach(({ phase, channel }, k) => words.set([...halves(phase), channel], HEAD_FLOATS + HEAD_WORDS + 4 * k));
+  return data;
+}
+
+/** The low and the high word of 64 bits, a BigInt. */
+const halves = (phase) => [Number(phase & 0xffffffffn), Number(phase >> 32n)];
