@@ -53,7 +53,7 @@ class _Module(NamedTuple):
 
 
 def _bound(path: Path, known: dict[Path, _Module]) -> str:
-    """Return the text of a module with its imports bound; add the modules that it needs to `known`, each after its own."""
+    """Return the text of a module with its imports bound; add the modules that it needs to `known`, in order."""
     text = _read(path)
     lines = []
     for names, source in _IMPORT.findall(text):
