@@ -211,7 +211,9 @@ def test_preview(folder, capsys):
     animation = Image.open("deep/preview/look-around.webp")
     assert animation.n_frames == 24 + 22 and animation.size == (96, 60)  # there and back
     eyes = [read_image(f"deep/preview/{side}-eye.png") for side in ("left", "right")]
-    assert eyes[0].shape == (round(180 / PANEL.line_number), round(288 / PANEL.line_number), 3)
+    lenses = round(180 / PANEL.line_number), round(288 / PANEL.line_number)
+    times = -(-1280 // max(lenses))  # they fill a screen
+    assert eyes[0].shape == (times * lenses[0], times * lenses[1], 3)
     assert not np.array_equal(*eyes)
     assert len(list((folder / "deep/preview").iterdir())) == 5
 
@@ -341,7 +343,13 @@ def test_simulate(folder, capsys):
     image = (PANEL.view_map() * 20).astype(np.uint8)
     write_image("o.png", image)
     run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.exr")
-    assert np.array_equal(read_image("e.exr"), simulate(image, PANEL, (-31.5, 10, 600)))
+    seen = simulate(image, PANEL, (-31.5, 10, 600))
+    assert np.array_equal(read_image("e.exr"), seen)
+    assert "enlarged 45 times, from" in run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.png")
+    large = read_image("e.png").reshape(len(seen), 45, -1, 45, 3).mean((1, 3))
+    assert np.abs(large - seen)[1:-1, 1:-1].mean() < 0.03  # smooth between the samples
+    run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.png --lens-pixels")
+    assert np.abs(read_image("e.png") - seen).max() < 1 / 255
 
 
 def test_simulate_a_row_of_eyes_with_a_measured_spread(folder, capsys):

@@ -58,7 +58,7 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         metavar="DIR",
         short="also views, a page to look around, and eyes' pictures",
-        help="write views.png, look-around.webp and look-around.html (follows the mouse, needs no network); "
+        help="write views.png, look-around.webp and look-around.html (follows the mouse, can be sent); "
         "also left-eye.png and right-eye.png, if the panel has a pixel pitch and a viewing distance",
     )
     add_stereo(add)

@@ -65,6 +65,11 @@ def add_arguments(parser: Parser) -> None:
         "distance to the right in sub-pixels, and the light (any unit)",
     )
     add(
+        "--lens-pixels",
+        action="store_true",
+        help="one pixel a lens, as an .exr always has it (default: enlarged, so that the picture fills a screen)",
+    )
+    add(
         "-o",
         "--output",
         type=Path,
