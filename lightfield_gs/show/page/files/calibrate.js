@@ -61,10 +61,11 @@ async function draw() {
   drawing = true;
   while (isStale) {
     isStale = false;
+    const asked = { ...values, step }; // keys may change both meanwhile
     const lens = await (await fetch(`lens.json?${new URLSearchParams(values)}`)).json();
     find("#warning").textContent = lens.warning;
-    drawPattern(canvas, step === "centre" ? "centre" : "hues", guide.views, lens);
-    canvas.dataset.drawn = JSON.stringify({ ...values, step });
+    drawPattern(canvas, asked.step === "centre" ? "centre" : "hues", guide.views, lens);
+    canvas.dataset.drawn = JSON.stringify(asked);
     await new Promise(requestAnimationFrame);
   }
   drawing = false;
