@@ -12,15 +12,17 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import NoReturn, cast
 
 from lightfield_gs.base.cli_messages import (
     FOLDER_GONE,
     PatientStream,
+    closing_lines,
     has_working_folder,
     open_closed_streams,
-    print_assumptions,
+    quiet,
     report_error,
 )
 from lightfield_gs.base.errors import InputError
@@ -93,7 +95,7 @@ def _run(arguments: list[str], began: float) -> int:
         if arguments and arguments[0] not in COMMANDS and not arguments[0].startswith("-"):
             raise unknown_command(arguments, COMMANDS)
         args = build_parser(*arguments[:1]).parse_args(join_values(arguments), argparse.Namespace(began=began))
-        with print_assumptions():
+        with quiet() if getattr(args, "quiet", False) else nullcontext(), closing_lines():
             code = importlib.import_module(args.module).run(args) or 0
         return code
     except (Exception, KeyboardInterrupt) as error:

@@ -225,6 +225,11 @@ def _survey() -> Survey:
     return survey_displays()
 
 
+def panel_words(name: str | None) -> tuple[str, ...]:
+    """Return the words by which another command takes the same panel; none for the panel that it takes by itself."""
+    return () if name is None else ("--panel", name)
+
+
 def lens_differs(one: Panel, other: Panel) -> bool:
     """Return whether two panels differ in the geometry that decides where their views go."""
     names = ("width_px", "height_px", "line_number", "slant_tan", "phase", "subpixel_order", "subpixel_cells")

@@ -41,7 +41,6 @@ _OF_PANELS = {
     "save_rig": None,
     "save_gaussians": None,
     "preview": None,
-    "stats": False,
 }
 
 
@@ -96,8 +95,8 @@ def refuse_panel(panel: str | None) -> None:
         raise InputError("--panel is one of many views, and this picture is for another screen; leave it out")
 
 
-def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
-    """Draw the pictures of two eyes of the input and write them. Raises InputError."""
+def write_stereo(options: EncodeOptions, watch: Stopwatch) -> tuple[Path, ...]:
+    """Draw the pictures of two eyes of the input, write them, and return their files. Raises InputError."""
     paths = _check_stereo(options)
     target = StereoTarget.of(options.stereo, options.panel.viewing_distance)
     panel = target.screen.panel()
@@ -122,8 +121,9 @@ def write_stereo(options: EncodeOptions, watch: Stopwatch) -> None:
     names = " and ".join(map(str, paths))
     height, width = eyes.shape[1:3]
     print(f"{names}: {target.layout}, two eyes of {width} x {height}, {gaussians.count} Gaussians")
-    print(watch.line())
+    watch.say_if(options.stats)
     say(target.line(options.stereo, options.panel.viewing_distance), comfort, *decisions, *framed.messages)
+    return paths
 
 
 def _check_stereo(options: EncodeOptions) -> tuple[Path, ...]:

@@ -78,6 +78,7 @@ class VideoOptions:
         device: auto, cpu, cuda, webgpu or webgpu:N; the one that was chosen, once it is.
         stereo: pictures of two eyes.
         preset: a kind of display that takes ordinary videos, see `for_preset`.
+        stats: whether to print the times of the stages.
     """
 
     output: Path
@@ -103,6 +104,7 @@ class VideoOptions:
     threads: int | None = None
     stereo: StereoOptions = field(default_factory=StereoOptions)
     preset: str | None = None
+    stats: bool = False
 
     def inputs(self) -> tuple[Path | str | None, ...]:
         """Return all files to read, the scene first; None for missing files."""

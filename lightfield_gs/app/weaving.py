@@ -46,6 +46,7 @@ class WeaveOptions:
         device: where the views are woven.
         compression: of the file.
         overwrite: whether to remove frames of another job that are in the folder.
+        stats: whether to print the times of the stages.
     """
 
     input: Path
@@ -68,6 +69,7 @@ class WeaveOptions:
     device: Device = "auto"
     compression: Compression = "fast"
     overwrite: bool = False
+    stats: bool = False
 
 
 def weave_arguments(
@@ -175,7 +177,7 @@ def weave_movie(options: WeaveOptions, panel: Panel, movie: QuiltMovie, watch: S
     kept = f", of which {there} were there" if there else ""
     size = f"{panel.width_px} x {panel.height_px}"
     print(f"{options.output}: {made} frames of {size}{kept}, {float(_fps(movie)):g} a second")
-    print(watch.line())
+    watch.say_if(options.stats)
     say(f"{options.input}: {movie.description}, {words}")
     say_colours(movie.colours)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import os
 import re
+import shlex
+import subprocess
 import sys
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from contextvars import ContextVar
 from typing import Any
 
@@ -20,6 +22,7 @@ FOLDER_GONE = "the working folder has been removed: change to one that is there 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's messages for the host and for a device
 _captured: ContextVar[list[str] | None] = ContextVar("captured", default=None)
+_next: ContextVar[dict[str, str] | None] = ContextVar("next", default=None)
 
 
 # An argument in a message of the library, `name=` or `name=value`; names of files may look so too, but have a suffix
@@ -102,10 +105,28 @@ def say(*messages: str) -> None:
         print(as_options(message))
 
 
+def quoted(*words: object) -> str:
+    """Return words as a command line that a terminal reads as them."""
+    texts = [str(word) for word in words]
+    return subprocess.list2cmdline(texts) if sys.platform == "win32" else shlex.join(texts)
+
+
+def say_next(*words: object) -> None:
+    """Let the last line of the command say what to do next: these words after the name of the program."""
+    told = _next.get()
+    if told is not None:
+        told["next"] = quoted("lightfield-gs", *words)
+
+
 @contextmanager
-def print_assumptions() -> Iterator[None]:
-    """Print the library's assumptions on stdout at the end of the block; other warnings go their usual way."""
+def closing_lines() -> Iterator[None]:
+    """Print the library's assumptions on stdout at the end of the block, and last what to do next.
+
+    Other warnings go their usual way.
+    """
     lines: dict[str, None] = {}  # each once, in order
+    told: dict[str, str] = {}
+    token = _next.set(told)
     with warnings.catch_warnings():
         usual = warnings.showwarning
 
@@ -117,8 +138,20 @@ def print_assumptions() -> Iterator[None]:
 
         warnings.simplefilter("always", Assumption)
         warnings.showwarning = show
-        yield
+        try:
+            yield
+        finally:
+            _next.reset(token)
     say(*lines)
+    for label, command in told.items():
+        print(f"{label}: {command}")
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Print nothing on stdout inside the block."""
+    with open(os.devnull, "w") as nothing, redirect_stdout(nothing):
+        yield
 
 
 class Stopwatch:
@@ -143,6 +176,11 @@ class Stopwatch:
         """Return a line such as "load 0.12 s, composite 0.80 s, write 0.21 s, total 1.13 s"."""
         total = ("total", self._last - self._start)
         return ", ".join(f"{name} {seconds:.2f} s" for name, seconds in [*self.stages, total])
+
+    def say_if(self, wanted: bool) -> None:
+        """Print the line where --stats asks for it."""
+        if wanted:
+            print(self.line())
 
 
 class _CapturableStream:

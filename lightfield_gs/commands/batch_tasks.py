@@ -69,7 +69,7 @@ class BatchOptions:
 def read_batch_options(args: argparse.Namespace) -> BatchOptions:
     """Return the parsed arguments of `batch` as options. Raises InputError."""
     usual = vars(_parse("encode", ["-o", "-", "--", "-"], {})).items()
-    taken, own = vars(args).copy(), ("input", "output", "threads")
+    taken, own = vars(args).copy(), ("input", "output", "threads", "quiet", "stats")
     taken["given"] = {name: taken[name] for name, value in usual if name not in own and taken.get(name, value) != value}
     for name in ("fit_options", "video_options"):
         with named(f"--{name.replace('_', '-')}"):

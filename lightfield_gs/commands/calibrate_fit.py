@@ -11,7 +11,7 @@ import numpy as np
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel, why_no_eye
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import note, say_next
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_nudge import change_lines
 from lightfield_gs.commands.options.parser import read_options
@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> None:
         print(line)
     for words in implausible_places(fit):
         note(words)
+    say_next("encode", "photo.jpg", "-o", "out.png", "--panel", path)
 
 
 def implausible_places(fit: CalibrationFit) -> list[str]:

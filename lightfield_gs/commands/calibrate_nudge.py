@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_pattern import PatternOptions, draw_pattern, write_pattern
 from lightfield_gs.commands.options.parser import read_options
@@ -70,6 +71,9 @@ def _nudge(options: NudgeOptions) -> None:
     if pattern is not None and kind is not None and image is not None:
         write_pattern(pattern, after, kind, image)
         print(f"{pattern}: {kind}, for the new profile; show it full screen, unscaled")
+        say_next("show", pattern)
+    else:
+        say_next("calibrate", "pattern", "pitch", "--panel", path, "-o", path.with_name(f"{path.stem}-pitch.png"))
 
 
 def lens_change(options: NudgeOptions, panel: Panel) -> LensChange:

@@ -14,6 +14,7 @@ import numpy as np
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel
+from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
@@ -67,6 +68,7 @@ def run(args: argparse.Namespace) -> None:
         f"{path}: {options.kind}, {panel.width_px} x {panel.height_px}, for panel {panel.name}; show it full screen, "
         "unscaled"
     )
+    say_next("show", path)
     if options.kind == "numbers":
         shared = math.ceil(panel.views / len(np.unique(patterns.displayed_numbers(panel, options.step))))
         print(

@@ -6,6 +6,7 @@ import argparse
 import json
 from typing import Any
 
+from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.displays.calibrations import WHERE_IT_LIES
 from lightfield_gs.displays.find import FoundDisplay, Survey, survey_displays
 from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
@@ -23,7 +24,9 @@ def run(args: argparse.Namespace) -> None:
         print("screen: none is told by this system; a desktop on this computer is needed")
     for display in survey.displays:
         print("\n".join(_lines(display)))
-    if not survey.displays:
+    if survey.displays:
+        say_next("encode", "photo.jpg", "-o", "out.png")
+    else:
         print("3D display: none was found")
         print(f"its calibration: {WHERE_IT_LIES}")
         for words in survey.problems:

@@ -9,7 +9,7 @@ from lightfield_gs.app.encoding import Encoding, use_threads
 from lightfield_gs.app.options import EncodeOptions
 from lightfield_gs.app.panel import why_no_eye
 from lightfield_gs.app.stereo import refuse_stereo, write_stereo
-from lightfield_gs.base.cli_messages import Stopwatch, note, say
+from lightfield_gs.base.cli_messages import Stopwatch, note, say, say_next
 from lightfield_gs.commands.options.parser import read_options
 
 
@@ -18,7 +18,9 @@ def run(args: argparse.Namespace) -> None:
     options, watch = read_options(EncodeOptions, args), Stopwatch(args.began)
     refuse_stereo(options.stereo)
     if options.stereo.stereo is not None:
-        write_stereo(options, watch)
+        paths = write_stereo(options, watch)
+        if options.stereo.stereo in ("sbs", "half-sbs", "tab", "mpo"):  # as `show` takes them
+            say_next("show", *paths)
         return
     encoding = Encoding(options, watch)
     if args.threads is not None:
@@ -27,6 +29,7 @@ def run(args: argparse.Namespace) -> None:
     encoding.draw()
     encoding.write()
     _say(encoding)
+    say_next("show", options.output)
 
 
 def _say(encoding: Encoding) -> None:
@@ -35,7 +38,7 @@ def _say(encoding: Encoding) -> None:
     if options.preview is not None and (why := why_no_eye(panel)):
         note(f"{options.preview} has no left-eye.png and right-eye.png: {why}")
     print(f"{options.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {count} Gaussians")
-    print(encoding.watch.line())
+    encoding.watch.say_if(options.stats)
     if options.stats:
         print("\n".join(_stats_lines(encoding.stats, count)))
     say(*encoding.messages)

@@ -11,8 +11,10 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.app.panel import panel_words
 from lightfield_gs.app.scene import check_scene_path
 from lightfield_gs.base.checks import counted
+from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.fit import CaptureOptions, FitOptions, read_names
@@ -98,18 +100,21 @@ def _say(options: FitOptions, result: FitResult, folder: Path) -> None:
         print(f"{result.scores.table()}\n{describe_protocol(result.settings.poses)}")
         _say_angles(result)
     print(f"{options.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
+    words: list[object] = ["encode", options.output, "-o", options.output.with_suffix(".png")]
     scores = ", scores.json" if result.scores is not None else ""
     print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
         from lightfield_gs.panels.stored_rigs import rig_path
 
         rig = rig_path(options.output)
-        encode = f"encode {options.output} --rig {rig} --panel {_panel(options.cone.cone)}"
-        print(f"{rig}: the rig in the capture's coordinates: {encode}")
+        words += ["--rig", rig, *panel_words(_panel(options.cone.cone))]
+        print(f"{rig}: the rig in the capture's coordinates")
         if result.pruning is None:
             print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
+    else:
+        say_next(*words)
 
 
 def _say_angles(result: FitResult) -> None:

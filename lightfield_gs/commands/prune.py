@@ -16,9 +16,9 @@ from lightfield_gs.app.options import (
     files_read,
     rig_beside,
 )
-from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.panel import load_panel, panel_words
 from lightfield_gs.app.scene import LoadedScene, check_scene_path, choose_rig, read_noted, say_origin, settle_render
-from lightfield_gs.base.cli_messages import Stopwatch, say
+from lightfield_gs.base.cli_messages import Stopwatch, say, say_next
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
@@ -37,6 +37,7 @@ class PruneOptions:
         contribution_cut: mean error that colours of 0..1 may have.
         save_rig: file for the rig.
         device: where the scene is drawn.
+        stats: whether to print the times of the stages.
     """
 
     output: Path
@@ -48,6 +49,7 @@ class PruneOptions:
     contribution_cut: float
     save_rig: Path | None = None
     device: Device = "auto"
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -95,7 +97,7 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
         f"{output}: {kept.count} of {scene.gaussians.count} Gaussians, the others within "
         f"{options.contribution_cut:g} of the light of {panel.width_px} x {panel.height_px}, {panel.views} views"
     )
-    print(watch.line())
+    watch.say_if(options.stats)
     if beside is not None:
         own, _ = settle_render(replace(options.render, background=None), source, file)
         write_rig_beside(output, rig_of_file, panel, own.background, render.antialiased)
@@ -103,3 +105,4 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
     else:
         messages.append(f"{output}: in the axes of {source}, with the framing it was pruned for: encode takes it")
     say(*messages)
+    say_next("encode", output, "-o", output.with_suffix(".png"), *panel_words(options.panel.panel))

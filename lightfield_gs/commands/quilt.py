@@ -10,10 +10,17 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
-from lightfield_gs.app.panel import connected_preset, load_panel, package_versions, panel_of_views, software
+from lightfield_gs.app.panel import (
+    connected_preset,
+    load_panel,
+    package_versions,
+    panel_of_views,
+    panel_words,
+    software,
+)
 from lightfield_gs.app.scene import FramedScene, LoadedScene, check_scene_options, load_framed
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.cli_messages import Stopwatch, say
+from lightfield_gs.base.cli_messages import Stopwatch, say, say_next
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEFAULT_CONE_DEG, DEFAULT_QUILT, Compression
 from lightfield_gs.commands.options.parser import read_options
@@ -54,6 +61,7 @@ class QuiltOptions:
         save_rgbd: file for the centre view beside its depth map.
         device: where network and rasterizer run.
         compression: of the file.
+        stats: whether to print the times of the stages.
     """
 
     output: Path
@@ -71,6 +79,7 @@ class QuiltOptions:
     save_rgbd: Path | None = None
     device: str = "auto"
     compression: Compression = "fast"
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -120,8 +129,9 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
     width, height = layout.tile_px()
     name = options.output if options.sweep else output
     print(f"{name}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
-    print(watch.line())
+    watch.say_if(options.stats)
     say(*decisions, *framed.messages)
+    say_next("weave", name, "-o", f"{options.output.with_suffix('')}-3d.png", *panel_words(options.panel.panel))
 
 
 def _for_sweep(options: QuiltOptions) -> QuiltOptions:

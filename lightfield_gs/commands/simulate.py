@@ -34,6 +34,8 @@ class SimulateOptions:
         eyes: positions from, to in mm, and their count.
         spread: width that a lens lights, sub-pixels.
         psf: file of a measured spread.
+        lens_pixels: whether a lens is one pixel of the file; else the picture is enlarged to fill a screen.
+        stats: whether to print the times of the stages.
     """
 
     image: Path
@@ -43,6 +45,8 @@ class SimulateOptions:
     eyes: tuple[float, float, float] | None = None
     spread: float | None = None
     psf: Path | None = None
+    lens_pixels: bool = False
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -51,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
-    from lightfield_gs.show.preview import in_rows, to_integers
+    from lightfield_gs.show.preview import enlarged, in_rows, to_integers
 
     path = check_image_path(options.output)
     check_outputs((path,), (options.image, options.panel.panel, options.psf))
@@ -72,14 +76,22 @@ def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
     watch.lap("load")
     eyes = _eyes(options, panel)
     pictures = simulate_eyes(image, panel, eyes, options.spread or 1.0, psf=psf)
-    seen = in_rows(list(pictures))
     watch.lap("simulate")
-    write_image(path, seen if path.suffix.lower() == ".exr" else to_integers(seen, 8), compression="small")
-    watch.lap("write")
     height, width = pictures.shape[1:3]
+    size = f"{width} x {height}, one sample a lens"
+    if path.suffix.lower() == ".exr":  # for measurements
+        seen = in_rows(list(pictures))
+    elif options.lens_pixels:
+        seen = in_rows([to_integers(picture, 8) for picture in pictures])
+    else:
+        large = enlarged(list(pictures))
+        seen, times = in_rows(large), large[0].shape[0] // height
+        size += f", enlarged {times} times" if times > 1 else ""
+    write_image(path, seen, compression="small")
+    watch.lap("write")
     positions = options.eye or f"{len(eyes)} places, {eyes[0][0]:g} to {eyes[-1][0]:g}"
-    print(f"{path}: {width} x {height}, one sample a lens, from {positions} mm")
-    print(watch.line())
+    print(f"{path}: {size}, from {positions} mm")
+    watch.say_if(options.stats)
     notes = {_implausible_eye(panel, eye): None for eye in (eyes[0], eyes[-1])}  # each once
     for words in (*notes, _other_lens(options, panel)):
         if words:

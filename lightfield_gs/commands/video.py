@@ -73,8 +73,9 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     kept = f", of which {there} were there" if there else ""
     rate = f"{float(shots.fps):g} a second"
     print(f"{target.path}: {shots.count} frames of {width} x {height}, {target.words()}{kept}, {rate}")
-    print(made.words())
-    print(watch.line())
+    if options.stats:
+        print(made.words())
+    watch.say_if(options.stats)
     say(*decisions, *screen, *shots.messages)
     if options.bridge is not None and target.layout is not None:
         layout = target.layout

@@ -23,6 +23,7 @@ class ViewOptions:
 
     Attributes:
         device: Device that draws the scene.
+        stats: whether to print the times of the stages.
     """
 
     scene: SceneOptions
@@ -32,6 +33,7 @@ class ViewOptions:
     render: RenderOptions
     serving: ServingOptions
     device: str = "auto"
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -58,5 +60,6 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     drawn_as = render.background, render.antialiased, path.name, render.view_filter
     stage = Stage(scene.gaussians, panel, framed.rig, *drawn_as, webgpu)
     print(f"{path}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {webgpu or device}")
-    say(watch.line(), *decisions, *framed.messages)
+    watch.say_if(options.stats)
+    say(*decisions, *framed.messages)
     serve(options.serving, steering_routes(stage, exports(stage)), "/")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.app.panel import load_panel
-from lightfield_gs.base.cli_messages import Stopwatch, say
+from lightfield_gs.base.cli_messages import Stopwatch, say, say_next
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
@@ -64,10 +64,11 @@ def _weave(options: WeaveOptions, watch: Stopwatch) -> None:
     write_image(output, _to_file_type(output, image.numpy()), metadata, options.compression)
     watch.lap("write")
     print(f"{output}: {panel.width_px} x {panel.height_px}, {panel.views} views")
-    print(watch.line())
+    watch.say_if(options.stats)
     size = f"{views.width_px} x {views.height_px} pixels each"
     say(f"{source}: {found.description}, {size}; {interpolation_words(options, views, panel)}")
     say_colours(found.colours)
+    say_next("show", output)
 
 
 def _to_file_type(path: Path, image: np.ndarray) -> np.ndarray:

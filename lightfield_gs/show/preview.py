@@ -30,6 +30,7 @@ _FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels tak
 _MANY_GAUSSIANS = 200_000
 _MOST_SPLATS = 1_000_000  # that the views have which are rendered at a time, so that threads wait less for each other
 SHEET_VIEWS, SHEET_WIDTH_PX = 12, 1920
+_EYE_PX, _EYE_IN_ROW_PX = 1280, 640  # longer side at least of what an eye sees, alone and beside others
 
 
 def write_preview(
@@ -41,8 +42,8 @@ def write_preview(
     that the sheet fills a screen.
     look-around.webp: a camera that goes from left to right and back.
     look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
-    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, for eyes 63 mm apart at the viewing distance. If
-    the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
+    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, enlarged, for eyes 63 mm apart at the viewing
+    distance. If the panel has no viewing distance or pixel pitch, the files of an earlier preview are removed.
     Views are rendered at a reduced size. drawn_as: background, antialiased and view_filter, as in look_around. Raises
     InputError.
     """
@@ -67,8 +68,22 @@ def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
         return []
     for path, side in zip(paths, _EYES.values()):
         eye = (side * EYE_SEPARATION_MM, 0.0, cast(float, panel.viewing_distance_mm))
-        write_image(path, to_integers(simulate(image, panel, eye), 8))
+        write_image(path, enlarged([simulate(image, panel, eye)])[0])
     return paths
+
+
+def enlarged(pictures: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return what eyes see, each float [h, w, 3] with one sample a lens, as uint8 pictures that fill a screen.
+
+    Each is a whole number of times as large, smooth between the samples.
+    """
+    from PIL import Image
+
+    least = _EYE_PX if len(pictures) == 1 else _EYE_IN_ROW_PX
+    height, width = pictures[0].shape[:2]
+    times = math.ceil(least / max(height, width))
+    small = [Image.fromarray(to_integers(picture, 8)) for picture in pictures]
+    return [np.asarray(one.resize((times * width, times * height), Image.Resampling.BICUBIC)) for one in small]
 
 
 def look_around(

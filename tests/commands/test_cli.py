@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+import shlex
 import subprocess
 import sys
 
@@ -24,18 +25,19 @@ from lightfield_gs.show.preview import contact_sheet, look_around
 
 
 def test_encode_writes_the_image_and_says_what_it_took(folder, capsys):
-    out = run(capsys, "encode s.ply -o o.png --panel p.yaml")
-    assert out.splitlines()[0] == "o.png: 96 x 60, 12 views, 60 Gaussians"
-    stages = [part.rsplit(" ", 2)[0] for part in out.splitlines()[1].split(", ")]
-    assert {"load", "project", "composite", "write"} <= set(stages) and stages[-1] == "total"
+    lines = run(capsys, "encode s.ply -o o.png --panel p.yaml").splitlines()
+    assert lines[0] == "o.png: 96 x 60, 12 views, 60 Gaussians"
+    assert lines[-1] == "next: lightfield-gs show o.png" and not any(" s, total " in line for line in lines)
     pixels = read_image("o.png", as_stored=True)
     assert pixels.shape == (60, 96, 3) and pixels.dtype == np.uint8 and 20 < pixels.mean() < 250
 
 
 def test_encode_prints_what_was_skipped(folder, capsys):
-    plain = run(capsys, "encode s.ply -o o.png --panel p.yaml")
+    plain = run(capsys, "encode s.ply -o o.png --panel p.yaml").splitlines()
     shown = run(capsys, "encode s.ply -o o.png --panel p.yaml --stats").splitlines()
-    assert plain.splitlines()[2:] == shown[-1:] and shown[-1].startswith("axes: -y is up (assumed: ")
+    assert plain[1:] == shown[-2:] and shown[-2].startswith("axes: -y is up (assumed: ")
+    stages = [part.rsplit(" ", 2)[0] for part in shown[1].split(", ")]
+    assert {"load", "project", "composite", "write"} <= set(stages) and stages[-1] == "total"
     assert shown[2].startswith("intersections of tile and Gaussian: ")
     assert re.fullmatch(r"of 60 Gaussians not drawn: \d+ behind, \d+ faint, \d+ pruned, \d+ outside", shown[3])
     for start in (
@@ -47,7 +49,22 @@ def test_encode_prints_what_was_skipped(folder, capsys):
     ):
         assert any(line.startswith(start) for line in shown)
     sorted_lines = run(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --stats").splitlines()
-    assert [line.split(":")[0] for line in sorted_lines[2:-1]] == [shown[2].split(":")[0], "evaluations per sub-pixel"]
+    assert [line.split(":")[0] for line in sorted_lines[2:-2]] == [shown[2].split(":")[0], "evaluations per sub-pixel"]
+
+
+def test_the_last_line_says_what_to_do_next(folder, capsys):
+    def last(line: str) -> str:
+        assert cli.main(shlex.split(line)) == 0
+        return capsys.readouterr().out.splitlines()[-1]
+
+    assert last("encode s.ply -o 'my o.png' --panel p.yaml") == "next: lightfield-gs show 'my o.png'"
+    weave = last("quilt s.ply -o q --panel p.yaml --tiles 4x3 --size 96x60")
+    assert weave.startswith("next: lightfield-gs weave q_qs4x3") and weave.endswith(" -o q-3d.png --panel p.yaml")
+    assert last(weave.removeprefix("next: lightfield-gs ")) == "next: lightfield-gs show q-3d.png"
+    encode = last("prune s.ply -o less.ply --panel p.yaml")
+    assert encode == "next: lightfield-gs encode less.ply -o less.png --panel p.yaml"
+    assert last("calibrate nudge p.yaml -o n.yaml --pitch-by 0.1% --pattern pitch").endswith(" show n-pitch.png")
+    assert run(capsys, "encode s.ply -o o.png --panel p.yaml --quiet") == ""
 
 
 def test_encode_is_the_library_call(folder, capsys):
@@ -194,7 +211,9 @@ def test_preview(folder, capsys):
     animation = Image.open("deep/preview/look-around.webp")
     assert animation.n_frames == 24 + 22 and animation.size == (96, 60)  # there and back
     eyes = [read_image(f"deep/preview/{side}-eye.png") for side in ("left", "right")]
-    assert eyes[0].shape == (round(180 / PANEL.line_number), round(288 / PANEL.line_number), 3)
+    lenses = round(180 / PANEL.line_number), round(288 / PANEL.line_number)
+    times = -(-1280 // max(lenses))  # they fill a screen
+    assert eyes[0].shape == (times * lenses[0], times * lenses[1], 3)
     assert not np.array_equal(*eyes)
     assert len(list((folder / "deep/preview").iterdir())) == 5
 
@@ -324,7 +343,13 @@ def test_simulate(folder, capsys):
     image = (PANEL.view_map() * 20).astype(np.uint8)
     write_image("o.png", image)
     run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.exr")
-    assert np.array_equal(read_image("e.exr"), simulate(image, PANEL, (-31.5, 10, 600)))
+    seen = simulate(image, PANEL, (-31.5, 10, 600))
+    assert np.array_equal(read_image("e.exr"), seen)
+    assert "enlarged 45 times, from" in run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.png")
+    large = read_image("e.png").reshape(len(seen), 45, -1, 45, 3).mean((1, 3))
+    assert np.abs(large - seen)[1:-1, 1:-1].mean() < 0.03  # smooth between the samples
+    run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.png --lens-pixels")
+    assert np.abs(read_image("e.png") - seen).max() < 1 / 255
 
 
 def test_simulate_a_row_of_eyes_with_a_measured_spread(folder, capsys):

@@ -93,7 +93,7 @@ def test_the_axis_is_said(folder, capsys):
     assert "axes: x is up (--up)" in run(capsys, "info f.ply --up x")
     assert "axes: -y is up (assumed" in run(capsys, "info s.ply")
     out = run(capsys, "encode f.ply -o o.png --panel p.yaml").splitlines()
-    assert out[-1] == "axes: z is up (the file says so)"
+    assert out[-2] == "axes: z is up (the file says so)"
     assert "axes: -z is up (--up)" in run(capsys, "encode f.ply -o o.png --panel p.yaml --up -z")
     assert "invalid choice" in complaint(capsys, "encode f.ply -o o.png --up w")
     assert "for files of Gaussians" in complaint(capsys, "info p.yaml --up z")
@@ -148,7 +148,7 @@ def test_a_camera_of_a_file_is_the_centre_camera(folder, capsys):
     letter("-y").save("f.ply")
     cameras_json(folder / "c.json")
     out = run(capsys, "encode f.ply -o o.png --panel p.yaml --camera c.json --save-rig r.yaml")
-    assert out.splitlines()[-1] == "camera: c.json, 0 (photo0) of 2, the first; another: --camera c.json:1"
+    assert out.splitlines()[-2] == "camera: c.json, 0 (photo0) of 2, the first; another: --camera c.json:1"
     rig = Rig.from_yaml("r.yaml")
     assert np.array_equal(rig.world_to_camera[:3], np.eye(4)[:3] + np.outer([0, 0, 3], [0, 0, 0, 1]))
     assert rig.focal_px == (90, 90) and rig.principal_point_px == (48, 30)  # 60 x 60 in the middle of 96 x 60

@@ -185,6 +185,8 @@ def test_look_around_page_follows_the_mouse(tmp_path, stage):
         page.open(page_file.as_uri())
         page.wait("document.querySelector('canvas')?.dataset.view")
         box = page.run("document.querySelector('canvas').getBoundingClientRect().toJSON()")
+        assert box["width"] == page.run("innerWidth") and box["height"] > 0.8 * page.run("innerHeight")
+        assert "This page can be sent" in page.run("document.body.innerText")
         shown = []
         for share in (0.0, 1.0):
             page.mouse("mouseMoved", box["x"] + share * (box["width"] - 1), box["y"] + 5)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group, rarely
+from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.panel import add_encoding
 from lightfield_gs.commands.options.parser import Parser, whole
 
@@ -80,6 +81,7 @@ def add_arguments(parser: Parser) -> None:
         help="read all inputs and images of finished items, and repeat items that have changed",
     )
     add_encoding(rarely(add))
+    add_quiet(add)
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
 from lightfield_gs.commands.options.parser import Parser, numbers, panel_name
 
@@ -81,3 +82,4 @@ def add_arguments(parser: Parser) -> None:
         short="the calibration with the lens that was found",
         help="START with the estimated lens, in its own format",
     )
+    add_quiet(add)

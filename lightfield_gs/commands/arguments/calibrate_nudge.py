@@ -7,6 +7,7 @@ from pathlib import Path
 from lightfield_gs.commands.arguments.calibrate_pattern import KINDS
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.parser import Parser, numbers, panel_name
 
@@ -75,6 +76,7 @@ def add_arguments(parser: Parser) -> None:
         short="also write a test picture: pitch, slope, centre, ...",
         help="also write a pattern of the new profile: NEW-KIND.png",
     )
+    add_quiet(add)
 
 
 def _amount(text: str) -> tuple[float, bool]:

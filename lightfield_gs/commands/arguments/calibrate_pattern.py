@@ -8,6 +8,7 @@ from pathlib import Path
 from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.parser import Parser, panel_name, whole, within
 
@@ -90,6 +91,7 @@ def add_arguments(parser: Parser) -> None:
         short=".png or .tif",
         help=".png or .tif: show it unscaled, full screen",
     )
+    add_quiet(add)
 
 
 def _views(text: str) -> tuple[int, ...]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_quiet, add_stats
 from lightfield_gs.commands.options.panel import add_drawing_device, add_encoding
 from lightfield_gs.commands.options.parser import Parser
 from lightfield_gs.commands.options.stereo import add_stereo
@@ -57,9 +58,10 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         metavar="DIR",
         short="also views, a page to look around, and eyes' pictures",
-        help="write views.png, look-around.webp and look-around.html (follows the mouse, needs no network); "
+        help="write views.png, look-around.webp and look-around.html (follows the mouse, can be sent); "
         "also left-eye.png and right-eye.png, if the panel has a pixel pitch and a viewing distance",
     )
-    add("--stats", action="store_true", help="print statistics of drawn and skipped parts")
     add_stereo(add)
     add_drawing_device(add)
+    add_stats(add, "print the times of the stages, and what was drawn and skipped")
+    add_quiet(add)

@@ -7,6 +7,7 @@ from pathlib import Path
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.fit import add_capture, add_cone, add_optimisation, add_run
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.parser import Parser
 
 
@@ -44,3 +45,4 @@ def add_arguments(parser: Parser) -> None:
     add_optimisation(add)
     add_cone(add)
     add_run(add)
+    add_quiet(add)

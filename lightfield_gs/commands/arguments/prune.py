@@ -7,6 +7,7 @@ from pathlib import Path
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_messages
 from lightfield_gs.commands.options.panel import add_camera, add_filters, add_look, add_panel
 from lightfield_gs.commands.options.parser import Parser, within
 from lightfield_gs.commands.options.scene import add_reading
@@ -59,3 +60,4 @@ def add_arguments(parser: Parser) -> None:
         help="write the rig of the unpruned scene; automatic framing of a pruned scene may differ",
     )
     add("--device", choices=DEVICES, default="auto", help="device that draws the scene (default auto)")
+    add_messages(add)

@@ -7,6 +7,7 @@ from pathlib import Path
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_QUILT
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_messages
 from lightfield_gs.commands.options.panel import (
     add_camera,
     add_depth_report,
@@ -73,6 +74,7 @@ def add_arguments(parser: Parser) -> None:
         default="fast",
         help="fast: quick to write; small: a small file (default fast)",
     )
+    add_messages(add)
 
 
 def _add_layout(add) -> None:

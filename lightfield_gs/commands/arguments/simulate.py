@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_messages
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance
 from lightfield_gs.commands.options.parser import Parser, numbers, panel_name, within
 
@@ -64,6 +65,11 @@ def add_arguments(parser: Parser) -> None:
         "distance to the right in sub-pixels, and the light (any unit)",
     )
     add(
+        "--lens-pixels",
+        action="store_true",
+        help="one pixel a lens, as an .exr always has it (default: enlarged, so that the picture fills a screen)",
+    )
+    add(
         "-o",
         "--output",
         type=Path,
@@ -72,3 +78,4 @@ def add_arguments(parser: Parser) -> None:
         short="what is seen: .png, .tif or .exr",
         help=".png, .tif or .exr",
     )
+    add_messages(add)

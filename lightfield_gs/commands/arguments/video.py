@@ -7,6 +7,7 @@ from pathlib import Path
 from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_messages
 from lightfield_gs.commands.options.panel import (
     add_camera,
     add_depth_report,
@@ -67,3 +68,4 @@ def add_arguments(parser: Parser) -> None:
     )
     add_rendering(add)
     add("--threads", type=threads, metavar="N", help="number of threads that draw (default: all cores)")
+    add_messages(add)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_stats
 from lightfield_gs.commands.options.panel import add_camera, add_drawing_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import Parser
 from lightfield_gs.commands.options.scene import add_scene
@@ -38,3 +39,4 @@ def add_arguments(parser: Parser) -> None:
     add_rendering(add)
     add_drawing_device(add)
     add_serving(add)
+    add_stats(add)

@@ -9,6 +9,7 @@ from pathlib import Path
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_messages
 from lightfield_gs.commands.options.panel import add_panel
 from lightfield_gs.commands.options.parser import Parser, background, numbers, whole, whole_numbers, within
 
@@ -125,6 +126,7 @@ def add_arguments(parser: Parser) -> None:
         help="fast: quick to write; small: a small file (default fast)",
     )
     add("--overwrite", action="store_true", help="remove frames of another job from the folder")
+    add_messages(add)
 
 
 def _span(text: str):

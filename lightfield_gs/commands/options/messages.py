@@ -6,16 +6,15 @@ from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import Add, in_group
 
 
-def add_messages(add: Add, stats: str = "print the times of the stages") -> None:
-    """Add the options of what is said.
-
-    Args:
-        add: Adds an option.
-        stats: Help of --stats.
-    """
-    add = in_group(add, groups.MESSAGES)
-    add("--stats", action="store_true", help=stats)
+def add_messages(add: Add) -> None:
+    """Add the options of what is said."""
+    add_stats(add)
     add_quiet(add)
+
+
+def add_stats(add: Add, help: str = "print the times of the stages") -> None:
+    """Add the option of the times that the stages take."""
+    in_group(add, groups.MESSAGES)("--stats", action="store_true", help=help)
 
 
 def add_quiet(add: Add) -> None:

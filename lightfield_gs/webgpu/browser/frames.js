@@ -12,7 +12,7 @@ const FIRST_BAND = 4e9, BAND_GROWTH = 4, BAND_SECONDS = 0.05;
 /** Draws frames of one scene, one after the other. */
 export class Frames {
   /** host: the sources and tables of shaders.js, and the colour_error of an exact picture.
-   *  scene: {count, degree, means [3 count], gaussians [12 count], harmonics}, see show/scene_page/files/unpack.js. */
+   *  scene: {count, degree, gaussians [12 count], harmonics}, see show/scene_page/files/unpack.js. */
   constructor(device, host, scene) {
     Object.assign(this, { device, host, scene, pipelines: new Pipelines(device, host), buffers: new Buffers(device) });
     this.rate = null; // instructions a second, once bands were timed
@@ -22,6 +22,7 @@ export class Frames {
     for (const name of ["depths", "large"]) buffers.storage(name, 4 * count);
     buffers.storage("gaussians", 4 * GAUSSIAN_FLOATS * count);
     buffers.storage("harmonics", scene.harmonics.byteLength);
+    buffers.write("gaussians", scene.gaussians);
     buffers.write("harmonics", scene.harmonics);
     this.groups = Math.ceil(count / THREADS);
     buffers.storage("counters", HEAD_BYTES + VECTOR_BYTES * this.groups);
@@ -59,7 +60,6 @@ export class Frames {
   /** Projects all Gaussians, and returns the costs of the tilings. */
   async project() {
     const { buffers, scene, room } = this, extra = this.variant.compensated ? 1 : 0;
-    this.writeMeans();
     let colours = (scene.degree ? COLOURS_EACH + extra : 1 + extra) * scene.count;
     for (;;) {
       room.colours = buffers.storage("colours", VECTOR_BYTES * colours) / VECTOR_BYTES;
@@ -72,18 +72,6 @@ export class Frames {
       if (used <= room.colours) return sums(new Float32Array(head, HEAD_BYTES));
       colours = used;
     }
-  }
-
-  /** Takes the means to the axes of the centre camera, in double: near Gaussians keep the order that the CPU finds. */
-  writeMeans() {
-    const { means, gaussians, count } = this.scene, [a, b, c, x, d, e, f, y, g, h, i, z] = this.job.camera.pose;
-    for (let n = 0, from = 0, to = 0; n < count; n++, from += 3, to += GAUSSIAN_FLOATS) {
-      const u = means[from], v = means[from + 1], w = means[from + 2];
-      gaussians[to] = u * a + v * b + w * c + x;
-      gaussians[to + 1] = u * d + v * e + w * f + y;
-      gaussians[to + 2] = u * g + v * h + w * i + z;
-    }
-    this.buffers.write("gaussians", gaussians);
   }
 
   /** The rows of boxes of each pass, as many as image and lists allow: [first, end]. */

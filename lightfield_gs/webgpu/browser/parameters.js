@@ -4,7 +4,7 @@
 export const BOX_ROWS = 16, TILE_WIDTH = 32, BOX_LENSES = 16; // as in csrc/webgpu/footprint.wgsl
 export const ORDINALS = [0, 2, 3, 6]; // tilings in the order of cost_of_splat in csrc/webgpu/project.wgsl
 const LENS_WIDTHS = [6, 200]; // sub-pixels, of lenses that boxes are made of
-const CELLS = 48, HEAD_FLOATS = 48, HEAD_WORDS = 20;
+const CELLS = 48, POSE_DOUBLES = 12, HEAD_FLOATS = 60, HEAD_WORDS = 20; // the pose takes 24 of HEAD_FLOATS
 
 /** The boxes of a panel: {ordinals, across, down, groups, firstLens}. */
 export function boxesOf(lens, ordinals) {
@@ -25,7 +25,7 @@ export function cheapest(lens, costs) {
   return { ordinals: best, cost: costs[ORDINALS.indexOf(best)] };
 }
 
-/** The struct Params. Means are in the axes of the centre camera already.
+/** The struct Params.
  *  room: for pairs, colours, large splats and chunks of long lists. rows: of boxes of this pass, first and one behind. */
 export function packParams({ camera, antialiased, background, tolerance }, { degree, count }, boxes, rows, room) {
   const { lens, pose } = camera, data = new ArrayBuffer(4 * (HEAD_FLOATS + HEAD_WORDS + 4 * CELLS));
@@ -34,11 +34,12 @@ export function packParams({ camera, antialiased, background, tolerance }, { deg
   const [start, step] = [lens.offset_start, lens.offset_step].map((value) => (reach > 0 ? value / reach : 0));
   const turn = [0, 4, 8].flatMap((row) => [...pose.slice(row, row + 3), 0]);
   floats.set([
-    1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, ...turn, ...camera.intrinsics, ...camera.limits.slice(0, 4),
+    ...turn, ...camera.intrinsics, ...camera.limits.slice(0, 4),
     reach, 1 / camera.zero_depth, start, step, ...background, 0,
     lens.line_number, lens.slant_tan, lens.phase, boxes.firstLens,
     camera.aperture, antialiased ? 1 : 0, tolerance, camera.limits[4],
-  ]);
+  ], 2 * POSE_DOUBLES);
+  new Float64Array(data, 0, POSE_DOUBLES).set(pose.slice(0, POSE_DOUBLES));
   words.set([
     lens.width_px, lens.height_px, lens.views, count, ...lens.phases.flatMap(halves), lens.continuous ? 1 : 0, degree,
     boxes.across, rows[1] - rows[0], boxes.groups, rows[0], ...room,

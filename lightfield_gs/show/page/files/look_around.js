@@ -26,9 +26,11 @@ function sway(time) {
 document.title = find("#title").textContent = views.title;
 addEventListener("pointermove", (event) => {
   if (event.target === slider) return;
-  const { left, width } = canvas.getBoundingClientRect();
-  take((event.clientX - left) / width);
+  take(event.clientX / innerWidth); // the picture fills the window
 });
+const full = find("#full");
+full.hidden = !document.fullscreenEnabled;
+full.addEventListener("click", () => document.documentElement.requestFullscreen());
 slider.addEventListener("input", () => take(slider.valueAsNumber));
 followTilt(find("#tilt"), (across) => take(0.5 - across / (2 * TILT_DEG))); // tilted to the right, it shows what an eye on the left sees
 requestAnimationFrame(sway);

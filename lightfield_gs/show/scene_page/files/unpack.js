@@ -9,17 +9,17 @@ export async function inflated(base64) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** The scene as the stages take it: {count, degree, means [3 count], gaussians [12 count] as the struct Gaussian of
- *  csrc/webgpu/project.wgsl without means, harmonics [count, (degree + 1)^2, 3]}. */
+/** The scene as the stages take it: {count, degree, gaussians [12 count] as the struct Gaussian of
+ *  csrc/webgpu/project.wgsl, harmonics [count, (degree + 1)^2, 3]}. */
 export function unpacked(header, data) {
   const { count, degree } = header, coefficients = (degree + 1) ** 2, planes = [];
   for (let at = 0; at < data.length; at += count) planes.push(data.subarray(at, at + count));
   const scene = {
-    count, degree, means: new Float32Array(3 * count), gaussians: new Float32Array(GAUSSIAN_FLOATS * count),
+    count, degree, gaussians: new Float32Array(GAUSSIAN_FLOATS * count),
     harmonics: new Float32Array(3 * coefficients * count),
   };
   const take = (number) => planes.splice(0, number);
-  unpackMeans(header, take(3 * header.bytes_each), scene.means);
+  unpackMeans(header, take(3 * header.bytes_each), scene.gaussians);
   const scales = take(3), rotations = take(4), [opacities] = take(1), colours = take(3);
   for (let n = 0, at = 0; n < count; n++, at += GAUSSIAN_FLOATS) {
     scene.gaussians[at + 3] = opacities[n] / 255;
@@ -31,13 +31,13 @@ export function unpacked(header, data) {
   return scene;
 }
 
-function unpackMeans({ count, low, step, bytes_each: bytes }, planes, means) {
+function unpackMeans({ count, low, step, bytes_each: bytes }, planes, out) {
   for (let axis = 0; axis < 3; axis++)
     for (let n = 0, place = 0; n < count; n++) {
       let folded = 0;
       for (let k = 0; k < bytes; k++) folded += planes[3 * k + axis][n] * 2 ** (8 * k);
       place += folded % 2 ? -(folded + 1) / 2 : folded / 2;
-      means[3 * n + axis] = low[axis] + place * step;
+      out[GAUSSIAN_FLOATS * n + axis] = low[axis] + place * step;
     }
 }
 
