@@ -1,6 +1,10 @@
 # What compilers are told: GCC and Clang, and on Windows MSVC or clang-cl, which takes MSVC's options.
 set(LFGS_SANITIZE "" CACHE STRING "Sanitizers to compile in: address,undefined or thread (empty: none)")
 
+if(NOT LFGS_MARCH)
+  set(LFGS_MARCH x86-64-v2)  # a toolchain may have a name of its own for it
+endif()
+
 # ccache keeps what was compiled before. Of a precompiled header it sees the file, not the time of it.
 find_program(LFGS_CCACHE ccache)
 if(LFGS_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
@@ -26,7 +30,7 @@ function(lfgs_compile target)
   target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -fno-math-errno>)
   if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
     # Every x86-64 processor since 2009; wider vectors are chosen at run time
-    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-march=x86-64-v2>)
+    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-march=${LFGS_MARCH}>)
   else()
     # These processors can multiply and add in one rounding, which x86-64-v2 cannot: scalar code is to round as there,
     # and alike wherever a function is inlined. Vector code asks for it by name.

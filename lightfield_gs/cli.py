@@ -26,6 +26,7 @@ from lightfield_gs.base.cli_messages import (
     report_error,
 )
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.system import is_closed_pipe, stop_signals
 from lightfield_gs.commands.options.parser import Parser, join_values
 from lightfield_gs.commands.unknown import unknown_command
 
@@ -67,7 +68,8 @@ _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-de
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code, or 2 after a line on invalid input."""
-    signal.signal(signal.SIGTERM, _terminate)
+    for number in stop_signals():
+        signal.signal(number, _terminate)
     # As a program, the imports before this line (torch, a second) are part of the wait.
     if argv is not None:
         return _run(list(argv), time.perf_counter())
@@ -81,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as end:  # --help among others
         code = end.code if isinstance(end.code, int) else 0
     sys.stdout.flush()
-    if output.failed is None or isinstance(output.failed, BrokenPipeError):  # by the latter nobody wants to read on
+    if output.failed is None or is_closed_pipe(output.failed):  # by the latter nobody wants to read on
         return code
     lost = f"cannot write to standard output: {output.failed.strerror}; what was to be read there is lost"
     return code or report_error("lightfield-gs", InputError(lost), "")

@@ -26,7 +26,7 @@ _next: ContextVar[dict[str, str] | None] = ContextVar("next", default=None)
 
 
 # An argument in a message of the library, `name=` or `name=value`; names of files may look so too, but have a suffix
-_ARGUMENT = re.compile(r"""(?<![\w/.'"=-])([a-z][a-z0-9_]*)=(?!\S*(?:/|\.[A-Za-z]))((?:[^\s;()]*[^\s;(),.:])?)""")
+_ARGUMENT = re.compile(r"""(?<![\w/\\.'"=-])([a-z][a-z0-9_]*)=(?!\S*(?:[/\\]|\.[A-Za-z]))((?:[^\s;()]*[^\s;(),.:])?)""")
 # Arguments whose option has another name
 _OPTIONS = {
     "batch_size": "views_per_step",
@@ -116,6 +116,22 @@ def say_next(*words: object) -> None:
     told = _next.get()
     if told is not None:
         told["next"] = quoted("lightfield-gs", *words)
+
+
+def confirm(question: str, is_meant: bool) -> None:
+    """Ask on the terminal whether something unusual is meant; raise InputError where it is not.
+
+    Args:
+        question: What is unusual, as a sentence without its stop.
+        is_meant: Whether --yes says so already.
+    """
+    if is_meant:
+        return
+    if not sys.stdin.isatty():
+        raise InputError(f"{question}; nothing was changed: add --yes if it is meant")
+    print(f"{question}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise InputError("nothing was changed")
 
 
 @contextmanager
@@ -240,6 +256,13 @@ def open_closed_streams() -> None:
     sys.stdin = sys.stdin or open(0, closefd=False)
     sys.stdout = sys.stdout or open(1, "w", closefd=False)
     sys.stderr = sys.stderr or open(2, "w", closefd=False)
+
+
+def print_any_name() -> None:
+    """Print characters that the encoding of a standard stream lacks as escapes: names of files may have them."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 class PatientStream(io.RawIOBase):

@@ -1,8 +1,7 @@
-"""The device of a command, its cores or GPU; free memory, graphs of launches, and copies from CUDA to the host."""
+"""The device of a command; free memory, graphs of launches, and copies from CUDA to the host."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from queue import SimpleQueue
@@ -40,13 +39,6 @@ def missing_for_cuda() -> str | None:
     if not torch.cuda.is_available():
         return f"torch {torch.__version__} finds no GPU that it can use; see whether nvidia-smi lists one"
     return None
-
-
-def cores() -> list[int]:
-    """Return the cores that this process may use; macOS and Windows do not tell: all cores of the machine there."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
 
 
 def device_guard(device: torch.device) -> AbstractContextManager:

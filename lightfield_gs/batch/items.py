@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Literal
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
+from lightfield_gs.base.system import split_words
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.colmap import model_folder
 from lightfield_gs.io.captures.transforms import transforms_file
@@ -197,8 +197,8 @@ def _parse_object(line: str, suffix: str) -> Item:
     item = _item(path, _relative(path), suffix, texts["command"], words, split(texts["fit_options"]))
     if output is None:
         return item
-    target = PurePosixPath(output)
-    if target.is_absolute() or ".." in target.parts or not target.name:
+    target = PurePath(output)
+    if target.anchor or ".." in target.parts or not target.name:
         raise InputError(f"output: expected a name in the folder of the batch, got {shown(output)}")
     if item.command != "video" and target.suffix.lower() not in _IMAGE_SUFFIXES:
         raise InputError(f"output: expected a .png, .tif or .exr, got {shown(output)}")
@@ -219,6 +219,6 @@ def _word(name: str, value: Any) -> str:
 def split(text: str | None) -> tuple[str, ...]:
     """Split options of a command line into words. Raises InputError where a quotation mark is left open."""
     try:
-        return tuple(shlex.split(text or ""))
+        return tuple(split_words(text or ""))
     except ValueError as error:
         raise InputError(f"expected options as on the command line, got {shown(text)} ({error})") from None

@@ -14,13 +14,15 @@ from pathlib import Path
 from stat import S_ISDIR
 from typing import Any
 
+from lightfield_gs.base import system
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.batch.items import Item
-from lightfield_gs.io.atomic import lock, make_folder, sha256
+from lightfield_gs.io.atomic import make_folder, sha256
 from lightfield_gs.io.text_files import parse_json
 
 WHOLE = (1, 1)  # the shard that is the whole batch
 Record = dict[str, Any]
+_WHOLE_NAME, _SHARD_NAMES = "batch.jsonl", "batch-*-of-*.jsonl"
 _PATIENCE_S = 2.0  # for the processes of a batch that was killed, which end after it
 _MOST_TRIES = 2  # runs that an item may take with it
 
@@ -68,7 +70,8 @@ class Manifest:
 
     A line with "item" says how an item ended; the last line of an item counts. Other lines tell the options of a run,
     or its end. One system call appends a line, so a killed process leaves whole lines; `last` skips a line that a power
-    failure cut. A lock keeps two runs of the same items from working at the same time.
+    failure cut. Locks keep two runs of the same items from working at the same time: a shard keeps the one of its own
+    manifest, a whole batch those of all manifests, and both take the one of batch.jsonl first.
 
     Attributes:
         path: the manifest of the shard: batch.jsonl, or batch-I-of-N.jsonl.
@@ -78,7 +81,7 @@ class Manifest:
 
     def __init__(self, folder: str | Path, shard: tuple[int, int] = WHOLE) -> None:
         self.folder = make_folder(folder)
-        self.path = self.folder / ("batch.jsonl" if shard == WHOLE else "batch-{}-of-{}.jsonl".format(*shard))
+        self.path = self.folder / (_WHOLE_NAME if shard == WHOLE else "batch-{}-of-{}.jsonl".format(*shard))
         self.damaged = 0
         self.is_unfinished = False
         self._lines: dict[str, tuple[str, Path, int, int]] = {}  # time, file, first byte and length of last lines
@@ -86,9 +89,9 @@ class Manifest:
     def __enter__(self) -> Manifest:
         with ExitStack() as opened:
             try:
-                self._file = self._open(opened, self.path, os.O_APPEND)
-                if self.path.name != "batch.jsonl":  # a whole batch keeps shards out
-                    self._open(opened, self.folder / "batch.jsonl", shared=True)
+                deadline = time.monotonic() + _PATIENCE_S
+                while not self._lock(opened, time.monotonic() >= deadline):
+                    time.sleep(0.05)
                 for path in sorted({self.path, *self.folder.glob("batch*.jsonl")}):
                     self._read(path)
             except OSError as error:
@@ -118,17 +121,35 @@ class Manifest:
         if written != len(line):
             raise InputError(f"cannot write {self.path}: the disk is full")
 
-    def _open(self, opened: ExitStack, path: Path, flags: int = 0, shared: bool = False) -> int:
-        """Open and lock a manifest; closing it unlocks it."""
-        file = os.open(path, os.O_RDWR | os.O_CREAT | flags, 0o666)
+    def _lock(self, opened: ExitStack, is_last: bool) -> bool:
+        """Open and lock the manifests of all runs that would do the same items; closing them unlocks them.
+
+        Returns:
+            Whether no other run has one of them; at the last try that is an error.
+        """
+        is_whole = self.path.name == _WHOLE_NAME
+        with ExitStack() as kept, ExitStack() as passing:  # the latter: that no whole batch begins meanwhile
+            try:
+                whole = self._open(kept if is_whole else passing, self.folder / _WHOLE_NAME)
+                others = sorted(self.folder.glob(_SHARD_NAMES)) if is_whole else [self.path]
+                self._file = [whole, *(self._open(kept, path) for path in others)][0 if is_whole else 1]
+            except BlockingIOError:
+                if is_last:
+                    busy = f"another batch is at work in {self.folder}: wait for it, or give another folder"
+                    raise InputError(busy) from None
+                return False
+            opened.push(kept.pop_all())
+        return True
+
+    def _open(self, opened: ExitStack, path: Path) -> int:
+        """Open a manifest and lock it; raise BlockingIOError where another run has it."""
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | system.BYTES, 0o666)
         opened.callback(os.close, file)
-        deadline = time.monotonic() + _PATIENCE_S
-        while (is_ours := lock(file, shared)) is False and time.monotonic() < deadline:
-            time.sleep(0.05)
+        is_ours = system.lock(file)
         if is_ours is None:
-            raise InputError("batch keeps a folder to itself by the locks of Linux and macOS, which are not here")
+            raise InputError(f"{self.folder}: expected a disk whose files can be locked; give a folder on another")
         if not is_ours:
-            raise InputError(f"another batch is at work in {self.folder}: wait for it, or give another folder")
+            raise BlockingIOError
         return file
 
     def _read(self, path: Path) -> None:

@@ -9,7 +9,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -29,6 +29,7 @@ DRAWN_AHEAD = 2  # images in the queue of the writers; few, because they are lar
 EXIT_BROKEN = 70  # of a process whose device cannot be used any more
 _BROKEN_DEVICE = "CUDA error"  # torch's message, after which a process can use its GPU no more
 _SWITCH_S = 2e-4  # between threads of Python: the drawing thread must not wait long for readers and writers
+_TURN_S = 0.5  # of a wait, after which the main thread looks for signals
 _QUEUED = 4  # items in progress beyond one for each thread that reads or writes
 _DIED = "the process died of it"
 _MOST_LISTED = 100  # failures, at the end
@@ -129,9 +130,8 @@ class Run:
         todo = iter(self._plan.todo)
         threads, self._drawer = ThreadPoolExecutor(count, "item"), ThreadPoolExecutor(1, "draw")
         try:
-            threads.submit(self._do_some, islice(todo, self._plan.suspects)).result()
-            for thread in as_completed([threads.submit(self._do_some, todo) for _ in range(count)]):
-                thread.result()
+            _wait([threads.submit(self._do_some, islice(todo, self._plan.suspects))])
+            _wait([threads.submit(self._do_some, todo) for _ in range(count)])
         except BaseException:  # interrupted: no item is to blame
             self._plan.todo.clear()
             for item in tuple(self._in_progress):
@@ -235,6 +235,15 @@ class Run:
         if failures:
             again = f"{self._manifest.path} has the reasons, and the same command tries them again"
             print(f"{counted(len(failures))} failed; {again}", file=sys.stderr)
+
+
+def _wait(threads: list[Future[None]]) -> None:
+    """Wait for threads, and raise the first error; in turns, since Ctrl-C does not end a wait on Windows."""
+    left = set(threads)
+    while left:
+        done, left = wait(left, _TURN_S, FIRST_EXCEPTION)
+        for thread in done:
+            thread.result()
 
 
 def _record(progress: _Progress) -> Record:

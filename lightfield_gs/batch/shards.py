@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import multiprocessing
 import os
 import re
@@ -9,14 +10,15 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from multiprocessing.connection import wait
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, report_error
-from lightfield_gs.base.device import choose_device, cores
+from lightfield_gs.base import system
+from lightfield_gs.base.cli_messages import EXIT_INTERRUPTED, print_any_name, report_error
+from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.run import EXIT_BROKEN, Worker
 
@@ -43,11 +45,14 @@ def choose_workers(
         have_gpus: whether a process needs a GPU for itself, as a fit does.
 
     Raises:
-        InputError: a device is not there.
+        InputError: a device is not there, or there are more processes than the system can wait for.
     """
-    gpus, own = _list_gpus(devices), len(cores())
+    most = system.most_processes()
+    if most is not None and processes is not None and processes > most:
+        raise InputError(f"processes={processes}: this system waits for {most} at most; use fewer, or shards")
+    gpus, own = _list_gpus(devices), len(system.cores())
     if not gpus:
-        count = processes or max(1, own // _CORES_A_PROCESS)
+        count = processes or max(1, min(own // _CORES_A_PROCESS, most or own))
         each = threads or max(1, own // count)
         return [Worker(f"cpu:{n}", "cpu", None, each, 1, max(1, each // 2)) for n in range(count)]
     count = processes or len(gpus) * processes_per_gpu(own // len(gpus), have_gpus, _least_memory(gpus))
@@ -99,45 +104,51 @@ def run_shards(call: Callable[[Any, Shard, Worker], int], options: Any, workers:
     at a time, and leaves out items that killed it twice.
     """
     context = multiprocessing.get_context("spawn")  # a fork would share a device that is in use
-    running: dict[Any, tuple[SpawnProcess, int, int]] = {}  # process, number, bytes of the manifests when it began
+    # By sentinel: process, the Connection of orders to it, number, bytes of the manifests when it began
+    running: dict[Any, tuple[SpawnProcess, Any, int, int]] = {}
     codes = [0]
 
     def start(number: int, size: int) -> None:
-        arguments = call, options, (number + 1, len(workers)), workers[number]
+        orders, ours = context.Pipe(duplex=False)
+        arguments = call, options, (number + 1, len(workers)), workers[number], orders
         process = context.Process(target=_run_shard, args=arguments, name=workers[number].name)
         process.start()
-        running[process.sentinel] = process, number, size
+        orders.close()
+        running[process.sentinel] = process, ours, number, size
 
     try:
         for number in range(len(workers)):
             start(number, -1)
         while running:
             for sentinel in wait(list(running)):
-                process, number, before = running.pop(sentinel)
+                process, _, number, before = running.pop(sentinel)
                 process.join()
                 code, size = process.exitcode or 0, sum(path.stat().st_size for path in folder.glob("batch*.jsonl"))
-                if (code < 0 or code == EXIT_BROKEN) and size != before:
+                if (system.is_crash(code) or code == EXIT_BROKEN) and size != before:
                     start(number, size)
                 else:
                     codes.append(code if code >= 0 else 128 - code)
     finally:
-        for process, _, _ in running.values():
-            process.terminate()
-        for process, _, _ in running.values():
+        for _, ours, _, _ in running.values():
+            with suppress(OSError):  # it has just ended
+                ours.send(None)
+        for process, _, _, _ in running.values():
             process.join(_PATIENCE_S)
             process.kill()
             process.join()
     return max(codes)
 
 
-def _run_shard(call: Callable[[Any, Shard, Worker], int], options: Any, shard: Shard, worker: Worker) -> None:
-    """Run a shard in this process, which ends with its parent."""
+def _run_shard(
+    call: Callable[[Any, Shard, Worker], int], options: Any, shard: Shard, worker: Worker, orders: Connection
+) -> None:
+    """Run a shard in this process, which ends with its parent, or when something comes through `orders`."""
     if worker.visible is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = worker.visible  # in time: nothing has asked for a GPU in this process
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    parent = multiprocessing.parent_process()
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    print_any_name()
+    threading.Thread(target=_obey, args=(orders,), daemon=True).start()
     try:
         sys.exit(call(options, shard, worker))
     except (InputError, OSError) as error:
@@ -146,6 +157,13 @@ def _run_shard(call: Callable[[Any, Shard, Worker], int], options: Any, shard: S
         os._exit(EXIT_INTERRUPTED)  # without waiting for threads that are at work
 
 
-def _end_with(parent: BaseProcess) -> None:
-    parent.join()
+def _obey(orders: Connection) -> None:
+    """Interrupt this process when its parent says so, and end it when the parent has ended.
+
+    The parent sends no signal: one that Windows sends ends a process before it can note its items in progress.
+    """
+    with suppress(EOFError, OSError):
+        orders.recv()
+        _thread.interrupt_main(signal.SIGTERM)
+        orders.recv()
     os._exit(1)

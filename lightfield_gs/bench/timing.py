@@ -6,13 +6,12 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from lightfield_gs import build_info
-from lightfield_gs.base.device import cores
+from lightfield_gs.base.system import cores, processor
 
 SECONDS_PER_CALL = 60.0  # a call whose runs have taken so long together is not run again
 SHORT_MS = 50.0  # on CUDA calls that take less are repeated more often, for one hiccup moves their median further
@@ -115,7 +114,7 @@ def _cuda_ms(calls: Sequence[Callable[[], Any]], ahead: bool) -> tuple[Any, tupl
 def machine(device: str) -> dict[str, Any]:
     """Return the environment of the times: processor, cores, GPU, versions."""
     found: dict[str, Any] = {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": len(cores()),
         "system": platform.platform(),
         "python": platform.python_version(),
@@ -126,15 +125,6 @@ def machine(device: str) -> dict[str, Any]:
         properties = torch.cuda.get_device_properties("cuda")
         found |= {"gpu": properties.name, "gpu_memory_bytes": properties.total_memory, "cuda": torch.version.cuda}
     return found
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
 
 
 def machine_line(found: dict[str, Any]) -> str:

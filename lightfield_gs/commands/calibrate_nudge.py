@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.base.cli_messages import say_next
+from lightfield_gs.base.cli_messages import confirm, quoted, say, say_next
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_pattern import PatternOptions, draw_pattern, write_pattern
 from lightfield_gs.commands.options.parser import read_options
@@ -19,11 +19,12 @@ from lightfield_gs.panels.lens_change import (
     is_looking_glass,
     looking_glass_lens,
     phase_in_middle,
-    write_profile,
 )
+from lightfield_gs.panels.lens_history import write_kept
 from lightfield_gs.panels.panel import Panel
 
 _CHANGES = ("pitch_by", "slope_by", "centre_by", "line_number_by", "slant_by", "phase_by")
+_LARGE = 0.02  # relative change of pitch or slope that is asked about; chosen by hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,7 @@ class NudgeOptions:
         pitch_by, slope_by, centre_by: in the terms of Looking Glass.
         line_number_by, slant_by, phase_by: in the units of a .yaml.
         pattern: kind of the pattern that is written too.
+        yes: whether a large change is meant.
     """
 
     profile: str
@@ -49,6 +51,7 @@ class NudgeOptions:
     slant_by: tuple[float] | None = None
     phase_by: tuple[float] | None = None
     pattern: str | None = None
+    yes: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -60,14 +63,16 @@ def _nudge(options: NudgeOptions) -> None:
     profile, serial, kind = options.profile, options.device_serial, options.pattern
     path = check_profile_path(options.output, profile)
     pattern = path.with_name(f"{path.stem}-{kind}.png") if kind else None
-    check_outputs((path, pattern), (profile,))
+    check_outputs((path, pattern), ())  # a profile may be changed in its place: its history keeps what it was
     before = Panel.load(profile, serial=serial)
     after = changed(before, lens_change(options, before))
+    if words := large_changes(before, after):
+        confirm(f"{path}: {words}, and calibrations are seldom wrong by {_LARGE:.0%}", options.yes)
     image = None if kind is None else draw_pattern(after, PatternOptions(kind))
-    write_profile(path, profile, after, serial)
-    print(f"{path}: {profile} with another lens")
-    for line in change_lines(profile, before, after, serial):
-        print(line)
+    lines = change_lines(profile, before, after, serial)
+    write_kept(path, profile, after, serial, f"{_change_words(options)}: {lines[0]}")
+    print(f"{path}: {profile} with another lens; the way back: {quoted('lightfield-gs', 'calibrate', 'undo', path)}")
+    say(*lines)
     if pattern is not None and kind is not None and image is not None:
         write_pattern(pattern, after, kind, image)
         print(f"{pattern}: {kind}, for the new profile; show it full screen, unscaled")
@@ -97,6 +102,25 @@ def lens_change(options: NudgeOptions, panel: Panel) -> LensChange:
         if not relative:
             slope *= 100 / lens_slope(options.profile, panel, options.device_serial)
     return LensChange(pitch, slope, centre, line_number, slant, phase)
+
+
+def _change_words(options: NudgeOptions) -> str:
+    """Return the changes that are asked for, as "pitch by 0.1%, centre by 0.05"."""
+    given = {change: getattr(options, change) for change in _CHANGES if getattr(options, change) is not None}
+    return ", ".join(
+        f"{name.replace('_', ' ')} {value[0]:g}{'%' if value[1:] == (True,) else ''}" for name, value in given.items()
+    )
+
+
+def large_changes(before: Panel, after: Panel) -> str:
+    """Return in words which of pitch and slope change by more than the usual; "" where none does."""
+    slants = before.slant_tan, after.slant_tan
+    pitch = before.line_number / after.line_number * math.hypot(1, slants[1]) / math.hypot(1, slants[0]) - 1
+    slope = slants[0] / slants[1] - 1 if all(slants) else math.inf * (slants[0] != slants[1])
+    found = {"pitch": pitch, "slope": slope}
+    return " and ".join(
+        f"the {name} changes by {100 * change:+.3g} %" for name, change in found.items() if abs(change) > _LARGE + 1e-9
+    )
 
 
 def pitch_lpi(panel: Panel) -> float:

@@ -17,6 +17,7 @@ from lightfield_gs.base.checks import counted
 from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.system import stop_signals
 from lightfield_gs.commands.options.fit import CaptureOptions, FitOptions, read_names
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_folder, make_folder
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from lightfield_gs.fitting.fit import FitResult
     from lightfield_gs.io.captures.capture import Capture
 
-_NUMBERS = (signal.SIGINT, signal.SIGTERM)
+_NUMBERS = (signal.SIGINT, *stop_signals())
 
 
 def run(args: argparse.Namespace) -> int:

@@ -33,7 +33,8 @@ def run(args: argparse.Namespace) -> None:
 
 def describe_devices() -> list[tuple[str, str]]:
     """Return a line on each device of this machine, with the result of its self-test."""
-    from lightfield_gs.base.device import cores, missing_for_cuda
+    from lightfield_gs.base.device import missing_for_cuda
+    from lightfield_gs.base.system import cores
     from lightfield_gs.webgpu.adapters import adapters, missing
     from lightfield_gs.webgpu.self_test import self_test
 

@@ -13,7 +13,6 @@ The factors of work are from a step on one H100. Projecting, sorting and drawing
 
 from __future__ import annotations
 
-import os
 from typing import NamedTuple
 
 import torch
@@ -21,6 +20,7 @@ import torch
 from lightfield_gs.base.device import free_memory
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.base.system import free_host_memory
 from lightfield_gs.fitting.settings import FitSettings
 
 REMEDIES = "use a smaller cap_max=, a smaller scale= or a lower sh_degree="
@@ -94,18 +94,7 @@ def check_memory(need: MemoryEstimate, device: str, is_certain: bool) -> str:
 
 def free_bytes(device: str) -> int | None:
     """Return the free memory of a device, or of the host for "cpu"; None if the system does not state it."""
-    if device != "cpu":
-        return free_memory(torch.device(device))
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            lines = dict(line.split(":", 1) for line in file)
-        return int(lines["MemAvailable"].split()[0]) * 1024
-    except (OSError, KeyError, ValueError):
-        pass
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return None
+    return free_host_memory() if device == "cpu" else free_memory(torch.device(device))
 
 
 def _to_words(count: int) -> str:

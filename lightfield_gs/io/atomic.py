@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib.util
 import itertools
 import os
 import re
@@ -13,6 +12,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from lightfield_gs.base import system
 from lightfield_gs.base.checks import wrong_type
 from lightfield_gs.base.errors import InputError, reading
 
@@ -20,7 +20,7 @@ from lightfield_gs.base.errors import InputError, reading
 _TEMPORARY = re.compile(r"\..*\.(partial-\d+|[0-9a-f]{12})(\.[^.]*)?", re.DOTALL)
 _LOOKED_AT = 4  # numbers checked for files of killed processes; more if all of these are taken
 _HASH_CHUNK_BYTES = 1 << 20
-_HAS_LOCKS = importlib.util.find_spec("fcntl") is not None  # not on Windows
+_GUARD = "~"  # begins the name of the file beside a temporary one that is locked in its stead
 
 
 def checked_path(path: str | os.PathLike) -> Path:
@@ -39,6 +39,7 @@ def checked_path(path: str | os.PathLike) -> Path:
 def check_output_path(path: str | Path) -> Path:
     """Return `path` if a file can be written there; raise InputError, before any long work is done in vain."""
     path = checked_path(path)
+    system.check_name(path)
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder; give a file name")
     if path.exists() and not path.is_file():
@@ -82,6 +83,7 @@ def _is_same_file(one: Path, other: Path) -> bool:
 def make_folder(path: str | Path) -> Path:
     """Make a folder and its parents where they are absent, and return its path; raise InputError where that fails."""
     path = checked_path(path)
+    system.check_name(path)
     if os.path.exists(path) and not path.is_dir():
         raise InputError(f"cannot make the folder {path}: it is a file; give a folder")
     try:
@@ -118,29 +120,11 @@ def remove_file(path: Path) -> None:
         raise InputError(f"cannot remove {path}: {error.strerror or error}") from error
 
 
-def lock(file: int, shared: bool = False) -> bool | None:
-    """Lock an open file or folder for as long as it is open in this process.
-
-    Returns:
-        False if another process holds the lock; None without locks: on Windows, and in some file systems.
-    """
-    if not _HAS_LOCKS:
-        return None
-    import fcntl
-
-    try:
-        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return None
-    return True
-
-
 def remove_left_over(folder: Path) -> None:
     """Remove temporary files of killed processes in a folder and below; files being written stay."""
     for parent, folders, names in os.walk(folder):
-        for name in filter(_TEMPORARY.fullmatch, [*folders, *names]):
+        kept = (name.removeprefix(_GUARD) for name in [*folders, *names])
+        for name in filter(_TEMPORARY.fullmatch, dict.fromkeys(kept)):
             remove_dead(Path(parent) / name)
 
 
@@ -149,17 +133,36 @@ def remove_dead(path: Path) -> None:
 
     It stays if the lock cannot be checked, or removal fails.
     """
-    if not _HAS_LOCKS:
-        return
-    flags = os.O_NOFOLLOW | os.O_NONBLOCK
     with contextlib.suppress(OSError), contextlib.ExitStack() as opened:
+        if not system.renames_open_files():
+            if opened.enter_context(_guard(path)):
+                _remove(path)
+            return
         try:
-            file = os.open(path, os.O_RDWR | flags)  # NFS locks only files opened for writing
+            file = os.open(path, os.O_RDWR | system.UNFOLLOWED)  # NFS locks only files opened for writing
         except IsADirectoryError:
-            file = os.open(path, os.O_RDONLY | flags)
+            file = os.open(path, os.O_RDONLY | system.UNFOLLOWED)
         opened.callback(os.close, file)
-        if lock(file) and os.path.samestat(os.fstat(file), os.lstat(path)):
+        if system.lock(file) and os.path.samestat(os.fstat(file), os.lstat(path)):
             _remove(path)
+
+
+@contextlib.contextmanager
+def _guard(path: Path) -> Iterator[bool | None]:
+    """Lock, in place of a temporary file, a file beside it for the time of the block.
+
+    Temporary files are themselves locked where open files can be renamed. Yields what `system.lock` returns.
+    """
+    guard = path.with_name(_GUARD + path.name)
+    file = os.open(guard, os.O_RDWR | os.O_CREAT | system.UNFOLLOWED, 0o666)
+    is_ours = system.lock(file)
+    try:
+        yield is_ours
+    finally:
+        os.close(file)
+        if is_ours is not False:
+            with contextlib.suppress(OSError):  # another process has opened it
+                guard.unlink()
 
 
 def _remove(path: Path) -> None:
@@ -193,6 +196,8 @@ def _temporary(target: Path, suffix: str = "", folder_mode: int | None = None) -
             break
     for path in itertools.chain(free, paths):
         with contextlib.ExitStack() as opened:
+            if not system.renames_open_files() and opened.enter_context(_guard(path)) is False:
+                continue
             try:
                 made = _made(path, folder_mode)
             except (FileExistsError, FileNotFoundError):
@@ -201,7 +206,7 @@ def _temporary(target: Path, suffix: str = "", folder_mode: int | None = None) -
                 continue  # another process was quicker
             if made is not None:
                 opened.callback(os.close, made)
-                if lock(made) is False or not _has_name(made, path):
+                if system.lock(made) is False or not _has_name(made, path):
                     continue  # another process removed it before it was locked
             identity = os.lstat(path)
             try:
@@ -217,12 +222,12 @@ def _made(path: Path, folder_mode: int | None) -> int | None:
     """Make and open a new file or folder; return None where an open one could not be renamed."""
     if folder_mode is None:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-        if _HAS_LOCKS:
+        if system.renames_open_files():
             return file
         os.close(file)
         return None
     path.mkdir(folder_mode)
-    return os.open(path, os.O_RDONLY) if _HAS_LOCKS else None
+    return os.open(path, os.O_RDONLY) if system.renames_open_files() else None
 
 
 def _has_name(file: int, path: Path) -> bool:
@@ -247,7 +252,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     try:
         with _temporary(target.with_name(path.name), path.suffix) as temporary:
             yield temporary
-            os.replace(temporary, target)
+            system.replace(temporary, target)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 
@@ -276,7 +281,7 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
             yield temporary
             if path.exists():
                 path.rmdir()  # empty; Windows does not rename to an existing folder
-            os.replace(temporary, path)
+            system.replace(temporary, path)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 

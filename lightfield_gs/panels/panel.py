@@ -193,7 +193,9 @@ class Panel:
         """
         expect("panel", source, str, Path)
         text = str(source)
-        is_file = text.lower().endswith((".yaml", ".yml")) or "/" in text or Path(text).is_file()
+        is_file = (
+            text.lower().endswith((".yaml", ".yml")) or "/" in text or len(Path(text).parts) > 1 or Path(text).is_file()
+        )
         path = Path(source) if is_file else config_path("panels", text, tuple(DISPLAY_KINDS))
         required = ("width_px", "height_px", "views", "line_number", "slant_tan")
         data = read_mapping(path, required, [f.name for f in fields(Panel) if f.name not in required])

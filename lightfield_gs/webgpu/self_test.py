@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +13,7 @@ import torch
 from torch import Tensor
 
 import lightfield_gs
-from lightfield_gs.base.device import cores
+from lightfield_gs.base.system import cache_folder, cores
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera
@@ -78,7 +76,7 @@ def self_test(adapter: Adapter) -> SelfTest:
 
 def known_self_test(adapter: Adapter) -> SelfTest:
     """Return the result of the self-test, of an earlier run if this machine, driver and version are the same."""
-    path, key = _cache_folder() / "webgpu.json", _key(adapter)
+    path, key = cache_folder() / "webgpu.json", _key(adapter)
     results = _read(path)
     if key not in results:
         results[key] = list(self_test(adapter))
@@ -119,14 +117,6 @@ def _key(adapter: Adapter) -> str:
     """Return what a result depends on."""
     parts = (adapter.name, adapter.backend, adapter.driver, f"{len(cores())} cores", lightfield_gs.__version__)
     return " | ".join(parts)
-
-
-def _cache_folder() -> Path:
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "lightfield-gs"
 
 
 def _read(path: Path) -> dict[str, Any]:

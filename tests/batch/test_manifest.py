@@ -3,11 +3,12 @@
 import json
 
 import pytest
+import windows
 
 from lightfield_gs import InputError
 from lightfield_gs.batch import manifest as manifest_module
 from lightfield_gs.batch.items import Item
-from lightfield_gs.batch.manifest import Known, Manifest, facts, make_plan, stamp
+from lightfield_gs.batch.manifest import WHOLE, Known, Manifest, facts, make_plan, stamp
 
 RECORD = {"item": "a", "status": "done", "job": "", "inputs": {}, "outputs": {}}
 LINE = json.dumps(RECORD).encode() + b"\n"
@@ -39,11 +40,26 @@ def test_what_a_power_failure_left_of_a_line_is_passed_over(tmp_path, torn):
         assert manifest.last("c") is not None and (manifest.last("b") is not None) == (b"done" in torn)
 
 
-def test_two_batches_do_not_share_a_folder(tmp_path):
-    with Manifest(tmp_path), pytest.raises(InputError, match="another batch is at work"), Manifest(tmp_path):
-        pass
+@pytest.mark.parametrize("is_windows", [False, True])
+def test_runs_of_the_same_items_do_not_share_a_folder(tmp_path, monkeypatch, is_windows):
+    if is_windows:
+        windows.stand_in(monkeypatch)
+
+    def is_free(shard=WHOLE) -> bool:
+        try:
+            with Manifest(tmp_path, shard):
+                return True
+        except InputError as error:
+            assert "another batch is at work" in str(error)
+            return False
+
     with Manifest(tmp_path):
-        pass
+        assert not is_free() and not is_free((1, 2))
+        assert (tmp_path / "batch.jsonl").read_bytes() == b""  # a lock does not keep it from being read
+    with Manifest(tmp_path, (1, 2)) as manifest:
+        manifest.append(RECORD)
+        assert is_free((2, 2)) and not is_free((1, 2)) and not is_free()
+    assert is_free() and is_free((1, 2))
 
 
 def test_the_hash_of_a_folder_is_of_names_and_contents(tmp_path):

@@ -76,3 +76,6 @@ def test_modules_are_joined_with_names_of_their_own(tmp_path):
     (tmp_path / "d.js").write_text('import * as b from "./b.js";\n')
     with pytest.raises(InputError, match="expected imports and exports of names"):
         joined(tmp_path / "d.js")
+    (tmp_path / "e.js").write_text('import { b, d } from "./b.js";\n')
+    with pytest.raises(InputError, match="b.js exports b, not d"):
+        joined(tmp_path / "e.js")

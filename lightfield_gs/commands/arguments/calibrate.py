@@ -11,6 +11,8 @@ ACTIONS = {
     "pattern": "write a test picture that shows which view reaches an eye",
     "nudge": "change the lens in a calibration a little",
     "fit": "estimate the lens from photographs of test pictures",
+    "undo": "take the last change of a calibration back",
+    "history": "list the changes of a calibration",
 }
 
 
@@ -20,6 +22,7 @@ def add_arguments(parser: Parser) -> None:
     parser.text.examples = (
         ("calibrate pattern pitch --panel visual.json -o p.png", "a test picture"),
         ("calibrate nudge visual.json -o new.json --pitch-by 0.1%", "change the lens by what it says"),
+        ("calibrate undo new.json", "and back"),
     )
     parser.text.footer = "Each action explains itself: lightfield-gs calibrate ACTION --help"
     parser.text.sections = {"actions": ACTIONS}

@@ -18,7 +18,9 @@ from lightfield_gs.show.scripts import filled, joined, json_in_page
 from lightfield_gs.webgpu.shaders import BINDINGS, STAGES, wgsl
 
 _FILES = Path(__file__).parent / "files"
-_STRIP_QUALITY = 70  # of the WebP of the views for browsers without WebGPU
+# Views for browsers without WebGPU: few and small, for most readers do without them
+_STRIP_FRAMES, _STRIP_PIXELS, _STRIP_QUALITY = 15, 720 * 360, 60
+UPRIGHT_PX = 1080, 1920  # of a screen that is higher than wide
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ def write_scene_page(
     drawn_as: DrawnAs,
     is_photo: bool,
     is_for_panel: bool,
+    upright_rig: Rig | None = None,
 ) -> ScenePage:
     """Write a page that draws a scene in the browser; it is one file and loads nothing.
 
@@ -67,6 +70,8 @@ def write_scene_page(
         is_photo: Whether the scene is seen from in front alone.
         is_for_panel: Whether the page draws for this panel; else for the one of a visual.json that is dropped on it.
 
+        upright_rig: Cameras for ordinary screens that are higher than wide, of UPRIGHT_PX. None: those of the panel.
+
     Raises:
         InputError: The file cannot be written.
     """
@@ -78,7 +83,8 @@ def write_scene_page(
         "title": title,
         "gaussians": packed.header(),
         "panel": panel.to_dict() if is_for_panel else None,
-        "rig": {**rig.to_dict(), "world_to_camera": rig.world_to_camera.reshape(-1).tolist(), SIZE_KEY: _size(panel)},
+        "rig": _rig(rig, (panel.width_px, panel.height_px)),
+        "upright_rig": None if upright_rig is None else _rig(upright_rig, UPRIGHT_PX),
         "cone_deg": cone_deg,
         "reach_deg": cone_deg / 2 if is_photo else None,
         "background": drawn_as.background,
@@ -103,8 +109,9 @@ def write_scene_page(
     return ScenePage(packed, shown, len(data))
 
 
-def _size(panel: Panel) -> list[int]:
-    return [panel.width_px, panel.height_px]
+def _rig(rig: Rig, size_px: tuple[int, int]) -> dict[str, Any]:
+    """Return a rig as lightfield_gs/panels/browser/rig.js takes it."""
+    return {**rig.to_dict(), "world_to_camera": rig.world_to_camera.reshape(-1).tolist(), SIZE_KEY: size_px}
 
 
 def _host() -> dict[str, Any]:
@@ -124,4 +131,4 @@ def _host() -> dict[str, Any]:
 def _strip(gaussians: Gaussians, panel: Panel, rig: Rig, drawn_as: DrawnAs) -> dict[str, Any]:
     """Return views for browsers that cannot draw the scene."""
     options = drawn_as.background, drawn_as.antialiased, drawn_as.view_filter
-    return strip(look_around(gaussians, panel, rig, *options), _STRIP_QUALITY)
+    return strip(look_around(gaussians, panel, rig, *options, _STRIP_FRAMES, _STRIP_PIXELS), _STRIP_QUALITY)
