@@ -48,7 +48,12 @@ def seen_by_network(batch: Batch, stage: Stage) -> tuple[Tensor, Tensor]:
 
 
 def drawings(
-    compose: Callable[..., Gaussians], cloud: Gaussians, seen: tuple[Tensor, Tensor], batch: Batch, stage: Stage, config: TrainingConfig
+    compose: Callable[..., Gaussians],
+    cloud: Gaussians,
+    seen: tuple[Tensor, Tensor],
+    batch: Batch,
+    stage: Stage,
+    config: TrainingConfig,
 ) -> list[Drawing]:
     """Return what a step draws.
 
