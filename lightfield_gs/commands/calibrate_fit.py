@@ -13,13 +13,13 @@ from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel, why_no_eye
 from lightfield_gs.base.cli_messages import note, quoted, say, say_next
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.calibrate_nudge import change_lines
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.calibration_fit import CalibrationFit, ViewpointFit, fit_lens
 from lightfield_gs.panels.calibration_photos import Viewpoint, load_viewpoint, read_viewpoints
 from lightfield_gs.panels.lens_change import check_profile_path
 from lightfield_gs.panels.lens_history import write_kept
+from lightfield_gs.panels.lens_words import change_lines
 
 _MOST_SPREAD_VIEWS = 0.2  # about the lens found; photographs of one exposure, sharp and upright, stay below
 _MOST_OFFSET_VIEWS = 0.3  # between a place and the lens of all, above which its eye or the profile is doubtful

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,19 +11,12 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_pattern import PatternOptions, draw_pattern, write_pattern
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
-from lightfield_gs.panels.lens_change import (
-    LensChange,
-    changed,
-    check_profile_path,
-    is_looking_glass,
-    looking_glass_lens,
-    phase_in_middle,
-)
+from lightfield_gs.panels.lens_change import LensChange, changed, check_profile_path
 from lightfield_gs.panels.lens_history import write_kept
+from lightfield_gs.panels.lens_words import LARGE, change_lines, large_changes, lens_slope, pitch_lpi
 from lightfield_gs.panels.panel import Panel
 
 _CHANGES = ("pitch_by", "slope_by", "centre_by", "line_number_by", "slant_by", "phase_by")
-_LARGE = 0.02  # relative change of pitch or slope that is asked about; chosen by hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +59,7 @@ def _nudge(options: NudgeOptions) -> None:
     before = Panel.load(profile, serial=serial)
     after = changed(before, lens_change(options, before))
     if words := large_changes(before, after):
-        confirm(f"{path}: {words}, and calibrations are seldom wrong by {_LARGE:.0%}", options.yes)
+        confirm(f"{path}: {words}, and calibrations are seldom wrong by {LARGE:.0%}", options.yes)
     image = None if kind is None else draw_pattern(after, PatternOptions(kind))
     lines = change_lines(profile, before, after, serial)
     write_kept(path, profile, after, serial, f"{_change_words(options)}: {lines[0]}")
@@ -110,49 +102,3 @@ def _change_words(options: NudgeOptions) -> str:
     return ", ".join(
         f"{name.replace('_', ' ')} {value[0]:g}{'%' if value[1:] == (True,) else ''}" for name, value in given.items()
     )
-
-
-def large_changes(before: Panel, after: Panel) -> str:
-    """Return in words which of pitch and slope change by more than the usual; "" where none does."""
-    slants = before.slant_tan, after.slant_tan
-    pitch = before.line_number / after.line_number * math.hypot(1, slants[1]) / math.hypot(1, slants[0]) - 1
-    slope = slants[0] / slants[1] - 1 if all(slants) else math.inf * (slants[0] != slants[1])
-    found = {"pitch": pitch, "slope": slope}
-    return " and ".join(
-        f"the {name} changes by {100 * change:+.3g} %" for name, change in found.items() if abs(change) > _LARGE + 1e-9
-    )
-
-
-def pitch_lpi(panel: Panel) -> float:
-    """Return the lenses per inch across their axis. Raises InputError where the profile has no pixel pitch."""
-    if panel.pixel_pitch_mm is None:
-        raise InputError(
-            f"panel {panel.name} lacks pixel_pitch_mm, without which there are no lenses per inch; give the change "
-            "of pitch in percent, as 0.1%, or --line-number-by"
-        )
-    return 3 * 25.4 / (panel.pixel_pitch_mm * panel.line_number) * math.hypot(1, panel.slant_tan)
-
-
-def lens_slope(source: str | Path, panel: Panel, serial: str | None) -> float:
-    """Return dy/dx of the lens axis, as the profile has it. Raises InputError where the lenses stand upright."""
-    if is_looking_glass(source):
-        return looking_glass_lens(source, panel, serial)["slope"]
-    if panel.slant_tan == 0:
-        raise InputError(f"panel {panel.name}: the lenses stand upright, without a slope; give --slant-by")
-    return -1 / panel.slant_tan
-
-
-def change_lines(source: str | Path, before: Panel, after: Panel, serial: str | None) -> list[str]:
-    """Return lines on the lens before and after, in the terms of a Looking Glass, if any, and of a .yaml."""
-    lines = []
-    if is_looking_glass(source):
-        old, new = (looking_glass_lens(source, panel, serial) for panel in (before, after))
-        lines.append(", ".join(f"{key} {old[key]:.9g} -> {new[key]:.9g}" for key in old))
-    elif before.pixel_pitch_mm is not None and before.slant_tan and after.slant_tan:
-        pitch = f"pitch {pitch_lpi(before):.9g} -> {pitch_lpi(after):.9g} lenses per inch"
-        lines.append(f"{pitch}, slope {-1 / before.slant_tan:.9g} -> {-1 / after.slant_tan:.9g}")
-    keys = ("line_number", "slant_tan", "phase")
-    lines.append(", ".join(f"{key} {getattr(before, key):.9g} -> {getattr(after, key):.9g}" for key in keys))
-    moved = phase_in_middle(after) - phase_in_middle(before)
-    lines.append(f"the middle of the panel moves by {moved:+.4g} lens widths, {moved * after.views:+.4g} views")
-    return lines

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -348,7 +349,8 @@ def read_exposure(path: Path) -> float | None:
             noted = image.getexif().get_ifd(_EXIF)
     except (OSError, SyntaxError, ValueError):  # its reader says what is wrong with the file
         return None
-    time, aperture, speed = (noted.get(tag) for tag in _EXPOSURE_TAGS)
+    values: list[Any] = [noted.get(tag) for tag in _EXPOSURE_TAGS]
+    time, aperture, speed = values
     speed = speed[0] if isinstance(speed, tuple) and speed else speed
     try:
         exposure = float(time) * float(speed) / float(aperture) ** 2
