@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.suggestions import did_you_mean
+from lightfield_gs.base.system import join_words
 
 _SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
 _PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".exr", ".mpo", ".jps")
@@ -19,7 +19,7 @@ def unknown_command(words: Sequence[str], commands: Collection[str]) -> InputErr
     """Return the error for a command line whose first word is no command, with what may be meant."""
     word = words[0]
     if meant := _for_file(Path(word)):
-        hint = f"; did you mean `{shlex.join(['lightfield-gs', *meant, *words[1:]])}`?"
+        hint = f"; did you mean `{join_words('lightfield-gs', *meant, *words[1:])}`?"
         return InputError(f"invalid choice: '{word}' is a file, and a command is expected before it{hint}")
     hint = did_you_mean(word, commands) or f": {', '.join(commands)}"
     return InputError(f"invalid choice: there is no command '{word}'{hint}; see lightfield-gs --help")
