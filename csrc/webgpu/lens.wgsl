@@ -27,9 +27,9 @@ fn phase_at(row: i32, subpixel: i32) -> vec2u {
 
 fn cell_at(row: i32, subpixel: i32) -> vec4u { return P.cells[(row & 3) * 12 + subpixel % 12]; }
 
-// The normalized offset, -1..1, of the camera that sees a sub-pixel >= 0.
-fn offset_at(row: i32, subpixel: i32) -> f32 {
-  var phase = phase_at(row, subpixel);
+// The normalized offset, -1..1, of the camera that sees a sub-pixel. stripe: its phase as if it stood in its stripe.
+fn offset_at(row: i32, subpixel: i32, stripe: vec2u) -> f32 {
+  var phase = stripe;
   if (CELLS) { phase = add64(phase, cell_at(row, subpixel).xy); }
   let views = P.size.z;
   let low = phase.y * views;
@@ -39,12 +39,11 @@ fn offset_at(row: i32, subpixel: i32) -> f32 {
   return P.rig.z + P.rig.w * (f32(view) + within);
 }
 
-// The channel of a sub-pixel >= 0, whose place in its pixel is known.
-fn channel_at(row: i32, subpixel: i32, place: u32) -> u32 {
-  if (CELLS) { return cell_at(row, subpixel).z; }
-  if (BGR) { return 2u - place; }
-  return place;
-}
+// The channel of a place in a pixel, on a panel with stripes.
+fn stripe_channel(place: u32) -> u32 { return select(place, 2u - place, BGR); }
+
+// The channel of a sub-pixel, on a panel with cells.
+fn cell_channel(row: i32, subpixel: i32) -> u32 { return cell_at(row, subpixel).z; }
 
 // The first sub-pixel of a lens in a row, on a panel with stripes and lenses of 4 sub-pixels or more. It is estimated to
 // within one, and made exact with the phase.

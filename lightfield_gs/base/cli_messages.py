@@ -118,6 +118,22 @@ def say_next(*words: object) -> None:
         told["next"] = quoted("lightfield-gs", *words)
 
 
+def confirm(question: str, is_meant: bool) -> None:
+    """Ask on the terminal whether something unusual is meant; raise InputError where it is not.
+
+    Args:
+        question: What is unusual, as a sentence without its stop.
+        is_meant: Whether --yes says so already.
+    """
+    if is_meant:
+        return
+    if not sys.stdin.isatty():
+        raise InputError(f"{question}; nothing was changed: add --yes if it is meant")
+    print(f"{question}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise InputError("nothing was changed")
+
+
 @contextmanager
 def closing_lines() -> Iterator[None]:
     """Print the library's assumptions on stdout at the end of the block, and last what to do next.

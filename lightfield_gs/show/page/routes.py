@@ -25,8 +25,18 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
 from lightfield_gs.panels.simulate import missing_geometry
 from lightfield_gs.show.page.drawing import drawing_routes
-from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, Superseded, as_json, page_file, text
-from lightfield_gs.show.page.stage import Controls, Picture, Stage, number
+from lightfield_gs.show.page.server import (
+    Answer,
+    Query,
+    Reservation,
+    Route,
+    Superseded,
+    as_json,
+    number,
+    page_file,
+    text,
+)
+from lightfield_gs.show.page.stage import Controls, Picture, Stage
 from lightfield_gs.show.preview import image_bytes
 
 _JPEG_QUALITY = 85
