@@ -33,7 +33,9 @@ fn touches(s: Splat, box: vec3u, patch_index: u32, offsets: vec2f, widest: f32) 
   if (BY_LENS) {
     top = f32(box.y * u32(LENS_ROWS) + (patch_index >> 2u) * 8u); rows = 8.0;
     let lens = f32(box.x * u32(LENSES) + (patch_index & 3u) * 4u) + P.lens.w;
-    left = (lens * P.lens.x - P.lens.z) / 3.0 - 0.2; right = ((lens + 4.0) * P.lens.x - P.lens.z) / 3.0 + 0.53;
+    let shifts = cell_shifts();
+    left = (lens * P.lens.x - P.lens.z - shifts.y) / 3.0 - 0.2;
+    right = ((lens + 4.0) * P.lens.x - P.lens.z - shifts.x) / 3.0 + 0.53;
   } else {
     top = f32(box.y * u32(TILE_HEIGHT) + (patch_index >> 1u) * 4u); rows = 4.0;
     left = f32(box.x * u32(TILE_WIDTH) + (patch_index & 1u) * 16u) + 0.5; right = left + 15.0;
@@ -144,7 +146,8 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
     let lens = f32(box.x * u32(LENSES) + (patch_index & 3u) * 4u + (lane & 3u)) + P.lens.w;
     m0 = first_of_lens(row, lens) + i32(box.z) * ORDINALS;
     m_end = m0 + ORDINALS;
-    if ((box.z + 1u) * u32(ORDINALS) > u32(P.lens.x)) { m_end = min(m_end, first_of_lens(row, lens + 1.0)); }
+    let shifts = cell_shifts();
+    if (f32((box.z + 1u) * u32(ORDINALS)) > P.lens.x - (shifts.y - shifts.x) - 1.0) { m_end = min(m_end, first_of_lens(row, lens + 1.0)); }
   } else {
     row = i32(box.y) * TILE_HEIGHT + i32((patch_index >> 1u) * 4u + (lane >> 3u));
     m0 = 3 * (i32(box.x) * TILE_WIDTH + i32(((patch_index & 1u) * 8u + (lane & 7u)) * 2u));
@@ -162,7 +165,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   let there[q] = m0 + q >= 0 && m0 + q < m_end;
   let column[q] = column0 + (i32(place0) + q) / 3;
   let px[q] = f32(column[q]) + 0.5;
-  let channel[q] = select(channels[q % 3], cell_channel(row, m0 + q), CELLS);
+  let channel[q] = select(channels[q % 3], cell_at(row, m0 + q).z, CELLS);
   let x[q] = (offset_at(row, m0 + q, phase) - offsets.x) * per_offset;
   phase = add64(phase, P.phase0.zw);
   var T[q] = select(0.0, 1.0, there[q]);  // negative once it has fallen below the least: the light that is left then

@@ -25,7 +25,7 @@ fn is_later(a: vec2u, b: vec2u) -> bool { return a.x > b.x || (a.x == b.x && a.y
 
 // The two elements of comparison i; size and step are powers of two.
 fn compared(i: u32, size: u32, step: u32) -> vec2u {
-  let low = 2u * (i & ~(step - 1u)) | (i & (step - 1u));
+  let low = i + (i & ~(step - 1u));
   return vec2u(low, select(low | step, low ^ (size - 1u), 2u * step == size));
 }
 
