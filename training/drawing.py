@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch.nn.functional as F
 from torch import Tensor
 
 from lightfield_gs import Gaussians
-from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import resized
 from lightfield_gs.models.detail import DetailLevel
 from training.config import Stage, TrainingConfig
@@ -48,11 +48,17 @@ def seen_by_network(batch: Batch, stage: Stage) -> tuple[Tensor, Tensor]:
 
 
 def drawings(
-    net: SplatterNet, cloud: Gaussians, seen: tuple[Tensor, Tensor], batch: Batch, stage: Stage, config: TrainingConfig
+    compose: Callable[..., Gaussians],
+    cloud: Gaussians,
+    seen: tuple[Tensor, Tensor],
+    batch: Batch,
+    stage: Stage,
+    config: TrainingConfig,
 ) -> list[Drawing]:
     """Return what a step draws.
 
     Args:
+        compose: SplatterNet.composed, or what torch.compile makes of it.
         cloud: Of the network, from the pictures and intrinsics `seen`.
     """
     alone = [Drawing(cloud, scale, config.loss, 1 / len(stage.scales), "") for scale in stage.scales]
@@ -61,7 +67,7 @@ def drawings(
     zoom = stage.target_zoom or config.augmentation.target_zoom
     # Texels are as wide as where a target is magnified most, so that the sheet closes in all
     level = DetailLevel(stage.detail, batch.targets.shape[-1] / (batch.source.shape[-1] * zoom[0]))
-    composed = net.composed(cloud, *seen, batch.source, level)
+    composed = compose(cloud, *seen, batch.source, level)
     return [*alone, Drawing(composed, 1, config.composite, 1.0, "composite_")]
 
 

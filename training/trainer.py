@@ -96,12 +96,13 @@ class Trainer:
         self.average = WeightAverage(copy.deepcopy(self.net), self.net, config.optimizer.ema_decay)
         self.optimizer = make_optimizer(self.net, config.optimizer)
         self._weights = [weights for weights in self.net.parameters() if weights.requires_grad]
-        self._loss = total_loss
+        self._loss, self._compose = total_loss, self.net.composed
         if config.compile:  # sizes change between stages only
             keep_compile_workers()
             keep_one_graph()
             self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)
             self._loss = torch.compile(total_loss, dynamic=False)
+            self._compose = torch.compile(self.net.composed, dynamic=False)
         self._replica = team.replicated(self.net)
 
     def advance(self, batch: Batch, stage: Stage | None = None, stop: bool = False, seconds: float = 0.0) -> StepValues:
@@ -126,7 +127,7 @@ class Trainer:
         with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
             cloud = self._replica(*seen)
         marks.mark("network")
-        drawn = drawings(self.net, cloud, seen, batch, stage, config)
+        drawn = drawings(self._compose, cloud, seen, batch, stage, config)
         if stage.detail:
             marks.mark("sheet")
         pictures = [draw(drawing, batch) for drawing in drawn]

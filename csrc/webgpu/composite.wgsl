@@ -12,8 +12,15 @@
 
 const BATCH = 128u;
 const WORDS = 4u;  // of a patch's mask
-var<workgroup> staged: array<Splat, BATCH>;
-var<workgroup> lights: array<vec4f, BATCH>;  // colours of scenes without harmonics
+// A splat as a box draws it. x is the offset of a sample, -1..1 over those of the box.
+//   a: column at x = 0, its change with x, row, log2 opacity
+//   b: tau; S^(-1/2) as a parabola in x; -tau where no parabola is near enough, and S then
+//   c: c0 at x = 0, c1 times the change of s with x; bits of the colour's place, FAR_FROM_CUBIC added
+struct Staged { a: vec4f, b: vec4f, c: vec4f };
+const FAR_FROM_CUBIC = 0x80000000u;  // no cubic in x draws the colour
+const ROOT_ERROR = 3e-4;             // of the parabola, relative: 0.06/255 of a colour
+var<workgroup> staged: array<Staged, BATCH>;
+var<workgroup> lights: array<vec4f, select(1u, 3u, HARMONICS) * BATCH>;  // colours, or a cubic in x for each channel
 var<workgroup> unfiltered: array<vec4f, select(1u, BATCH, COMPENSATED)>;  // D(s)
 var<workgroup> masks: array<atomic<u32>, 32>;
 var<workgroup> list: vec2u;
@@ -26,7 +33,9 @@ fn touches(s: Splat, box: vec3u, patch_index: u32, offsets: vec2f, widest: f32) 
   if (BY_LENS) {
     top = f32(box.y * u32(LENS_ROWS) + (patch_index >> 2u) * 8u); rows = 8.0;
     let lens = f32(box.x * u32(LENSES) + (patch_index & 3u) * 4u) + P.lens.w;
-    left = (lens * P.lens.x - P.lens.z) / 3.0 - 0.2; right = ((lens + 4.0) * P.lens.x - P.lens.z) / 3.0 + 0.53;
+    let shifts = cell_shifts();
+    left = (lens * P.lens.x - P.lens.z - shifts.y) / 3.0 - 0.2;
+    right = ((lens + 4.0) * P.lens.x - P.lens.z - shifts.x) / 3.0 + 0.53;
   } else {
     top = f32(box.y * u32(TILE_HEIGHT) + (patch_index >> 1u) * 4u); rows = 4.0;
     left = f32(box.x * u32(TILE_WIDTH) + (patch_index & 1u) * 16u) + 0.5; right = left + 15.0;
@@ -40,16 +49,80 @@ fn touches(s: Splat, box: vec3u, patch_index: u32, offsets: vec2f, widest: f32) 
 
 fn pick(c: vec4f, channel: u32) -> f32 { return select(select(c.z, c.y, channel == 1u), c.x, channel == 0u); }
 
-// The colour on its circle, one channel.
-fn light_on_circle(place: u32, channel: u32, s: f32) -> f32 {
-  let one = colours[place + 1u]; let two = colours[place + 2u];
-  let u = s - one.w;
-  let inverse = inverseSqrt(u * u + two.w * two.w);
-  let t = u * inverse; let h = two.w * inverse;
-  let even = pick(colours[place], channel) + t * (pick(one, channel) + t * (pick(two, channel) +
-    t * pick(colours[place + 3u], channel)));
-  return even + h * (pick(colours[place + 4u], channel) + t * (pick(colours[place + 5u], channel) +
-    t * pick(colours[place + 6u], channel)));
+// The colour seen from an offset, before it is clamped at zero.
+fn colour_at(place: u32, s: f32) -> vec3f {
+  let first = colours[place];
+  if (first.w == CIRCLE_ORDER) {
+    let one = colours[place + 1u]; let two = colours[place + 2u];
+    let u = s - one.w;
+    let inverse = inverseSqrt(u * u + two.w * two.w);
+    let t = u * inverse; let h = two.w * inverse;
+    let even = first.xyz + t * (one.xyz + t * (two.xyz + t * colours[place + 3u].xyz));
+    return even + h * (colours[place + 4u].xyz + t * (colours[place + 5u].xyz + t * colours[place + 6u].xyz));
+  }
+  var c = vec3f(0.0);
+  for (var k = u32(first.w); k > 0u; k--) { c = s * (c + colours[place + k].xyz); }
+  return c + first.xyz;
+}
+
+// Store the colour of a splat as a cubic in x for each channel, through Chebyshev's nodes; return whether it is near, which
+// the middle and both ends show. All these colours at once, for each of their powers is read once then.
+fn stage_colour(mine: u32, place: u32, offsets: vec2f) -> bool {
+  let far = 0.92387953 * offsets.y; let near = 0.38268343 * offsets.y;
+  let at = vec4f(offsets.x + far, offsets.x + near, offsets.x - near, offsets.x - far);
+  let ends = vec3f(offsets.x, offsets.x + offsets.y, offsets.x - offsets.y);
+  let first = colours[place];
+  var nodes: mat3x4f; var tests: mat3x3f;  // a column for each channel
+  if (first.w == CIRCLE_ORDER) {
+    let a = colour_at(place, at.x); let b = colour_at(place, at.y); let c = colour_at(place, at.z);
+    nodes = transpose(mat4x3f(a, b, c, colour_at(place, at.w)));
+    let middle = colour_at(place, ends.x); let right = colour_at(place, ends.y);
+    tests = transpose(mat3x3f(middle, right, colour_at(place, ends.z)));
+  } else {
+    for (var k = u32(first.w); k > 0u; k--) {
+      let c = colours[place + k];
+      nodes[0] = at * (nodes[0] + c.x); nodes[1] = at * (nodes[1] + c.y); nodes[2] = at * (nodes[2] + c.z);
+      tests[0] = ends * (tests[0] + c.x); tests[1] = ends * (tests[1] + c.y); tests[2] = ends * (tests[2] + c.z);
+    }
+    nodes[0] += first.x; nodes[1] += first.y; nodes[2] += first.z;
+    tests[0] += first.x; tests[1] += first.y; tests[2] += first.z;
+  }
+  var error = 0.0;
+  for (var k = 0u; k < 3u; k++) {
+    let f = nodes[k];
+    let t1 = 0.46193977 * (f.x - f.w) + 0.19134172 * (f.y - f.z);
+    let t2 = 0.35355339 * (f.x - f.y - f.z + f.w);
+    let t3 = 0.19134172 * (f.x - f.w) - 0.46193977 * (f.y - f.z);
+    let c = vec4f(0.25 * (f.x + f.y + f.z + f.w) - t2, t1 - 3.0 * t3, 2.0 * t2, 4.0 * t3);
+    lights[3u * mine + k] = c;
+    let apart = abs(tests[k] - vec3f(c.x, c.x + c.y + c.z + c.w, c.x - c.y + c.z - c.w));
+    error = max(error, max(apart.x, max(apart.y, apart.z)));
+  }
+  return error <= 2.0 * P.filters.z;
+}
+
+fn pick_cubic(red: vec4f, green: vec4f, blue: vec4f, channel: u32) -> vec4f {
+  return select(select(blue, green, channel == 1u), red, channel == 0u);
+}
+
+fn cubic(c: vec4f, x: f32) -> f32 { return c.x + x * (c.y + x * (c.z + x * c.w)); }
+
+// A splat for the offsets of a box: their middle, and half their range.
+fn staged_splat(s: Splat, offsets: vec2f) -> Staged {
+  // S as a parabola in x, its root through Chebyshev's nodes, and their errors where his polynomial of order 3 is largest
+  let S = vec3f(s.b.x + offsets.x * (s.b.y + offsets.x * s.b.z), offsets.y * (s.b.y + 2.0 * offsets.x * s.b.z),
+                offsets.y * offsets.y * s.b.z);
+  let nodes = inverseSqrt(S.x + vec3f(0.8660254 * S.y, 0.0, -0.8660254 * S.y) + vec3f(0.75, 0.0, 0.75) * S.z);
+  let t2 = (nodes.x - 2.0 * nodes.y + nodes.z) / 3.0;
+  let root = vec3f((nodes.x + nodes.y + nodes.z) / 3.0 - t2, 0.57735027 * (nodes.x - nodes.z), 2.0 * t2);
+  let x = vec4f(-1.0, -0.5, 0.5, 1.0);
+  let apart = abs((root.x + x * (root.y + x * root.z)) * sqrt(S.x + x * (S.y + x * S.z)) - 1.0);
+  let is_near = max(max(apart.x, apart.y), max(apart.z, apart.w)) <= ROOT_ERROR;
+  var out: Staged;
+  out.a = vec4f(s.a.x + offsets.x * s.a.y, offsets.y * s.a.y, s.a.zw);
+  out.b = vec4f(select(-s.b.w, s.b.w, is_near), select(S, root, is_near));
+  out.c = vec4f(s.c.x + offsets.x * s.c.y, offsets.y * s.c.y, s.c.w, 0.0);
+  return out;
 }
 
 fn to_byte(c: f32) -> u32 { return u32(round(clamp(c, 0.0, 1.0) * 255.0)); }
@@ -72,7 +145,9 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
     row = i32(box.y) * LENS_ROWS + i32((patch_index >> 2u) * 8u + (lane >> 2u));
     let lens = f32(box.x * u32(LENSES) + (patch_index & 3u) * 4u + (lane & 3u)) + P.lens.w;
     m0 = first_of_lens(row, lens) + i32(box.z) * ORDINALS;
-    m_end = first_of_lens(row, lens + 1.0);
+    m_end = m0 + ORDINALS;
+    let shifts = cell_shifts();
+    if (f32((box.z + 1u) * u32(ORDINALS)) > P.lens.x - (shifts.y - shifts.x) - 1.0) { m_end = min(m_end, first_of_lens(row, lens + 1.0)); }
   } else {
     row = i32(box.y) * TILE_HEIGHT + i32((patch_index >> 1u) * 4u + (lane >> 3u));
     m0 = 3 * (i32(box.x) * TILE_WIDTH + i32(((patch_index & 1u) * 8u + (lane & 7u)) * 2u));
@@ -81,16 +156,19 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   m_end = select(min(m_end, 3 * i32(P.size.x)), m0, row >= i32(P.size.y));
   let py = f32(row) + 0.5;
   let offsets = offsets_of(box.z);
+  let per_offset = select(0.0, 1.0 / offsets.y, offsets.y > 0.0);
+  let place0 = select(0u, u32(m0 - 3 * ((m0 + 3000) / 3 - 1000)), BY_LENS);
+  let channels = vec3u(stripe_channel(place0), stripe_channel((place0 + 1u) % 3u), stripe_channel((place0 + 2u) % 3u));
+  let column0 = (m0 - i32(place0)) / 3;
+  var phase = phase_at(row, m0);
   //{q
   let there[q] = m0 + q >= 0 && m0 + q < m_end;
-  let m[q] = select(0, m0 + q, there[q]);
-  let column[q] = m[q] / 3;
-  let place[q] = select(u32(q) % 3u, u32(m[q] - 3 * column[q]), BY_LENS);
-  let channel[q] = channel_at(row, m[q], place[q]);
+  let column[q] = column0 + (i32(place0) + q) / 3;
   let px[q] = f32(column[q]) + 0.5;
-  let s[q] = offset_at(row, m[q]);
-  var T[q] = select(0.0, 1.0, there[q]);
-  var rest[q] = T[q];
+  let channel[q] = select(channels[q % 3], cell_at(row, m0 + q).z, CELLS);
+  let x[q] = (offset_at(row, m0 + q, phase) - offsets.x) * per_offset;
+  phase = add64(phase, P.phase0.zw);
+  var T[q] = select(0.0, 1.0, there[q]);  // negative once it has fallen below the least: the light that is left then
   var C[q] = 0.0;
   //q}
 
@@ -106,12 +184,14 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
     if (most > 0.0) { atomicStore(&open, 1u); }
     let mine = thread & (BATCH - 1u);
     if (begin + mine < n) {
-      let splat = load_splat(pairs[own.x + begin + mine]);
+      var splat = load_splat(pairs[own.x + begin + mine]);
       if (thread < BATCH) {
-        staged[mine] = splat;
-        let place = bitcast<u32>(splat.c.w);
-        if (COMPENSATED) { unfiltered[mine] = colours[place]; }
-        if (!HARMONICS) { lights[mine] = colours[place + select(0u, 1u, COMPENSATED)]; }
+        var place = bitcast<u32>(splat.c.w);
+        if (COMPENSATED) { unfiltered[mine] = colours[place]; place += 1u; }
+        if (!HARMONICS) { lights[mine] = colours[place]; }
+        if (HARMONICS) { place |= select(FAR_FROM_CUBIC, 0u, stage_colour(mine, place, offsets)); }
+        splat.c.w = bitcast<f32>(place);
+        staged[mine] = staged_splat(splat, offsets);
       }
       let half = (thread >> 7u) * 4u;
       let widest = widest(splat);
@@ -132,44 +212,52 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         bits &= bits - 1u;
         let a = staged[h].a; let b = staged[h].b; let c = staged[h].c;
         let dy = py - a.z;
-        let top = a.w - b.w * dy * dy;
+        let top = a.w - abs(b.x) * dy * dy;
         if (top < LOG2_MIN_ALPHA) { continue; }
         let middle = a.x + c.x * dy; let sweep = a.y + c.y * dy;
+        //{q
+        var root[q] = b.y + x[q] * (b.z + x[q] * b.w);
+        //q}
+        if (b.x < 0.0) {
+          //{q
+          root[q] = inverseSqrt(root[q]);
+          //q}
+        }
         var highest = -100.0;
         //{q
-        let d[q] = px[q] - (middle + s[q] * sweep);
-        let S[q] = b.x + s[q] * (b.y + s[q] * b.z);
-        var p[q] = top - d[q] * d[q] / S[q];
+        let d[q] = ((px[q] - middle) - x[q] * sweep) * root[q];
+        var p[q] = top - d[q] * d[q];
         if (COMPENSATED) {
+          let s[q] = offsets.x + x[q] * offsets.y;
           let D[q] = unfiltered[h].x + s[q] * (unfiltered[h].y + s[q] * unfiltered[h].z);
-          p[q] += 0.5 * log2(max(D[q], 1e-30) / S[q]);
+          p[q] += 0.5 * log2(max(D[q], 1e-30) * root[q] * root[q]);
         }
         highest = max(highest, p[q]);
         //q}
         if (highest < LOG2_MIN_ALPHA) { continue; }
-        var light = lights[h];
+        var constant = vec4f(0.0);
+        if (!HARMONICS) { constant = lights[h]; }
+        let by_place = vec3f(pick(constant, channels.x), pick(constant, channels.y), pick(constant, channels.z));
         //{q
-        var light[q] = pick(light, channel[q]);
+        var light[q] = select(by_place[q % 3], pick(constant, channel[q]), CELLS);
         //q}
         if (HARMONICS) {
-          let first = bitcast<u32>(c.w) + select(0u, 1u, COMPENSATED);
-          light = colours[first];
-          if (light.w == CIRCLE_ORDER) {
+          let place = bitcast<u32>(c.z);
+          if (place >= FAR_FROM_CUBIC) {
             //{q
-            light[q] = max(light_on_circle(first, channel[q], s[q]), 0.0);
+            let all[q] = colour_at(place - FAR_FROM_CUBIC, offsets.x + x[q] * offsets.y);
+            light[q] = max(pick(vec4f(all[q], 0.0), channel[q]), 0.0);
+            //q}
+          } else if (CELLS) {
+            //{q
+            light[q] = max(cubic(lights[3u * h + channel[q]], x[q]), 0.0);
             //q}
           } else {
+            let red = lights[3u * h]; let green = lights[3u * h + 1u]; let blue = lights[3u * h + 2u];
+            let cubics = mat3x4f(pick_cubic(red, green, blue, channels.x), pick_cubic(red, green, blue, channels.y),
+                                 pick_cubic(red, green, blue, channels.z));
             //{q
-            light[q] = 0.0;
-            //q}
-            for (var k = u32(light.w); k > 0u; k--) {
-              let power = colours[first + k];
-              //{q
-              light[q] = s[q] * (light[q] + pick(power, channel[q]));
-              //q}
-            }
-            //{q
-            light[q] = max(light[q] + pick(light, channel[q]), 0.0);
+            light[q] = max(cubic(cubics[q % 3], x[q]), 0.0);
             //q}
           }
         }
@@ -179,8 +267,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         let after[q] = T[q] - w[q];
         let ends[q] = after[q] < MIN_TRANSMITTANCE;
         C[q] += select(w[q], 0.0, ends[q]) * light[q];
-        rest[q] = select(rest[q], T[q], ends[q] && T[q] > 0.0);
-        T[q] = select(after[q], 0.0, ends[q]);
+        T[q] = select(after[q], -abs(T[q]), ends[q]);
         //q}
       }
     }
@@ -190,7 +277,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   // What is left of the light is the background's
   let first_pixel = (u32(row) - part.first_row) * P.size.x;
   //{q
-  C[q] += select(rest[q], T[q], T[q] > 0.0) * pick(P.background, channel[q]);
+  C[q] += abs(T[q]) * pick(P.background, channel[q]);
   //q}
   //{floats
   //{q
@@ -199,12 +286,17 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   //floats}
   //{bytes
   //{q
-  let byte[q] = to_byte(C[q]) << (8u * channel[q]);
+  let byte[q] = select(0u, to_byte(C[q]) << (8u * channel[q]), there[q]);
   //q}
   if (BY_LENS) {
+    // The bytes of a pixel together: sample q is in pixel q / 3 from column0 on, or the next one
+    var words = vec3u(0u);
     //{q
-    if (there[q]) { atomicOr(&image[first_pixel + u32(column[q])], byte[q]); }
+    if (place0 + u32(q) % 3u < 3u) { words[q / 3] |= byte[q]; } else { words[q / 3 + 1] |= byte[q]; }
     //q}
+    if (words.x != 0u) { atomicOr(&image[first_pixel + u32(column0)], words.x); }
+    if (words.y != 0u) { atomicOr(&image[first_pixel + u32(column0 + 1)], words.y); }
+    if (words.z != 0u) { atomicOr(&image[first_pixel + u32(column0 + 2)], words.z); }
   }
   //{pixels
   if (there_0) { atomicStore(&image[first_pixel + u32(column_0)], byte_0 | byte_1 | byte_2); }

@@ -22,8 +22,10 @@ fn shear() -> f32 { return select(0.0, P.lens.y, BY_LENS); }
 fn offsets_of(group: u32) -> vec2f {
   if (!BY_LENS) { return vec2f(0.0, 1.0); }
   let per = f32(P.size.z) / P.lens.x;
-  let low = max(f32(group * u32(ORDINALS)) * per - 1.0, 0.0);
-  let high = min(f32((group + 1u) * u32(ORDINALS)) * per + 1.0, f32(P.size.z));
+  let shifts = cell_shifts();
+  let spread = (shifts.y - shifts.x) * per + 1.0;
+  let low = max(f32(group * u32(ORDINALS)) * per - spread, 0.0);
+  let high = min(f32((group + 1u) * u32(ORDINALS)) * per + spread, f32(P.size.z));
   return vec2f(P.rig.z + P.rig.w * 0.5 * (low + high), abs(P.rig.w) * 0.5 * (high - low));
 }
 
@@ -57,8 +59,9 @@ fn box_columns(s: Splat, row: i32, group: u32, widest: f32) -> vec2u {
   let x = footprint_columns(s, d1, d2, widest, shear(), offsets_of(group));
   var low = (x.x - 0.5) / f32(TILE_WIDTH); var high = (x.y - 0.5) / f32(TILE_WIDTH);
   if (BY_LENS) {
-    low = (((x.x - 0.5) * 3.0 + P.lens.z) / P.lens.x - P.lens.w) / f32(LENSES);
-    high = (((x.y - 0.5) * 3.0 + 2.0 + P.lens.z) / P.lens.x - P.lens.w) / f32(LENSES);
+    let shifts = cell_shifts();
+    low = (((x.x - 0.5) * 3.0 + shifts.x + P.lens.z) / P.lens.x - P.lens.w) / f32(LENSES);
+    high = (((x.y - 0.5) * 3.0 + 2.0 + shifts.y + P.lens.z) / P.lens.x - P.lens.w) / f32(LENSES);
   }
   if (!(high >= 0.0 && low < f32(P.boxes.x))) { return vec2u(0u); }
   return vec2u(u32(max(low, 0.0)), u32(min(high, f32(P.boxes.x - 1u))) + 1u);

@@ -25,7 +25,9 @@ struct Params {
   phase1: vec4u,      // sy low, high; 1 for continuous views; degree of the harmonics
   boxes: vec4u,       // of the pass: across, down, groups of ordinals; the first row
   room: vec4u,        // for pairs, colours, large splats, chunks of long lists
-  cells: array<vec4u, 48>,  // by row mod 4 and sub-pixel mod 12: phase beyond the stripe's low, high; channel
+  // By row mod 4 and sub-pixel mod 12: phase beyond the stripe's low, high; channel. The fourth word of the first and the
+  // second cell: bits of the least and the most shift of a cell against its stripe, in sub-pixels
+  cells: array<vec4u, 48>,
 };
 
 // A part of a frame: of the Gaussians, or of the image.
@@ -68,3 +70,6 @@ struct Splat { a: vec4f, b: vec4f, c: vec4f };
 
 fn reach_y(s: Splat) -> f32 { return s.c.z; }
 fn load_splat(i: u32) -> Splat { return Splat(splat_a[i], splat_b[i], splat_c[i]); }
+
+// The least and the most shift of a cell against its stripe, in sub-pixels.
+fn cell_shifts() -> vec2f { return bitcast<vec2f>(vec2u(P.cells[0].w, P.cells[1].w)); }

@@ -25,11 +25,11 @@ fn phase_at(row: i32, subpixel: i32) -> vec2u {
   return add64(P.phase0.xy, add64(times64(P.phase0.zw, subpixel), times64(P.phase1.xy, row)));
 }
 
-fn cell_at(row: i32, subpixel: i32) -> vec4u { return P.cells[(row & 3) * 12 + subpixel % 12]; }
+fn cell_at(row: i32, subpixel: i32) -> vec4u { return P.cells[(row & 3) * 12 + (subpixel % 12 + 12) % 12]; }
 
-// The normalized offset, -1..1, of the camera that sees a sub-pixel >= 0.
-fn offset_at(row: i32, subpixel: i32) -> f32 {
-  var phase = phase_at(row, subpixel);
+// The normalized offset, -1..1, of the camera that sees a sub-pixel. stripe: its phase as if it stood in its stripe.
+fn offset_at(row: i32, subpixel: i32, stripe: vec2u) -> f32 {
+  var phase = stripe;
   if (CELLS) { phase = add64(phase, cell_at(row, subpixel).xy); }
   let views = P.size.z;
   let low = phase.y * views;
@@ -39,18 +39,27 @@ fn offset_at(row: i32, subpixel: i32) -> f32 {
   return P.rig.z + P.rig.w * (f32(view) + within);
 }
 
-// The channel of a sub-pixel >= 0, whose place in its pixel is known.
+// The channel of a place in a pixel, on a panel with stripes.
+fn stripe_channel(place: u32) -> u32 { return select(place, 2u - place, BGR); }
+
+// The channel of a sub-pixel, whose place in its pixel is known.
 fn channel_at(row: i32, subpixel: i32, place: u32) -> u32 {
   if (CELLS) { return cell_at(row, subpixel).z; }
-  if (BGR) { return 2u - place; }
-  return place;
+  return stripe_channel(place);
 }
 
-// The first sub-pixel of a lens in a row, on a panel with stripes and lenses of 4 sub-pixels or more. It is estimated to
-// within one, and made exact with the phase.
+// The first sub-pixel of a lens in a row, where lenses have 6 sub-pixels or more and cells lie in the order of the stripes.
+// It is estimated to within one and what cells are shifted by, and made exact with the phase.
 fn first_of_lens(row: i32, lens: f32) -> i32 {
-  let near = i32(ceil(lens * P.lens.x - P.lens.z - 3.0 * f32(row) * P.lens.y));
-  if (phase_at(row, near - 1).y < 0x80000000u) { return near - 1; }
-  if (phase_at(row, near).y >= 0x80000000u) { return near + 1; }
-  return near;
+  let shifts = cell_shifts();
+  let middle = lens * P.lens.x - P.lens.z - 3.0 * f32(row) * P.lens.y;
+  var subpixel = i32(ceil(middle - shifts.y)) - 1;
+  let last = i32(ceil(middle - shifts.x)) + 1;
+  while (subpixel < last) {
+    var phase = phase_at(row, subpixel);
+    if (CELLS) { phase = add64(phase, cell_at(row, subpixel).xy); }
+    if (phase.y < 0x80000000u) { break; }
+    subpixel++;
+  }
+  return subpixel;
 }

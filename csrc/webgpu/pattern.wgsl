@@ -15,7 +15,7 @@ fn pattern(@builtin(global_invocation_id) at: vec3u) {
     for (var place = 0u; place < 3u; place++) {
       let subpixel = i32(3u * at.x + place);
       let channel = channel_at(i32(row), subpixel, place);
-      let lit = select(0u, 2u, offset_at(i32(row), subpixel) > 0.0);
+      let lit = select(0u, 2u, offset_at(i32(row), subpixel, phase_at(i32(row), subpixel)) > 0.0);
       pixel |= select(0u, 0xffu, channel == lit) << (8u * channel);
     }
   }

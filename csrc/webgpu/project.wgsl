@@ -102,15 +102,20 @@ fn is_outside(s: Splat) -> bool {
 }
 
 // What a splat costs in each tiling, in instructions of a thread: tiles of pixels, and boxes of 2, 3 and 6 ordinals. A
-// patch is what 32 threads draw. The weights are counted instructions of the composite, and of sort for a pair.
-const PATCH_COST = 640.0; const SAMPLE_COST = 512.0; const PAIR_COST = 6000.0;
-fn cost_of_splat(s: Splat) -> vec4f {
+// patch is what 32 threads draw. The weights are counted instructions of the composite, and of sort for a pair. Colours
+// that no cubic draws, for cameras of a box see the splat from angles that differ too much, cost more.
+const PATCH_COST = 640.0; const SAMPLE_COST = 512.0; const PAIR_COST = 4000.0; const FAR_COST = 2500.0;
+const CUBIC_ANGLE = 0.15;  // half of the range: from here on a tenth of the colours of degree 3 are not cubic
+fn sample_cost(angle: f32) -> f32 { return SAMPLE_COST + select(0.0, FAR_COST, HARMONICS && angle > CUBIC_ANGLE); }
+
+fn cost_of_splat(s: Splat, depth: f32) -> vec4f {
   let height = min(2.0 * s.c.z, f32(P.size.y));
   let width = min(2.0 * sqrt(s.b.w * s.c.z * s.c.z * widest(s)), f32(P.size.x));
   let sweep = 2.0 * abs(s.a.y);
   let tile_patches = (min(width + sweep, f32(P.size.x)) + 16.0) / 16.0 * (height + 4.0) / 4.0;
   let tile_pairs = (min(width + sweep, f32(P.size.x)) + 32.0) / 32.0 * (height + 16.0) / 16.0;
-  var out = vec4f(tile_patches * (PATCH_COST + 6.0 * SAMPLE_COST) + tile_pairs * PAIR_COST);
+  let angle = P.rig.x / depth;
+  var out = vec4f(tile_patches * (PATCH_COST + 6.0 * sample_cost(angle)) + tile_pairs * PAIR_COST);
   let lens = P.lens.x / 3.0;  // pixels
   for (var k = 1; k < 4; k++) {
     let ordinals = select(select(2.0, 3.0, k == 2), 6.0, k == 3);
@@ -118,7 +123,7 @@ fn cost_of_splat(s: Splat) -> vec4f {
     let across = min(width + sweep * ordinals / P.lens.x, f32(P.size.x));
     let patches = groups * (across + 4.0 * lens) / (4.0 * lens) * (height + 8.0) / 8.0;
     let pairs = groups * (across + 16.0 * lens) / (16.0 * lens) * (height + 16.0) / 16.0;
-    out[k] = patches * (PATCH_COST + ordinals * SAMPLE_COST) + pairs * PAIR_COST;
+    out[k] = patches * (PATCH_COST + ordinals * sample_cost(angle * ordinals / P.lens.x)) + pairs * PAIR_COST;
   }
   return out;
 }
@@ -134,7 +139,7 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
     let id = part.first + i;
     if (found.splat.c.z >= 0.0 && is_outside(found.splat)) { found.splat.c.z = -1.0; }
     if (found.splat.c.z >= 0.0) {
-      cost = cost_of_splat(found.splat);
+      cost = cost_of_splat(found.splat, found.t.z);
       atomicAdd(&counters[DRAWN], 1u);
       let place = store_colour(i, found.t, select(0u, 1u, COMPENSATED));
       if (COMPENSATED) { colours[place] = vec4f(found.D, 0.0); }

@@ -23,11 +23,10 @@ fn list_of(box: u32) -> vec2u {
 fn key_of(id: u32) -> vec2u { return vec2u(depths[id], id); }
 fn is_later(a: vec2u, b: vec2u) -> bool { return a.x > b.x || (a.x == b.x && a.y > b.y); }
 
-// The two elements of comparison i.
+// The two elements of comparison i; size and step are powers of two.
 fn compared(i: u32, size: u32, step: u32) -> vec2u {
-  let low = (i / step) * step * 2u + i % step;
-  if (step * 2u == size) { return vec2u(low, (low / size) * size + size - 1u - low % size); }
-  return vec2u(low, low + step);
+  let low = i + (i & ~(step - 1u));
+  return vec2u(low, select(low | step, low ^ (size - 1u), 2u * step == size));
 }
 
 var<workgroup> keys: array<vec2u, CHUNK>;

@@ -15,7 +15,7 @@ from typing import Any
 
 from lightfield_gs.base.assumptions import Assumption, collect_assumptions
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.system import join_words
+from lightfield_gs.base.system import quoted
 
 FOLDER_GONE = "the working folder has been removed: change to one that is there (cd)"
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -108,7 +108,23 @@ def say_next(*words: object) -> None:
     """Let the last line of the command say what to do next: these words after the name of the program."""
     told = _next.get()
     if told is not None:
-        told["next"] = join_words("lightfield-gs", *words)
+        told["next"] = quoted("lightfield-gs", *words)
+
+
+def confirm(question: str, is_meant: bool) -> None:
+    """Ask on the terminal whether something unusual is meant; raise InputError where it is not.
+
+    Args:
+        question: What is unusual, as a sentence without its stop.
+        is_meant: Whether --yes says so already.
+    """
+    if is_meant:
+        return
+    if not sys.stdin.isatty():
+        raise InputError(f"{question}; nothing was changed: add --yes if it is meant")
+    print(f"{question}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise InputError("nothing was changed")
 
 
 @contextmanager

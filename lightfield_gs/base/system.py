@@ -111,7 +111,7 @@ def split_words(text: str) -> list[str]:
     return list(words)
 
 
-def join_words(*words: object) -> str:
+def quoted(*words: object) -> str:
     """Return words as a command line that a terminal reads as them."""
     texts = [str(word) for word in words]
     return subprocess.list2cmdline(texts) if IS_WINDOWS else shlex.join(texts)

@@ -11,15 +11,18 @@ import numpy as np
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel, why_no_eye
-from lightfield_gs.base.cli_messages import note, say_next
+from lightfield_gs.base.cli_messages import note, say, say_next
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.calibrate_nudge import change_lines
+from lightfield_gs.base.system import quoted
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
-from lightfield_gs.panels.calibration_fit import CalibrationFit, ViewpointFit, fit_lens, most_spread_views
+from lightfield_gs.panels.calibration_fit import CalibrationFit, ViewpointFit, fit_lens
 from lightfield_gs.panels.calibration_photos import Viewpoint, load_viewpoint, read_viewpoints
-from lightfield_gs.panels.lens_change import check_profile_path, write_profile
+from lightfield_gs.panels.lens_change import check_profile_path
+from lightfield_gs.panels.lens_history import write_kept
+from lightfield_gs.panels.lens_words import change_lines
 
+_MOST_SPREAD_VIEWS = 0.2  # about the lens found; photographs of one exposure, sharp and upright, stay below
 _MOST_OFFSET_VIEWS = 0.3  # between a place and the lens of all, above which its eye or the profile is doubtful
 
 
@@ -54,10 +57,13 @@ def run(args: argparse.Namespace) -> None:
     if why := why_no_eye(start):
         raise InputError(why)
     fit = fit_lens(read_photographs(options), start, options.one_place)
-    write_profile(path, profile, fit.panel, serial)
-    print(f"{path}: {profile} with the lens of the photographs, for eyes at {start.viewing_distance_mm:g} mm")
-    for line in (*change_lines(profile, start, fit.panel, serial), *map(_place_line, fit.viewpoints)):
-        print(line)
+    lines = change_lines(profile, start, fit.panel, serial)
+    write_kept(path, profile, fit.panel, serial, f"by photographs: {lines[0]}")
+    print(
+        f"{path}: {profile} with the lens of the photographs, for eyes at {start.viewing_distance_mm:g} mm; the way "
+        f"back: {quoted('lightfield-gs', 'calibrate', 'undo', path)}"
+    )
+    say(*lines, *map(_place_line, fit.viewpoints))
     for words in implausible_places(fit):
         note(words)
     say_next("encode", "photo.jpg", "-o", "out.png", "--panel", path)
@@ -65,13 +71,12 @@ def run(args: argparse.Namespace) -> None:
 
 def implausible_places(fit: CalibrationFit) -> list[str]:
     """Return a line for each place whose photographs spread too far about the lens found, or lie off it."""
-    most = most_spread_views(fit.panel)
     spread = [
         f"{place.name}: what is seen spreads by {place.spread_views:.2g} views about the lens found, and good "
-        f"photographs by less than {most:.2g}: the lens may be wrong; check that all have one exposure and white "
-        "balance, that none is turned or blurred, that nothing moved, and the corners"
+        f"photographs by less than {_MOST_SPREAD_VIEWS:g}: the lens may be wrong; check that all have one exposure and "
+        "white balance, that none is turned or blurred, that nothing moved, and the corners"
         for place in fit.viewpoints
-        if place.spread_views > most
+        if place.spread_views > _MOST_SPREAD_VIEWS
     ]
     off = [
         f"{place.name}: it sees the panel {place.offset_views:+.2g} views off the lens found, and good photographs by "

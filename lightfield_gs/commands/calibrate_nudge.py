@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.base.cli_messages import say_next
+from lightfield_gs.base.cli_messages import confirm, say, say_next
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.system import quoted
 from lightfield_gs.commands.calibrate_pattern import PatternOptions, draw_pattern, write_pattern
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
-from lightfield_gs.panels.lens_change import (
-    LensChange,
-    changed,
-    check_profile_path,
-    is_looking_glass,
-    looking_glass_lens,
-    phase_in_middle,
-    write_profile,
-)
+from lightfield_gs.panels.lens_change import LensChange, changed, check_profile_path
+from lightfield_gs.panels.lens_history import write_kept
+from lightfield_gs.panels.lens_words import LARGE, change_lines, large_changes, lens_slope, pitch_lpi
 from lightfield_gs.panels.panel import Panel
 
 _CHANGES = ("pitch_by", "slope_by", "centre_by", "line_number_by", "slant_by", "phase_by")
@@ -37,6 +31,7 @@ class NudgeOptions:
         pitch_by, slope_by, centre_by: in the terms of Looking Glass.
         line_number_by, slant_by, phase_by: in the units of a .yaml.
         pattern: kind of the pattern that is written too.
+        yes: whether a large change is meant.
     """
 
     profile: str
@@ -49,6 +44,7 @@ class NudgeOptions:
     slant_by: tuple[float] | None = None
     phase_by: tuple[float] | None = None
     pattern: str | None = None
+    yes: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -60,14 +56,16 @@ def _nudge(options: NudgeOptions) -> None:
     profile, serial, kind = options.profile, options.device_serial, options.pattern
     path = check_profile_path(options.output, profile)
     pattern = path.with_name(f"{path.stem}-{kind}.png") if kind else None
-    check_outputs((path, pattern), (profile,))
+    check_outputs((path, pattern), ())  # a profile may be changed in its place: its history keeps what it was
     before = Panel.load(profile, serial=serial)
     after = changed(before, lens_change(options, before))
+    if words := large_changes(before, after):
+        confirm(f"{path}: {words}, and calibrations are seldom wrong by {LARGE:.0%}", options.yes)
     image = None if kind is None else draw_pattern(after, PatternOptions(kind))
-    write_profile(path, profile, after, serial)
-    print(f"{path}: {profile} with another lens")
-    for line in change_lines(profile, before, after, serial):
-        print(line)
+    lines = change_lines(profile, before, after, serial)
+    write_kept(path, profile, after, serial, f"{_change_words(options)}: {lines[0]}")
+    print(f"{path}: {profile} with another lens; the way back: {quoted('lightfield-gs', 'calibrate', 'undo', path)}")
+    say(*lines)
     if pattern is not None and kind is not None and image is not None:
         write_pattern(pattern, after, kind, image)
         print(f"{pattern}: {kind}, for the new profile; show it full screen, unscaled")
@@ -99,36 +97,9 @@ def lens_change(options: NudgeOptions, panel: Panel) -> LensChange:
     return LensChange(pitch, slope, centre, line_number, slant, phase)
 
 
-def pitch_lpi(panel: Panel) -> float:
-    """Return the lenses per inch across their axis. Raises InputError where the profile has no pixel pitch."""
-    if panel.pixel_pitch_mm is None:
-        raise InputError(
-            f"panel {panel.name} lacks pixel_pitch_mm, without which there are no lenses per inch; give the change "
-            "of pitch in percent, as 0.1%, or --line-number-by"
-        )
-    return 3 * 25.4 / (panel.pixel_pitch_mm * panel.line_number) * math.hypot(1, panel.slant_tan)
-
-
-def lens_slope(source: str | Path, panel: Panel, serial: str | None) -> float:
-    """Return dy/dx of the lens axis, as the profile has it. Raises InputError where the lenses stand upright."""
-    if is_looking_glass(source):
-        return looking_glass_lens(source, panel, serial)["slope"]
-    if panel.slant_tan == 0:
-        raise InputError(f"panel {panel.name}: the lenses stand upright, without a slope; give --slant-by")
-    return -1 / panel.slant_tan
-
-
-def change_lines(source: str | Path, before: Panel, after: Panel, serial: str | None) -> list[str]:
-    """Return lines on the lens before and after, in the terms of a Looking Glass, if any, and of a .yaml."""
-    lines = []
-    if is_looking_glass(source):
-        old, new = (looking_glass_lens(source, panel, serial) for panel in (before, after))
-        lines.append(", ".join(f"{key} {old[key]:.9g} -> {new[key]:.9g}" for key in old))
-    elif before.pixel_pitch_mm is not None and before.slant_tan and after.slant_tan:
-        pitch = f"pitch {pitch_lpi(before):.9g} -> {pitch_lpi(after):.9g} lenses per inch"
-        lines.append(f"{pitch}, slope {-1 / before.slant_tan:.9g} -> {-1 / after.slant_tan:.9g}")
-    keys = ("line_number", "slant_tan", "phase")
-    lines.append(", ".join(f"{key} {getattr(before, key):.9g} -> {getattr(after, key):.9g}" for key in keys))
-    moved = phase_in_middle(after) - phase_in_middle(before)
-    lines.append(f"the middle of the panel moves by {moved:+.4g} lens widths, {moved * after.views:+.4g} views")
-    return lines
+def _change_words(options: NudgeOptions) -> str:
+    """Return the changes that are asked for, as "pitch by 0.1%, centre by 0.05"."""
+    given = {change: getattr(options, change) for change in _CHANGES if getattr(options, change) is not None}
+    return ", ".join(
+        f"{name.replace('_', ' ')} {value[0]:g}{'%' if value[1:] == (True,) else ''}" for name, value in given.items()
+    )

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lightfield_gs.app.cameras import read_camera
+from lightfield_gs.app.cameras import CameraChoice, read_camera
 from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions, files_read
 from lightfield_gs.app.panel import load_panel
-from lightfield_gs.app.scene import check_scene_options, load_framed
+from lightfield_gs.app.scene import FramedScene, check_scene_options, is_framed_here, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_output_path, check_outputs
+
+if TYPE_CHECKING:
+    from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.panels.rig import Rig
 
 _SUFFIXES = (".html", ".htm")
 _LARGE_BYTES = 25 << 20  # that mail takes
@@ -74,6 +79,7 @@ def _write(options: PageOptions, watch: Stopwatch) -> None:
             DrawnAs(render.background, render.antialiased, render.view_filter),
             is_photo=framed.scene.photo is not None,
             is_for_panel=options.panel.panel is not None,
+            upright_rig=_upright(options.look, choice, framed, panel),
         )
     watch.lap("page")
     size, each = page.size / 1e6, len(page.packed.data) / page.packed.count
@@ -82,3 +88,17 @@ def _write(options: PageOptions, watch: Stopwatch) -> None:
     if page.size > _LARGE_BYTES:
         note(f"{options.output} is large for mail; `lightfield-gs prune` leaves out what the panel does not show")
     say(*framed.messages)
+
+
+def _upright(look: LookOptions, choice: CameraChoice, framed: FramedScene, panel: Panel) -> Rig | None:
+    """Return cameras that frame a scene for upright screens; None where the options, or a file, frame it."""
+    from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.show.scene_page.write import UPRIGHT_PX
+
+    is_chosen = look.zoom is not None or look.pan is not None or not is_framed_here(choice, framed.scene, panel)
+    if is_chosen or framed.scene.photo is not None:
+        return None
+    width, height = UPRIGHT_PX
+    upright = replace(panel, width_px=width, height_px=height)
+    rig = Rig.frame(framed.scene.gaussians, upright, framed.rig.world_to_camera)
+    return replace(rig, zero_depth=framed.rig.zero_depth, cone_deg=framed.rig.cone_deg)

@@ -42,6 +42,7 @@ class CalibrationFitConstants:
     much_worse: float = 1.5  # ratio of misfits from which on the photographs count as turned or mirrored
     surely_worse: float = 10.0  # the same ratio where turned photographs do not fit well either
     least_misfit: float = 1e-5  # misfit below which no difference counts
+    good_spread: float = 0.2 / 48  # spread of photographs that fit, at most, in lens widths
     # ratio of width by height, against the expected one, from which on the panel may be turned
     turned_ratio: float = 1.15
     other_shape_ratio: float = 1.3  # the same ratio from which on it is another shape
@@ -80,11 +81,6 @@ class CalibrationFit:
 
     panel: Panel
     viewpoints: tuple[ViewpointFit, ...]
-
-
-def most_spread_views(panel: Panel) -> float:
-    """Return the spread of good photographs at most, in views: the lens widths of 0.2 of 48 views."""
-    return max(0.2, 0.2 / 48 * panel.views)
 
 
 @dataclass(frozen=True)
@@ -185,7 +181,7 @@ def _check_turned(viewpoints: Sequence[Viewpoint], measured: Sequence[Fringes], 
     best = min(found, key=found.__getitem__)
     least = max(found[best], _CONSTANTS.least_misfit)
     # With different exposures, or with a blurred photograph, all turns fit badly, and one fits less badly by chance
-    good = (2 * math.pi * most_spread_views(start) / start.views) ** 2 / 2
+    good = (2 * math.pi * _CONSTANTS.good_spread) ** 2 / 2
     if misfit > (_CONSTANTS.much_worse if least < good else _CONSTANTS.surely_worse) * least:
         raise InputError(
             f"the photographs fit {misfit / least:.3g} times better if they are {best}: have them as the camera sees "

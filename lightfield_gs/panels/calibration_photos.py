@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,11 +39,13 @@ class CalibrationPhotoConstants:
     outliers: float = 2.5  # median distances from its line beyond which a point is left out, as on a stand before it
     least_panel: float = 0.02  # fraction of the photograph that is bright, at least
     area_tolerance: float = 0.1  # relative difference of the bright area from its quadrilateral, at most
+    exposure_ratio: float = 1.02  # ratio of exposures in the Exif of photographs of one place, at most
     least_side_px: int = 32  # length of a side of the panel in the photographs, at least
     rim_px: float = 1.0  # distance from the rim of the photographs at which a corner is where the panel is cut off
 
 
 CONSTANTS = CalibrationPhotoConstants()
+_EXIF, _EXPOSURE_TAGS = 0x8769, (0x829A, 0x829D, 0x8827)  # time, f-number, ISO
 
 
 @dataclass(frozen=True)
@@ -320,9 +323,40 @@ def load_viewpoint(
         InputError: A photograph cannot be read, or an argument is invalid.
     """
     expect("eye_mm", eye_mm, tuple)
+    _check_exposures(photos)
     pictures = tuple(_rgb(read_image(photo, as_stored=True)) for photo in photos)
     names = " ".join(Path(photo).name for photo in photos)
     return Viewpoint(eye_mm, pictures, corners_px, name=names[:80])
+
+
+def _check_exposures(photos: Sequence[str | Path]) -> None:
+    """Raise InputError where cameras noted that photographs of one place got unlike exposures."""
+    noted = {Path(photo).name: exposure for photo in photos if (exposure := read_exposure(Path(photo))) is not None}
+    if noted and max(noted.values()) > CONSTANTS.exposure_ratio * min(noted.values()):
+        told = ", ".join(f"{name} {exposure / min(noted.values()):.3g}" for name, exposure in noted.items())
+        raise InputError(
+            f"expected photographs of one exposure from each place, got unlike ones by their Exif (relative: {told}): "
+            "lock the exposure and the white balance, and take them again"
+        )
+
+
+def read_exposure(path: Path) -> float | None:
+    """Return what the camera noted of the light that a photograph got, in s ISO / (f-number)^2; None without a note."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            noted = image.getexif().get_ifd(_EXIF)
+    except (OSError, SyntaxError, ValueError):  # its reader says what is wrong with the file
+        return None
+    values: list[Any] = [noted.get(tag) for tag in _EXPOSURE_TAGS]
+    time, aperture, speed = values
+    speed = speed[0] if isinstance(speed, tuple) and speed else speed
+    try:
+        exposure = float(time) * float(speed) / float(aperture) ** 2
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return exposure if math.isfinite(exposure) and exposure > 0 else None
 
 
 def _rgb(pixels: np.ndarray) -> np.ndarray:

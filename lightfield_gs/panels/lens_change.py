@@ -133,11 +133,18 @@ def write_profile(path: str | Path, source: str | Path, panel: Panel, serial: st
         data = replace_values(read_json(source, LIMIT_BYTES), str(source), serial, values)
         _write_checked(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n", panel, serial)
     else:
-        is_file = Path(source).is_file() or Path(source).suffix.lower() in (".yaml", ".yml")
-        text = read_text(source if is_file else config_path("panels", str(source)), MOST_BYTES, "YAML")
+        text = profile_text(source)
         for key in _LENS_KEYS:
             text = _replace_line(text, key, getattr(panel, key))
         _write_checked(path, text, panel, None)
+
+
+def profile_text(source: str | Path) -> str:
+    """Return the text of a profile, by its path or its name. Raises InputError."""
+    if is_looking_glass(source):
+        return read_text(source, LIMIT_BYTES, "JSON")
+    is_file = Path(source).is_file() or Path(source).suffix.lower() in (".yaml", ".yml")
+    return read_text(source if is_file else config_path("panels", str(source)), MOST_BYTES, "YAML")
 
 
 def _replace_line(text: str, key: str, value: float) -> str:

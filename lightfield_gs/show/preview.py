@@ -93,11 +93,24 @@ def look_around(
     background: tuple[float, float, float] = (1.0, 1.0, 1.0),
     antialiased: bool = False,
     view_filter: float = 0.0,
+    frames: int = _FRAMES,
+    frame_pixels: int = _FRAME_PIXELS,
 ) -> list[np.ndarray]:
-    """Return views spread over the fan, left-most first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
-    small_panel, small_rig = rig.reduced(panel, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
+    """Return views spread over the fan, left-most first, each uint8 [h, w, 3]; half of them of a large scene on a CPU.
+
+    Args:
+        gaussians: One scene.
+        panel: Its views are taken.
+        rig: Its cameras.
+        background: See `encode`, as the next two.
+        antialiased: See there.
+        view_filter: See there.
+        frames: Number of the views.
+        frame_pixels: Pixels of a view, about.
+    """
+    small_panel, small_rig = rig.reduced(panel, math.isqrt(frame_pixels * panel.width_px // panel.height_px))
     is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
-    positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
+    positions = np.linspace(panel.views - 0.5, 0.5, frames // 2 if is_slow else frames)
     if panel.invert_views:
         positions = positions[::-1]
     views: list[np.ndarray] = []

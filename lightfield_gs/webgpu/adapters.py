@@ -82,25 +82,27 @@ def _runtime_folder() -> Iterator[None]:
 
 @lru_cache
 def adapters() -> tuple[Adapter, ...]:
-    """Return the adapters, each GPU once, the fastest kinds first."""
+    """Return the adapters, each GPU by one of its ways, the fastest kinds first. Equal cards are several adapters."""
     if missing() is not None:
         return ()
     import wgpu
 
-    found: dict[tuple[str, str], Adapter] = {}
     with _runtime_folder():
         gpus = wgpu.gpu.enumerate_adapters_sync()
-    for gpu in gpus:
+    found: dict[tuple[str, str], list[Adapter]] = {}
+    for gpu in sorted(
+        (gpu for gpu in gpus if gpu.info["backend_type"] in _BACKENDS),
+        key=lambda gpu: _BACKENDS.index(gpu.info["backend_type"]),
+    ):
         info = gpu.info
-        if info["backend_type"] not in _BACKENDS:
-            continue
         limits = Limits(gpu.limits["max-storage-buffer-binding-size"], gpu.limits["max-buffer-size"])
         adapter = Adapter(info["device"], info["adapter_type"], info["backend_type"], info["description"], limits, gpu)
-        key = adapter.name, adapter.kind
-        if key not in found or _BACKENDS.index(adapter.backend) < _BACKENDS.index(found[key].backend):
-            found[key] = adapter
+        same = found.setdefault((adapter.name, adapter.kind), [])
+        if not same or same[0].backend == adapter.backend:
+            same.append(adapter)
     rank = {"DiscreteGPU": 0, "IntegratedGPU": 1, "CPU": 3}
-    return tuple(sorted(found.values(), key=lambda adapter: rank.get(adapter.kind, 2)))
+    known = (adapter for same in found.values() for adapter in same)
+    return tuple(sorted(known, key=lambda adapter: rank.get(adapter.kind, 2)))
 
 
 def adapter_at(index: int) -> Adapter:

@@ -1,8 +1,8 @@
 """Light-field frames by WebGPU: one submission each, once it is known what frames of their kind need.
 
 A first frame waits for the device three times: for the costs of the tilings, for the lengths of the lists, and for the
-image. The next frames take what it needed: the host waits once, for the image and the counters. If these show that a
-frame lacked room, it is drawn again with more.
+image. The next frames of a run take what it needed: the host waits once, for the image and the counters. If these show
+that a frame lacked room, it is drawn again with more.
 """
 
 from __future__ import annotations
@@ -112,6 +112,7 @@ class _Frame:
     def __init__(self, frames: Frames, job: DirectRender, as_bytes: bool, quality: Quality, plan: Plan) -> None:
         self.frames, self.job, self.as_bytes, self.plan = frames, job, as_bytes, plan
         self.parts: list[Part] = []
+        self.is_in_run = False  # of frames; else boxes do not depend on the frame before, nor does rounding
         self.buffers, self.limits = frames.buffers, frames.limits
         self.lens, self.tolerance = job.camera.lens, quality.colour_error
         self.degree, self.count = job.scene.degree, job.scene.count
@@ -129,7 +130,8 @@ class _Frame:
         """Draw the image, pass by pass, each again until it had room; count into `stats`."""
         forced, plan = self.frames.tiling, self.plan
         is_projected = False
-        if plan.ordinals is None or forced not in (None, plan.ordinals):
+        if plan.ordinals is None or not self.is_in_run or forced not in (None, plan.ordinals):
+            plan.ordinals = None
             plan.choose(self.lens, self._projected().costs, forced)
             is_projected = True
         boxes = Boxes.of(self.lens, plan.ordinals or 0)
@@ -165,7 +167,7 @@ class _Frame:
         self.buffers.storage("counters", self.head_bytes, "a sum for 256 Gaussians each")
         extra = int(self.variant.compensated)
         self._make_colours((1 + extra if not self.degree else _COLOURS_EACH + extra) * max(self.count, 1))
-        self.parts = self.frames.scene.hold(self.job.scene, kept)
+        self.parts, self.is_in_run = self.frames.scene.hold(self.job.scene, kept), kept is not None
 
     def _make_colours(self, colours: int) -> None:
         """Make room for so many vectors; at first for fewer, where the adapter allows no more."""

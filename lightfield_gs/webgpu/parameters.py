@@ -13,6 +13,8 @@ from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
 BOX_ROWS, TILE_WIDTH, BOX_LENSES = 16, 32, 16  # as in csrc/webgpu/footprint.wgsl
 ORDINALS = (0, 2, 3, 6)  # tilings in the order of cost_of_splat in csrc/webgpu/project.wgsl; 0: tiles of pixels
 LENS_WIDTHS = 6.0, 200.0  # sub-pixels, of lenses that boxes are made of: not less than the ordinals of a box
+# In sub-pixels: from a cell's shift to the next one's, and between the least and the most, for boxes of lenses
+_LEAST_STEP, _MOST_SPREAD = -0.9, 1.5
 _WORD = 0xFFFFFFFF
 
 
@@ -38,20 +40,34 @@ class Boxes:
         down = -(-lens.height_px // BOX_ROWS)
         if not ordinals:
             return Boxes(0, -(-lens.width_px // TILE_WIDTH), down, 1)
+        shifts = cell_shifts(lens)
         corners = [
-            (place + 3 * row * lens.slant_tan + lens.phase) / lens.line_number
+            (place + 3 * row * lens.slant_tan + lens.phase + shift) / lens.line_number
             for place in (0, 3 * lens.width_px)
             for row in (0, lens.height_px)
+            for shift in (shifts.min(), shifts.max())
         ]
         first = math.floor(min(corners)) - 1
         across = -(-(math.ceil(max(corners)) + 1 - first) // BOX_LENSES)
-        return Boxes(ordinals, across, down, -(-(math.floor(lens.line_number) + 1) // ordinals), first)
+        most = math.floor(lens.line_number + np.ptp(shifts)) + 1  # sub-pixels of a lens in a row
+        return Boxes(ordinals, across, down, -(-most // ordinals), first)
+
+
+def cell_shifts(lens: Lens) -> np.ndarray:
+    """Return how far cells lie beyond their stripes, in sub-pixels, by row mod 4 and sub-pixel mod 12: [4, 12]."""
+    if not lens.cell_phases:
+        return np.zeros((4, 12))
+    turns = [(phase + (1 << 63)) % (1 << 64) - (1 << 63) for phase in lens.cell_phases]
+    return np.array(turns, np.float64).reshape(4, 12) * (lens.line_number / 2.0**64)
 
 
 def tilings(lens: Lens) -> tuple[int, ...]:
-    """Return the ordinals of the tilings that a panel allows; boxes of lenses need stripes."""
+    """Return the ordinals of the tilings that a panel allows; boxes of lenses need cells in the order of stripes."""
+    shifts = cell_shifts(lens)
+    steps = np.roll(shifts, -1, axis=1) - shifts
+    ordered = steps.min() > _LEAST_STEP and np.ptp(shifts) <= _MOST_SPREAD
     fit = LENS_WIDTHS[0] <= lens.line_number <= LENS_WIDTHS[1]
-    return ORDINALS if fit and not lens.cell_phases else ORDINALS[:1]
+    return ORDINALS if fit and ordered else ORDINALS[:1]
 
 
 def pack_params(
@@ -103,6 +119,8 @@ def pack_params(
     cells = np.zeros((_core.CELL_SUBPIXELS, 4), np.uint32)
     for k, (phase, channel) in enumerate(zip(lens.cell_phases, lens.cell_channels)):
         cells[k, :3] = (*_words(phase), channel)
+    shifts = cell_shifts(lens)
+    cells[:2, 3] = np.array((shifts.min(), shifts.max()), np.float32).view(np.uint32)
     arrays = pose[:3], np.array(floats, np.float32), np.array(words, np.uint32), cells
     return b"".join(array.tobytes() for array in arrays)
 

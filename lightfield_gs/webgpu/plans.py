@@ -108,7 +108,7 @@ class Plan:
     costs: dict[int, float] = field(default_factory=dict)
 
     def choose(self, lens: Lens, costs: tuple[float, ...], forced: int | None) -> int:
-        """Choose the boxes of the next frame by the costs of this one."""
+        """Choose the boxes of a frame by its costs, or by those of the frame before."""
         self.costs = dict(zip(ORDINALS, costs))
         best = min(tilings(lens), key=lambda k: self.costs[k])
         if forced is not None:

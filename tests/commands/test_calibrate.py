@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import complaint, run
+from PIL import Image
 
 from lightfield_gs.base.arrays import decode_srgb, encode_srgb
 from lightfield_gs.io.images import read_image, read_info, write_image
@@ -100,6 +101,36 @@ def test_what_a_nudge_refuses(capsys, tmp_path):
     assert not new.exists()
 
 
+def test_what_calibrate_changes_has_a_way_back(capsys, tmp_path):
+    path = tmp_path / "visual.json"
+    path.write_text(first := json.dumps(visual()))
+    run(capsys, f"calibrate nudge {path} -o {path} --pitch-by 0.1% --centre-by 0.05")
+    second = path.read_text()
+    assert "calibrate undo" in run(capsys, f"calibrate nudge {path} -o {path} --slope-by 2%")
+    assert "the slope changes by +3 %" in complaint(capsys, f"calibrate nudge {path} -o {path} --slope-by 3%")
+    run(capsys, f"calibrate nudge {path} -o {path} --slope-by 3% --yes")
+    last = path.read_text()
+    listed = run(capsys, f"calibrate history {path}").splitlines()
+    assert [line[2] for line in listed[:4]] == list("1234") and [line[0] for line in listed[:4]] == list("   *")
+    assert "pitch by 0.1%, centre by 0.05: pitch 42 -> 42.042" in listed[1]
+    for _ in range(2):
+        run(capsys, f"calibrate undo {path}")
+    assert path.read_text() == second
+    run(capsys, f"calibrate undo {path}")
+    assert path.read_text() == first
+    assert "as it was at first" in complaint(capsys, f"calibrate undo {path}")
+    run(capsys, f"calibrate undo {path} --to 4")  # nothing is lost
+    assert path.read_text() == last
+    path.write_text("broken by hand")
+    run(capsys, f"calibrate undo {path}")
+    assert path.read_text() == last and "changed by hand" in run(capsys, f"calibrate history {path}")
+    assert "nothing to undo" in complaint(capsys, f"calibrate undo {tmp_path}/other.json")
+    new = tmp_path / "new.yaml"
+    run(capsys, f"calibrate nudge toy-8v -o {new} --pitch-by 1%")
+    run(capsys, f"calibrate undo {new}")
+    assert Panel.load(new) == replace(Panel.load("toy-8v"), name=Panel.load(new).name)
+
+
 def camera(start: Panel, true: Panel, eye, folder, name: str) -> list[str]:
     """Files of photographs of the three shifts: the panel seen straight on in a dark room, a few pixels a lens."""
     paths = []
@@ -131,6 +162,13 @@ def test_a_profile_is_fitted_to_photographs(capsys, tmp_path):
     again = tmp_path / "again.json"
     run(capsys, f"calibrate fit {listed} --panel {old} -o {again} --viewing-distance 600")
     assert again.read_text() == new.read_text()
+    for number, seconds in enumerate((1 / 30, 1 / 30, 1 / 60)):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({0x829A: seconds, 0x829D: 1.8, 0x8827: 100})
+        Image.open(photos[0][number]).save(tmp_path / f"e{number}.jpg", exif=exif)
+    unlike = " ".join(str(tmp_path / f"e{number}.jpg") for number in range(3))
+    words = complaint(capsys, f"calibrate fit {unlike} --eye 0,0,600 --one-place --panel toy-8v -o {tmp_path}/x.yaml")
+    assert "one exposure" in words and "e0.jpg 2, e1.jpg 2, e2.jpg 1" in words
     few = f"calibrate fit {' '.join(photos[0])} --panel toy-8v -o {tmp_path}/x.yaml"
     assert "3 photographs and 0 --eye" in complaint(capsys, few)
     assert "one place" in complaint(capsys, f"{few} --eye 0,0,600")

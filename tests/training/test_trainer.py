@@ -38,7 +38,7 @@ def test_a_stage_draws_what_a_photo_shows_beside_the_cloud(small_set):
     fx, fy, cx, cy = batch.source_intrinsics[1].tolist()
     torch.testing.assert_close(camera[1], torch.tensor(square.intrinsics((fx, fy), (cx, cy), 16)))
     cloud = trainer.net(seen, camera)
-    *clouds, composed = drawings(trainer.net, cloud, (seen, camera), batch, stage, config)
+    *clouds, composed = drawings(trainer.net.composed, cloud, (seen, camera), batch, stage, config)
     assert [drawing.reduced for drawing in clouds] == [1, 2] and clouds[0].gaussians is cloud
     assert composed.gaussians.means.shape[1] == 32 * 32 + cloud.means.shape[1]
     losses = []

@@ -1,6 +1,8 @@
 """Adapters by name, and the commands that draw on them."""
 
 import json
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +30,21 @@ pytestmark = pytest.mark.not_sanitized
 
 def adapter(kind: str) -> Adapter:
     return Adapter("X1", kind, "Vulkan", "", Limits(1 << 27, 1 << 28), None)
+
+
+def test_equal_cards_are_adapters_each_and_a_second_way_to_one_is_none(monkeypatch):
+    def gpu(name: str, kind: str, backend: str) -> SimpleNamespace:
+        info = {"device": name, "adapter_type": kind, "backend_type": backend, "description": ""}
+        limits = {"max-storage-buffer-binding-size": 1 << 27, "max-buffer-size": 1 << 28}
+        return SimpleNamespace(info=info, limits=limits)
+
+    card, ways = ("X1", "DiscreteGPU"), ("D3D12", "Vulkan", "OpenGL")
+    gpus = [gpu("llvmpipe", "CPU", "Vulkan"), *(gpu(*card, backend) for backend in ways), gpu(*card, "Vulkan")]
+    monkeypatch.setattr(module, "missing", lambda: None)
+    there = SimpleNamespace(gpu=SimpleNamespace(enumerate_adapters_sync=lambda: gpus))
+    monkeypatch.setitem(sys.modules, "wgpu", there)
+    found = adapters.__wrapped__()
+    assert [adapter.gpu for adapter in found] == [gpus[2], gpus[4], gpus[0]]
 
 
 def test_encode_draws_the_same_picture(frames, folder, capsys):

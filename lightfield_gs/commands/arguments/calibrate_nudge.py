@@ -41,7 +41,7 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         required=True,
         metavar="NEW",
-        short="the changed calibration",
+        short="the changed calibration, perhaps the same file",
         help="the changed profile, in the format of PROFILE",
     )
     add_device_serial(add)
@@ -76,6 +76,7 @@ def add_arguments(parser: Parser) -> None:
         short="also write a test picture: pitch, slope, centre, ...",
         help="also write a pattern of the new profile: NEW-KIND.png",
     )
+    add("--yes", action="store_true", help="do not ask about a change of more than 2 %% of pitch or slope")
     add_quiet(add)
 
 

@@ -19,6 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
+from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.cli_messages import as_options, is_out_of_memory
 from lightfield_gs.base.errors import InputError
 
@@ -131,6 +132,17 @@ def text(words: str, status: int = 200) -> Answer:
 
 def as_json(values: object) -> Answer:
     return Answer(json.dumps(values).encode(), "application/json")
+
+
+def number(query: Mapping[str, str], name: str, low: float, high: float) -> float:
+    """Return a number of the query in low..high. Raises InputError."""
+    try:
+        value = float(query[name])
+    except KeyError:
+        raise InputError(f"the query lacks {name}") from None
+    except ValueError:
+        raise InputError(f"{name} must be a number, got {query[name][:40]!r}") from None
+    return real_number(name, value, low, high)
 
 
 def page_file(name: str) -> Route:

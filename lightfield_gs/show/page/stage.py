@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from lightfield_gs.base.arrays import to_bytes
-from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QUALITY_NAMES, QualityName
 from lightfield_gs.encoding.classic import render_views
@@ -27,6 +26,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import missing_geometry, simulate
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.page.server import number
 from lightfield_gs.show.preview import SHEET_VIEWS, SHEET_WIDTH_PX, contact_sheet, to_integers
 
 # Each number that the page may set, with its range
@@ -89,17 +89,6 @@ class Controls:
     def rig(self, base: Rig, panel: Panel) -> Rig:
         """Return the scene's rig as these controls change it."""
         return self.look().applied(orbited(base, self.yaw_deg, self.pitch_deg), panel)
-
-
-def number(query: Mapping[str, str], name: str, low: float, high: float) -> float:
-    """Return a number of the query in low..high. Raises InputError."""
-    try:
-        value = float(query[name])
-    except KeyError:
-        raise InputError(f"the query lacks {name}") from None
-    except ValueError:
-        raise InputError(f"{name} must be a number, got {query[name][:40]!r}") from None
-    return real_number(name, value, low, high)
 
 
 _STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed
@@ -222,6 +211,11 @@ class Stage:
                 self._settled = controls.picture()
                 self.version += 1
                 self._changed.notify_all()
+
+    def resting(self) -> Controls:
+        """Return the page's resting state."""
+        with self._changed:
+            return self._settled
 
     def settled(self) -> tuple[int, np.ndarray]:
         """Return the version of the page's resting state, and its native picture."""

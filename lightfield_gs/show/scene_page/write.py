@@ -9,16 +9,17 @@ from typing import Any
 
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import SIZE_KEY, Rig
-from lightfield_gs.rasterizer.quality import EXACT
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians, from_arrays
+from lightfield_gs.show.browser_data import host_tables, rig_numbers
 from lightfield_gs.show.preview import look_around, strip
 from lightfield_gs.show.scene_page.packing import PackedGaussians, pack, unpack
 from lightfield_gs.show.scripts import filled, joined, json_in_page
-from lightfield_gs.webgpu.shaders import BINDINGS, STAGES, wgsl
 
 _FILES = Path(__file__).parent / "files"
-_STRIP_QUALITY = 70  # of the WebP of the views for browsers without WebGPU
+# Views for browsers without WebGPU: few and small, for most readers do without them
+_STRIP_FRAMES, _STRIP_PIXELS, _STRIP_QUALITY = 15, 720 * 360, 60
+UPRIGHT_PX = 1080, 1920  # of a screen that is higher than wide
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ def write_scene_page(
     drawn_as: DrawnAs,
     is_photo: bool,
     is_for_panel: bool,
+    upright_rig: Rig | None = None,
 ) -> ScenePage:
     """Write a page that draws a scene in the browser; it is one file and loads nothing.
 
@@ -67,6 +69,8 @@ def write_scene_page(
         is_photo: Whether the scene is seen from in front alone.
         is_for_panel: Whether the page draws for this panel; else for the one of a visual.json that is dropped on it.
 
+        upright_rig: Cameras for ordinary screens that are higher than wide, of UPRIGHT_PX. None: those of the panel.
+
     Raises:
         InputError: The file cannot be written.
     """
@@ -78,7 +82,8 @@ def write_scene_page(
         "title": title,
         "gaussians": packed.header(),
         "panel": panel.to_dict() if is_for_panel else None,
-        "rig": {**rig.to_dict(), "world_to_camera": rig.world_to_camera.reshape(-1).tolist(), SIZE_KEY: _size(panel)},
+        "rig": rig_numbers(rig, (panel.width_px, panel.height_px)),
+        "upright_rig": None if upright_rig is None else rig_numbers(upright_rig, UPRIGHT_PX),
         "cone_deg": cone_deg,
         "reach_deg": cone_deg / 2 if is_photo else None,
         "background": drawn_as.background,
@@ -86,7 +91,7 @@ def write_scene_page(
         "view_filter": drawn_as.view_filter,
         "ground": f"rgb({red} {green} {blue})",
         "strip": {**_strip(shown, panel, rig, drawn_as), "reach_deg": cone_deg / 2},
-        "host": _host(),
+        "host": host_tables(),
     }
     text = filled(
         _FILES / "scene.html",
@@ -103,25 +108,7 @@ def write_scene_page(
     return ScenePage(packed, shown, len(data))
 
 
-def _size(panel: Panel) -> list[int]:
-    return [panel.width_px, panel.height_px]
-
-
-def _host() -> dict[str, Any]:
-    """Return what lightfield_gs/webgpu/browser takes: the stages, and the error of colours of an exact picture."""
-    stages = {
-        name: {"files": stage.files, "bindings": stage.bindings} for name, stage in STAGES.items() if name != "pack"
-    }
-    used = dict.fromkeys(name for stage in stages.values() for name in stage["files"])
-    return {
-        "stages": stages,
-        "bindings": BINDINGS,
-        "files": {name: wgsl(name) for name in used},
-        "colour_error": EXACT.colour_error,
-    }
-
-
 def _strip(gaussians: Gaussians, panel: Panel, rig: Rig, drawn_as: DrawnAs) -> dict[str, Any]:
     """Return views for browsers that cannot draw the scene."""
     options = drawn_as.background, drawn_as.antialiased, drawn_as.view_filter
-    return strip(look_around(gaussians, panel, rig, *options), _STRIP_QUALITY)
+    return strip(look_around(gaussians, panel, rig, *options, _STRIP_FRAMES, _STRIP_PIXELS), _STRIP_QUALITY)

@@ -101,6 +101,8 @@ export class Work {
     for (const name of names) this.encoder.clearBuffer(this.buffers.get(name));
   }
 
+  clearWords(name, first, count) { this.encoder.clearBuffer(this.buffers.get(name), 4 * first, 4 * count); }
+
   /** Adds a dispatch. names: buffers of bindings that are not named as their buffer. */
   async run(stage, groups, names = {}) {
     if (!groups.every(Boolean)) return;

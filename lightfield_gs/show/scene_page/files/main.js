@@ -14,8 +14,8 @@ import { inflated, unpacked } from "./unpack.js";
 const REST_MS = 250, IDLE_MS = 4000;
 const LACKS = {
   webgpu: "This browser cannot draw 3D scenes by itself",
-  adapter: "This browser found no graphics device that draws 3D scenes",
-  hardware: "This device has no graphics processor that the browser can use",
+  adapter: "This browser found no graphics device for 3D",
+  hardware: "This browser can use no graphics processor here",
   lost: "The graphics device stopped",
   large: "This scene is too large for the graphics of this device",
 };
@@ -54,6 +54,7 @@ async function loop() {
         drawn = number;
         document.body.dataset.state = moves || drawn !== wanted ? "moving" : "still";
         find("#wait").hidden = true;
+        strip.hidden = document.body.dataset.drawnBy === "webgpu";
       }
     }
   } catch (error) {
@@ -62,6 +63,7 @@ async function loop() {
   } finally {
     isDrawing = false;
   }
+  if (drawn !== wanted) loop(); // what took the scene's place
 }
 
 const windowSize = () => [innerWidth, innerHeight].map((side) => Math.max(1, Math.round(side * devicePixelRatio)));
@@ -69,6 +71,8 @@ const windowSize = () => [innerWidth, innerHeight].map((side) => Math.max(1, Mat
 async function start() {
   const opened = options.has("pictures") ? { lacks: "webgpu" } : await openDevice(options.has("software"));
   if (opened.lacks) return showStrip(opened.lacks);
+  (await stripOf(strip, page.strip))(0.5); // to be seen until the scene is drawn
+  strip.hidden = false;
   opened.device.lost.then(() => showStrip("lost"));
   const scene = unpacked(page.gaussians, await inflated(find("#gaussians").textContent.trim()));
   const stage = new Stage(opened.device, picture, page, scene);
@@ -87,10 +91,10 @@ async function showStrip(lacks) {
   document.body.dataset.drawnBy = "strip";
   picture.hidden = true;
   strip.hidden = false;
-  for (const name of ["show", "test", "choose"]) find(`#${name}`).hidden = true;
+  for (const name of ["show", "choose-here"]) find(`#${name}`).hidden = true;
   find("#note").hidden = false;
-  find("#note").textContent = `${LACKS[lacks]}: these are ${page.strip.frames.length} pictures that were drawn beforehand. ` +
-    "A new Chrome, Edge, Safari or Firefox on a device with graphics of its own shows the scene from all sides, and on a 3D display.";
+  find("#note").textContent = `${LACKS[lacks]}: these are ${page.strip.frames.length} pictures, drawn beforehand. A new ` +
+    "Chrome, Edge, Safari or Firefox shows the scene from all sides.";
   draw = async ({ yaw }) => showPlace(0.5 + yaw / (2 * reach));
   changed();
 }
@@ -133,7 +137,6 @@ function toggleTest() {
 function showButtons() {
   find("#self").setAttribute("aria-pressed", state.turnsItself);
   find("#test").setAttribute("aria-pressed", state.isTest);
-  find("#show").textContent = state.mode === "panel" ? "Back" : "Show on the 3D display";
 }
 
 let idleTimer = 0;
@@ -150,8 +153,8 @@ const toggleHelp = () => (find("#help").open ? find("#help").close() : find("#he
 const togglePanel = () => (state.mode === "panel" ? leave() : toPanel());
 
 for (const [name, act] of Object.entries({
-  show: togglePanel, self: toggleSelf, front: () => state.reset(), test: toggleTest, "test-too": toggleTest, choose: () => choice.open(),
-  ask: toggleHelp, full: toPanel, leave,
+  show: togglePanel, back: leave, self: toggleSelf, front: () => state.reset(), test: toggleTest, choose: () => choice.open(), "choose-too": () => choice.open(),
+  "choose-here": () => { toggleHelp(); choice.open(); }, ask: toggleHelp, full: toPanel, leave,
 })) find(`#${name}`).addEventListener("click", act);
 find("#help [value=close]").addEventListener("click", toggleHelp);
 listen(state, [picture, strip], find("#tilt"), {

@@ -10,7 +10,6 @@ export class Stage {
   /** page: the page's data; scene: its Gaussians, unpacked. */
   constructor(device, canvas, page, scene) {
     Object.assign(this, { page, canvas, frames: new Frames(device, page.host, scene), picture: new Picture(device, canvas) });
-    this.device = device;
     this.scale = 1; // of the window's pixels that are drawn while the scene moves
   }
 
@@ -25,7 +24,6 @@ export class Stage {
     if (isPanel && state.isTest) await this.frames.drawPattern(camera, take);
     else await this.frames.draw({ camera, antialiased: this.page.antialiased, background: this.page.background }, take);
     this.picture.end();
-    await this.device.queue.onSubmittedWorkDone();
     if (!isPanel && moves) this.adapt(performance.now() - began);
   }
 
@@ -42,7 +40,8 @@ export class Stage {
 
   /** Scenes turn. Before a photo the eye moves, as before a window, so that its frame stays. */
   onScreen({ yaw, pitch, zoom }, width, height) {
-    const rig = zoomed(fitted(this.page.rig, width, height), zoom), cone = this.page.cone_deg;
+    const { rig: wide, upright_rig: upright, cone_deg: cone } = this.page;
+    const rig = zoomed(fitted(width < height && upright ? upright : wide, width, height), zoom);
     if (this.page.reach_deg === null) return plainCamera(orbited(rig, yaw, pitch), cone, 0, 0);
     const [right, down] = [yaw, -pitch].map((deg) => rig.zero_depth * Math.tan(deg * RADIANS));
     return plainCamera(rig, cone, right, down);

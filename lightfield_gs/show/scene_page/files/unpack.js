@@ -15,8 +15,7 @@ export function unpacked(header, data) {
   const { count, degree } = header, coefficients = (degree + 1) ** 2, planes = [];
   for (let at = 0; at < data.length; at += count) planes.push(data.subarray(at, at + count));
   const scene = {
-    count, degree, gaussians: new Float32Array(GAUSSIAN_FLOATS * count),
-    harmonics: new Float32Array(3 * coefficients * count),
+    count, degree, gaussians: new Float32Array(GAUSSIAN_FLOATS * count), harmonics: new Float32Array(3 * coefficients * count),
   };
   const take = (number) => planes.splice(0, number);
   unpackMeans(header, take(3 * header.bytes_each), scene.gaussians);
