@@ -14,6 +14,7 @@ import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from functools import partial
+from pathlib import Path
 from typing import NoReturn, cast
 
 from lightfield_gs.base.cli_messages import (
@@ -28,7 +29,7 @@ from lightfield_gs.base.cli_messages import (
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.system import is_closed_pipe, stop_signals
 from lightfield_gs.commands.options.parser import Parser, join_values
-from lightfield_gs.commands.unknown import unknown_command
+from lightfield_gs.commands.unknown import check_input, unknown_command
 
 # A command has its arguments in a file of lightfield_gs/commands/arguments, and runs by one of lightfield_gs/commands
 COMMAND_GROUPS = {
@@ -57,6 +58,7 @@ COMMAND_GROUPS = {
     },
 }
 COMMANDS = {name: purpose for commands in COMMAND_GROUPS.values() for name, purpose in commands.items()}
+_INPUTS = ("input", "image")  # arguments that are files to read
 _EXAMPLES = (
     ("displays", "which displays are connected"),
     ("encode photo.jpg -o out.png", "a photo, for the display"),
@@ -97,6 +99,9 @@ def _run(arguments: list[str], began: float) -> int:
         if arguments and arguments[0] not in COMMANDS and not arguments[0].startswith("-"):
             raise unknown_command(arguments, COMMANDS)
         args = build_parser(*arguments[:1]).parse_args(join_values(arguments), argparse.Namespace(began=began))
+        for name in _INPUTS:
+            if isinstance(path := getattr(args, name, None), Path):
+                check_input(path)
         with quiet() if getattr(args, "quiet", False) else nullcontext(), closing_lines():
             code = importlib.import_module(args.module).run(args) or 0
         return code

@@ -1,17 +1,20 @@
-"""What a first word that is no command may have been meant for: a command with a slip, or a file for one."""
+"""What a mistyped command or file may have been meant for."""
 
 from __future__ import annotations
 
-import shlex
+import os
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.suggestions import did_you_mean
+from lightfield_gs.base.system import quoted
 
 _SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
 _PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".exr", ".mpo", ".jps")
 _VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".gif")
+_MOST_NAMES = 5000  # of files beside, that are compared
 _DESCRIBED = (".yaml", ".yml", ".json", ".safetensors")
 
 
@@ -19,10 +22,23 @@ def unknown_command(words: Sequence[str], commands: Collection[str]) -> InputErr
     """Return the error for a command line whose first word is no command, with what may be meant."""
     word = words[0]
     if meant := _for_file(Path(word)):
-        hint = f"; did you mean `{shlex.join(['lightfield-gs', *meant, *words[1:]])}`?"
+        hint = f"; did you mean `{quoted('lightfield-gs', *meant, *words[1:])}`?"
         return InputError(f"invalid choice: '{word}' is a file, and a command is expected before it{hint}")
     hint = did_you_mean(word, commands) or f": {', '.join(commands)}"
     return InputError(f"invalid choice: there is no command '{word}'{hint}; see lightfield-gs --help")
+
+
+def check_input(path: Path) -> None:
+    """Raise InputError where there is no such file, with one of a name like it: at once, before torch is imported."""
+    try:
+        os.stat(path)
+    except FileNotFoundError as error:
+        with suppress(OSError):
+            beside = os.listdir(path.parent)[:_MOST_NAMES]
+            hint = did_you_mean(path.name, beside, "" if path.parent == Path() else f"{path.parent}{os.sep}")
+            raise InputError(f"cannot read {path}: {error.strerror}{hint}") from None
+    except (OSError, ValueError):  # its reader says what is wrong
+        return
 
 
 def _for_file(path: Path) -> list[str]:

@@ -60,7 +60,13 @@ def test_help_all_has_every_option_and_groups(command, capsys):
 
 def test_help_and_refusals_of_arguments_import_neither_torch_nor_numpy():
     bad = [f"{name} --no-such-option" for name in COMMANDS]
-    wrong = ["encode a.jpg -o o.png --panel protrait", "video a.jpg -o o.mp4 --device gpu", "enocde a.jpg", "photo.jpg"]
+    wrong = [
+        "encode a.jpg -o o.png --panel protrait",
+        "video a.jpg -o o.mp4 --device gpu",
+        "enocde a.jpg",
+        "photo.jpg",
+        "view none.jpg",
+    ]
     fine = ["--help", "--version", "encode --help", "encode --help-all"]
     lines = [sys.executable, "-c", RUN, *bad, *wrong, *fine]
     done = subprocess.run(lines, capture_output=True, text=True, timeout=60)
@@ -69,6 +75,12 @@ def test_help_and_refusals_of_arguments_import_neither_torch_nor_numpy():
     assert [line for line in said if not line.startswith("lightfield-gs: error: ")] == (
         ["2"] * len(bad + wrong) + ["0"] * len(fine)
     )
+
+
+def test_a_file_that_is_missing_is_said_with_one_of_its_kind(folder, capsys):
+    error = complaint(capsys, f"encode {folder}/S.pyl -o o.png")
+    assert f"cannot read {folder}/S.pyl: No such file or directory; did you mean `{folder}/s.ply`?" in error
+    assert "did you mean" not in complaint(capsys, "show nothing-like-it")
 
 
 @pytest.mark.parametrize(

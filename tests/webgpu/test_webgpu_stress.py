@@ -40,7 +40,7 @@ def test_extremes_have_the_bytes_of_the_cpu(frames, name, tiling):
 @pytest.mark.webgpu_large
 def test_a_list_of_30000(frames):
     """Faint Gaussians, all of which cover the panel: a sample shows the nearest few hundred of them."""
-    gaussians = random_scene(30_000, seed=1, size=0.5, dtype=torch.float32)
+    gaussians = random_scene(31_000, seed=1, size=0.5, dtype=torch.float32)
     gaussians.opacities[:] = 0.02
     shown = panel(width_px=32, height_px=16)
     difference, stats = apart(gaussians, shown, rig(shown))
