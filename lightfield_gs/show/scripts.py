@@ -24,12 +24,16 @@ def json_in_page(data: object) -> str:
     return json.dumps(data).replace("<", "\\u003c")
 
 
-def joined(entry: Path) -> str:
+def joined(entry: Path, exports: bool = False) -> str:
     """Return a module and all that it imports as one script, for a `<script type="module">`.
 
     Each module becomes a function that runs once, in its turn, and returns what it exports. So names stay its own. The
     entry itself comes last, at the top level, where it may wait. Known are `import { a, b } from "./other.js";` and
     `export` before a declaration of one name, as our files have them.
+
+    Args:
+        entry: The module.
+        exports: Whether the script exports what the module does, for others to import.
 
     Raises:
         InputError: A file is missing, imports or exports in another way, or imports what is not exported.
@@ -40,6 +44,8 @@ def joined(entry: Path) -> str:
         f"// {path.name}\nconst {one.name} = (() => {{\n{one.body}\nreturn {{ {', '.join(one.exported)} }};\n}})();\n"
         for path, one in known.items()
     ]
+    if exports:
+        body += f"export {{ {', '.join(name for _, name in _EXPORT.findall(_read(entry)))} }};\n"
     # Nothing within may end the script's element
     return "".join([*parts, body]).replace("</script", "<\\/script").replace("<!--", "<\\!--")
 

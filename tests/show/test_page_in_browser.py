@@ -7,12 +7,12 @@ import subprocess
 import sys
 import threading
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
-from chromium import Browser, find
+from chromium import SWIFTSHADER_CANVAS, Browser, find
 from command_line import PANEL, scene
 from test_page import serving
 
@@ -82,6 +82,40 @@ def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):
         np.testing.assert_array_equal(pixels(page, "native"), encode(stage.gaussians, PANEL, stage.base).numpy())
         assert pixels(page, "sheet").any()
         assert page.run("document.querySelector('#trouble').hidden")
+
+
+EYE = """(async (controls) => {
+  const drawing = await (await import("/drawing.js")).openDrawing(), {bitmap} = await drawing.eye(controls, 64);
+  const canvas = Object.assign(document.createElement("canvas"), {width: bitmap.width, height: bitmap.height});
+  canvas.getContext("2d").drawImage(bitmap, 0, 0);
+  return Array.from(canvas.getContext("2d").getImageData(0, 0, bitmap.width, bitmap.height).data);
+})"""
+
+
+@pytest.mark.slow
+def test_a_browser_with_webgpu_draws_the_bytes_of_the_server(tmp_path, stage):
+    """What an eye sees while it moves, native pixels, and the panel's page."""
+    controls = Controls(yaw_deg=7.0, zoom=1.2, focus=stage.base.zero_depth * 1.1, depth_amount=0.7, eye=0.3)
+    with serving(steering_routes(stage, exports(stage))) as server, browser(tmp_path, gpu=SWIFTSHADER_CANVAS) as page:
+        page.open(server.url + "/#software")
+        page.wait("document.body?.dataset.draws", 60)
+        if not page.run("(async () => Boolean(navigator.gpu && await navigator.gpu.requestAdapter()))()"):
+            pytest.skip("this Chromium has no adapter for WebGPU")
+        assert page.run("document.body.dataset.draws") == "here"
+        page.run("document.querySelector('[data-mode=native]').click()")
+        page.wait(f"{REST} && document.querySelector('#times').innerText.includes('in the browser')", 90)
+        expected = encode(stage.gaussians, PANEL, stage.base).numpy()
+        assert np.abs(pixels(page, "native").astype(int) - expected).max() <= 1
+
+        drawn = np.array(page.run(f"{EYE}({json.dumps(asdict(controls))})"), np.uint8).reshape(-1, 64, 4)[..., :3]
+        assert np.abs(drawn.astype(int) - stage.eye(controls, 64, still=False).pixels).max() <= 1
+
+        stage.settle(controls)
+        page.resize(PANEL.width_px, PANEL.height_px)
+        page.open(server.url + "/panel#software")
+        page.wait("document.body?.dataset.draws === 'here' && document.body.dataset.exact === 'true'", 60)
+        expected = encode(stage.gaussians, PANEL, controls.rig(stage.base, PANEL)).numpy()
+        assert np.abs(page.screenshot().astype(int) - expected).max() <= 1
 
 
 class Elsewhere(BaseHTTPRequestHandler):

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians, from_arrays
 from lightfield_gs.show.scene_page.packing import pack, unpack
 from lightfield_gs.show.scripts import joined
+
+GUITAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "gaussians" / "guitar.ply"
 
 
 def arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:
@@ -42,6 +45,13 @@ def test_centres_far_apart_keep_their_places():
     found = unpack(packed)["means"]
     nearest = np.abs(found[:, None] - arrays(gaussians)["means"]).max(-1).min(0)
     assert packed.bytes_each == 3 and nearest.max() <= packed.step / 2 + 1e-3 and packed.step < 1e-2
+
+
+@pytest.mark.skipif(not GUITAR.is_file(), reason="needs ../shared/data/gaussians/guitar.ply")
+def test_a_hundred_thousand_gaussians_have_two_megabytes():
+    """As base64, with the rest of a page, which takes less than 250 kB."""
+    packed = pack(arrays(Gaussians.load(GUITAR)))
+    assert packed.degree == 0 and 1e5 / packed.count * len(packed.data) * 4 / 3 < 1.75e6
 
 
 def test_a_page_is_one_file_that_loads_nothing(tmp_path, capsys):

@@ -2,7 +2,7 @@
 
 import json
 import os
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +11,14 @@ import torch
 from chromium import SWIFTSHADER_CANVAS, Browser, find
 from rasterizer_cases import CELLS, panel, random_scene, rig
 
-import lightfield_gs.panels as panels
-from lightfield_gs import encode
+from lightfield_gs import encode, panels, webgpu
 from lightfield_gs.panels.look import Look, orbited
 from lightfield_gs.panels.panel import Panel, panel_lens
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.scene_page.write import DrawnAs, write_scene_page
 from lightfield_gs.show.scripts import joined
+from lightfield_gs.webgpu.parameters import Boxes, tilings
 
 pytestmark = [pytest.mark.not_sanitized, pytest.mark.slow]  # a sanitizer that is loaded before a browser stops it
 STILL = "document.body?.dataset.state === 'still'"
@@ -167,11 +167,12 @@ def test_pictures_are_shown_where_there_is_no_webgpu(tmp_path):
 
 def test_lenses_of_the_page_are_those_of_the_package(tmp_path, page):
     """Phases of 64 bits, cells, and what a visual.json becomes."""
-    folder = Path(panels.__file__).parent / "browser"
-    names = {"lensOf": "lens.js", "panelOfCalibration": "calibration.js"}
+    of_panels, of_webgpu = (Path(room.__file__).parent / "browser" for room in (panels, webgpu))
+    files = {"lensOf": of_panels / "lens.js", "panelOfCalibration": of_panels / "calibration.js"}
+    files |= dict.fromkeys(("boxesOf", "tilings"), of_webgpu / "parameters.js")
     lines = [
-        f'import {{ {name} }} from "./{os.path.relpath(folder / file, tmp_path)}";\nwindow.{name} = {name};\n'
-        for name, file in names.items()
+        f'import {{ {name} }} from "./{os.path.relpath(file, tmp_path)}";\nwindow.{name} = {name};\n'
+        for name, file in files.items()
     ]
     (tmp_path / "entry.js").write_text("".join(sorted(lines, reverse=True)))
     page.open("about:blank")
@@ -187,6 +188,10 @@ def test_lenses_of_the_page_are_those_of_the_package(tmp_path, page):
         cells = lens["cells"] or []
         assert [int(cell["phase"]) for cell in cells] == list(expected.cell_phases)
         assert [cell["channel"] for cell in cells] == list(expected.cell_channels)
+        for ordinals in tilings(expected):
+            boxes = page.run(f"boxesOf(lensOf({json.dumps(one.to_dict())}, 0.5, -0.1), {ordinals})")
+            assert tuple(boxes.values()) == astuple(Boxes.of(expected, ordinals))
+        assert page.run(f"tilings(lensOf({json.dumps(one.to_dict())}, 0.5, -0.1))") == list(tilings(expected))
     places = {f"{colour}Offset{axis}": f"0.{k}" for k, colour in enumerate("RGB") for axis in "XY"}
     cells = {"subpixelCells": [places], "CellPatternMode": 0}
     for change in ({}, {"flipImageX": 1}, {"flipSubp": "1"}, {"invView": 0}, cells):

@@ -31,6 +31,26 @@ export function orbited(rig, yawDeg, pitchDeg) {
   return { ...rig, world_to_camera: [...turned.flat(), 0, 0, 0, 1] };
 }
 
+/** The rig of a viewer's adjustments {focus, depth_amount, cone_deg, zoom, pan_x, pan_y}: Look.applied. */
+export function looked(rig, look, coneDeg) {
+  const centre = zoomed(rig, look.zoom).principal_point_px.map((c, k) => c + [look.pan_x, look.pan_y][k] * rig.size_px[k]);
+  const cone = look.cone_deg ?? rig.cone_deg ?? coneDeg, tangent = look.depth_amount * Math.tan((cone * RADIANS) / 2);
+  return {
+    ...zoomed(rig, look.zoom), principal_point_px: centre, zero_depth: look.focus ?? rig.zero_depth,
+    cone_deg: (2 * Math.atan(tangent)) / RADIANS,
+  };
+}
+
+/** The rig of the same picture with fewer pixels across: Rig.reduced. */
+export function reduced(rig, width_px) {
+  const scale = Math.min(1, width_px / rig.size_px[0]), size = rig.size_px.map((side) => Math.max(1, Math.round(side * scale)));
+  const scaled = (pair) => pair.map((value, k) => (value * size[k]) / rig.size_px[k]);
+  return { ...rig, focal_px: scaled(rig.focal_px), principal_point_px: scaled(rig.principal_point_px), size_px: size };
+}
+
+/** How far the eye at a place, -0.5 .. 0.5 across the viewing zone, is from the centre camera, scene units. */
+export const eyeOffset = (rig, coneDeg, place) => 2 * halfWidth(rig, coneDeg) * place;
+
 const halfWidth = (rig, coneDeg) => rig.zero_depth * Math.tan(((rig.cone_deg ?? coneDeg) * RADIANS) / 2);
 
 function limits(rig, [width, height], coneDeg) {
@@ -41,25 +61,38 @@ function limits(rig, [width, height], coneDeg) {
   ];
 }
 
+/** The deviation of camera positions that a view filter averages over, scene units: view_aperture. */
+export const apertureOf = (panel, rig, viewFilter) => (viewFilter * 2 * halfWidth(rig, panel.cone_deg)) / panel.views / Math.sqrt(12);
+
 /** The cameras and the lens by which a panel's sub-pixels see the scene: lenticular_camera. */
 export function panelCamera(panel, rig, viewFilter) {
   const half = halfWidth(rig, panel.cone_deg), sign = panel.invert_views ? -1 : 1;
   const start = sign * 2 * half * 0.5, end = sign * 2 * half * -0.5, step = (end - start) / panel.views;
-  const apart = viewFilter * ((2 * half) / panel.views);
   return {
     pose: rig.world_to_camera, intrinsics: [...rig.focal_px, ...rig.principal_point_px], zero_depth: rig.zero_depth,
     limits: [...limits(rig, [panel.width_px, panel.height_px], panel.cone_deg), 0],
-    lens: lensOf(panel, start, step), aperture: viewFilter > 0 ? apart / Math.sqrt(12) : 0,
+    lens: lensOf(panel, start, step), aperture: apertureOf(panel, rig, viewFilter),
+  };
+}
+
+/** Some pixels of a panel as a panel of its own, whose sub-pixels show the same: left and top are multiples of 4. */
+export function cutOut(camera, left, top, width, height) {
+  const { lens, intrinsics } = camera, [start, across, below] = lens.phases;
+  const first = BigInt.asUintN(64, start + BigInt(3 * left) * across + BigInt(top) * below);
+  return {
+    ...camera, intrinsics: [intrinsics[0], intrinsics[1], intrinsics[2] - left, intrinsics[3] - top],
+    lens: { ...lens, width_px: width, height_px: height, phases: [first, across, below],
+      phase: lens.phase + 3 * left + 3 * top * lens.slant_tan },
   };
 }
 
 /** The camera of an ordinary picture, `right` and `down` of the centre camera in scene units; the zero plane stays. */
-export function plainCamera(rig, coneDeg, right, down) {
+export function plainCamera(rig, coneDeg, right, down, aperture = 0) {
   const [width, height] = rig.size_px, [fx, fy] = rig.focal_px, [cx, cy] = rig.principal_point_px, pose = [...rig.world_to_camera];
   pose[3] -= right;
   pose[7] -= down;
   return {
     pose, intrinsics: [fx, fy, cx + (fx / rig.zero_depth) * right, cy + (fy / rig.zero_depth) * down],
-    zero_depth: rig.zero_depth, limits: [...limits(rig, rig.size_px, coneDeg), right], lens: plainLens(width, height), aperture: 0,
+    zero_depth: rig.zero_depth, limits: [...limits(rig, rig.size_px, coneDeg), right], lens: plainLens(width, height), aperture,
   };
 }

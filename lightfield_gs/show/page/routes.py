@@ -24,6 +24,7 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
 from lightfield_gs.panels.simulate import missing_geometry
+from lightfield_gs.show.page.drawing import drawing_routes
 from lightfield_gs.show.page.server import (
     Answer,
     Query,
@@ -66,7 +67,13 @@ def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path
             f"/export/{name}": Route(partial(steering.export, name), place=lambda query: Reservation(True))
             for name in exports
         },
-        **panel_routes(stage.panel, steering.native, lambda after: stage.wait_for(after, _WAIT_S)),
+        **drawing_routes(stage),
+        **panel_routes(
+            stage.panel,
+            steering.native,
+            lambda after: stage.wait_for(after, _WAIT_S),
+            controls=lambda: asdict(stage.resting()),
+        ),
     }
 
 
@@ -114,7 +121,11 @@ class _Steering:
 
 
 def panel_routes(
-    panel: Panel, native: Callable[[], tuple[int, np.ndarray]], version: Callable[[int], int], fills: bool = False
+    panel: Panel,
+    native: Callable[[], tuple[int, np.ndarray]],
+    version: Callable[[int], int],
+    fills: bool = False,
+    controls: Callable[[], dict[str, object]] | None = None,
 ) -> dict[str, Route]:
     """Return the addresses of the panel's own page.
 
@@ -122,12 +133,16 @@ def panel_routes(
         native: Returns the current picture, uint8 [H, W, 3], and its version.
         version: Returns the picture's version once it differs from the given number, or after a while.
         fills: Whether the picture fills the screen, as of two eyes, instead of being shown pixel for pixel.
+        controls: Returns those of the picture, for browsers that draw it themselves. None: they cannot.
     """
+
+    def drawn_by() -> dict[str, object]:
+        return {} if controls is None else {"controls": controls()}
 
     def state(query: Query) -> Answer:
         after = int(number(query, "after", -1, 1 << 53))
         size = {"width_px": panel.width_px, "height_px": panel.height_px}
-        return as_json({"name": panel.name, **size, "version": version(after), "fills": fills})
+        return as_json({"name": panel.name, **size, "version": version(after), "fills": fills, **drawn_by()})
 
     packed = _Packed(native)
     return {

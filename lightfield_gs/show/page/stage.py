@@ -212,6 +212,11 @@ class Stage:
                 self.version += 1
                 self._changed.notify_all()
 
+    def resting(self) -> Controls:
+        """Return the page's resting state."""
+        with self._changed:
+            return self._settled
+
     def settled(self) -> tuple[int, np.ndarray]:
         """Return the version of the page's resting state, and its native picture."""
         with self._changed:

@@ -9,13 +9,12 @@ from typing import Any
 
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.rig import SIZE_KEY, Rig
-from lightfield_gs.rasterizer.quality import EXACT
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians, from_arrays
+from lightfield_gs.show.browser_data import host_tables, rig_numbers
 from lightfield_gs.show.preview import look_around, strip
 from lightfield_gs.show.scene_page.packing import PackedGaussians, pack, unpack
 from lightfield_gs.show.scripts import filled, joined, json_in_page
-from lightfield_gs.webgpu.shaders import BINDINGS, STAGES, wgsl
 
 _FILES = Path(__file__).parent / "files"
 # Views for browsers without WebGPU: few and small, for most readers do without them
@@ -83,8 +82,8 @@ def write_scene_page(
         "title": title,
         "gaussians": packed.header(),
         "panel": panel.to_dict() if is_for_panel else None,
-        "rig": _rig(rig, (panel.width_px, panel.height_px)),
-        "upright_rig": None if upright_rig is None else _rig(upright_rig, UPRIGHT_PX),
+        "rig": rig_numbers(rig, (panel.width_px, panel.height_px)),
+        "upright_rig": None if upright_rig is None else rig_numbers(upright_rig, UPRIGHT_PX),
         "cone_deg": cone_deg,
         "reach_deg": cone_deg / 2 if is_photo else None,
         "background": drawn_as.background,
@@ -92,7 +91,7 @@ def write_scene_page(
         "view_filter": drawn_as.view_filter,
         "ground": f"rgb({red} {green} {blue})",
         "strip": {**_strip(shown, panel, rig, drawn_as), "reach_deg": cone_deg / 2},
-        "host": _host(),
+        "host": host_tables(),
     }
     text = filled(
         _FILES / "scene.html",
@@ -107,25 +106,6 @@ def write_scene_page(
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
     return ScenePage(packed, shown, len(data))
-
-
-def _rig(rig: Rig, size_px: tuple[int, int]) -> dict[str, Any]:
-    """Return a rig as lightfield_gs/panels/browser/rig.js takes it."""
-    return {**rig.to_dict(), "world_to_camera": rig.world_to_camera.reshape(-1).tolist(), SIZE_KEY: size_px}
-
-
-def _host() -> dict[str, Any]:
-    """Return what lightfield_gs/webgpu/browser takes: the stages, and the error of colours of an exact picture."""
-    stages = {
-        name: {"files": stage.files, "bindings": stage.bindings} for name, stage in STAGES.items() if name != "pack"
-    }
-    used = dict.fromkeys(name for stage in stages.values() for name in stage["files"])
-    return {
-        "stages": stages,
-        "bindings": BINDINGS,
-        "files": {name: wgsl(name) for name in used},
-        "colour_error": EXACT.colour_error,
-    }
 
 
 def _strip(gaussians: Gaussians, panel: Panel, rig: Rig, drawn_as: DrawnAs) -> dict[str, Any]:

@@ -5,23 +5,39 @@ export const BOX_ROWS = 16; // as in csrc/webgpu/footprint.wgsl, as the next two
 const TILE_WIDTH = 32, BOX_LENSES = 16;
 export const ORDINALS = [0, 2, 3, 6]; // tilings in the order of cost_of_splat in csrc/webgpu/project.wgsl
 const LENS_WIDTHS = [6, 200]; // sub-pixels, of lenses that boxes are made of
-const CELLS = 48, POSE_NUMBERS = 12, FLOATS = 36, WORDS = 20;
+// In sub-pixels: from a cell's shift to the next one's, and between the least and the most, for boxes of lenses
+const LEAST_STEP = -0.9, MOST_SPREAD = 1.5;
+const CELLS_IN_ROW = 12, CELLS = 48, POSE_NUMBERS = 12, FLOATS = 36, WORDS = 20;
 
 /** The boxes of a panel: {ordinals, across, down, groups, firstLens}. */
 export function boxesOf(lens, ordinals) {
   const down = Math.ceil(lens.height_px / BOX_ROWS);
   if (!ordinals) return { ordinals, across: Math.ceil(lens.width_px / TILE_WIDTH), down, groups: 1, firstLens: 0 };
-  const corners = [0, 3 * lens.width_px].flatMap((place) => [0, lens.height_px].map((row) =>
-    (place + 3 * row * lens.slant_tan + lens.phase) / lens.line_number));
+  const [least, most] = shiftsOf(lens), corners = [0, 3 * lens.width_px].flatMap((place) => [0, lens.height_px].flatMap((row) =>
+    [least, most].map((shift) => (place + 3 * row * lens.slant_tan + lens.phase + shift) / lens.line_number)));
   const firstLens = Math.floor(Math.min(...corners)) - 1;
   const across = Math.ceil((Math.ceil(Math.max(...corners)) + 1 - firstLens) / BOX_LENSES);
-  return { ordinals, across, down, groups: Math.ceil((Math.floor(lens.line_number) + 1) / ordinals), firstLens };
+  return { ordinals, across, down, groups: Math.ceil((Math.floor(lens.line_number + most - least) + 1) / ordinals), firstLens };
 }
 
-/** The ordinals of the tilings that a panel allows; boxes of lenses need stripes. */
+/** How far cells lie beyond their stripes, in sub-pixels, by row mod 4 and sub-pixel mod 12. */
+function cellShifts(lens) {
+  return lens.cells?.map(({ phase }) => (Number(BigInt.asIntN(64, phase)) * lens.line_number) / 2 ** 64) ?? Array(CELLS).fill(0);
+}
+
+/** The least and the most of them. */
+function shiftsOf(lens) {
+  const shifts = cellShifts(lens);
+  return [Math.min(...shifts), Math.max(...shifts)];
+}
+
+/** The ordinals of the tilings that a panel allows; boxes of lenses need cells in the order of stripes. */
 export function tilings(lens) {
+  const shifts = cellShifts(lens), [least, most] = shiftsOf(lens);
+  const next = (k) => shifts[k - (k % CELLS_IN_ROW) + ((k + 1) % CELLS_IN_ROW)];
+  const isOrdered = shifts.every((shift, k) => next(k) - shift > LEAST_STEP) && most - least <= MOST_SPREAD;
   const fit = LENS_WIDTHS[0] <= lens.line_number && lens.line_number <= LENS_WIDTHS[1];
-  return fit && !lens.cells ? ORDINALS : ORDINALS.slice(0, 1);
+  return fit && isOrdered ? ORDINALS : ORDINALS.slice(0, 1);
 }
 
 /** The struct Params.
@@ -44,6 +60,7 @@ export function packParams({ camera, antialiased, background, tolerance }, { deg
     boxes.across, rows[1] - rows[0], boxes.groups, rows[0], ...room,
   ], FLOATS);
   lens.cells?.forEach(({ phase, channel }, k) => words.set([...halves(phase), channel], FLOATS + WORDS + 4 * k));
+  shiftsOf(lens).forEach((shift, k) => { floats[FLOATS + WORDS + 4 * k + 3] = shift; });
   return data;
 }
 

@@ -34,8 +34,8 @@ export function measured() {
 }
 
 export function measuresInWords({ ratio, screen, window, pinch }) {
-  return `devicePixelRatio ${ratio}, screen ${screen.width} × ${screen.height}, ` +
-    `window ${window.width} × ${window.height}, pinch ${percent(pinch)}`;
+  return `A pixel of the page is ${Number(ratio.toFixed(3))} of the screen; the screen has ${screen.width} × ${screen.height} of the page, ` +
+    `the window ${window.width} × ${window.height}; pinched to ${percent(pinch)}.`;
 }
 
 const percent = (share) => `${Math.round(100 * share)} %`;

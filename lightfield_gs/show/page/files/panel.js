@@ -20,19 +20,40 @@ function check() {
 
 // The picture, and the next one as soon as there is one
 
+let drawing; // what draws here; null: the server does
+const canvas = Object.assign(document.createElement("canvas"), { id: "picture", role: "img", ariaLabel: find("#picture").alt });
+
+/** Draws the controls of a scene here; false where the server must. */
+async function drawHere(controls) {
+  if (drawing === undefined) drawing = await (await import("./drawing.js")).openDrawing(canvas);
+  if (!drawing || drawing.isLost) return false;
+  await drawing.onPanel(controls);
+  place(canvas);
+  document.body.dataset.draws = "here";
+  return true;
+}
+
+async function fetched(version) {
+  const next = Object.assign(new Image(), { src: `panel.png?version=${version}`, id: "picture", alt: find("#picture").alt });
+  await next.decode();
+  place(next);
+  document.body.dataset.draws = "server";
+}
+
+function place(picture) {
+  if (find("#picture") !== picture) find("#picture").replaceWith(picture);
+}
+
 async function follow() {
   let version = -1;
   for (;;) {
     try {
       const answer = await (await fetch(`panel.json?after=${version}`)).json();
       if (answer.version !== version) {
-        const next = Object.assign(new Image(), { src: `panel.png?version=${answer.version}` });
-        await next.decode();
-        next.id = "picture";
-        next.alt = find("#picture").alt;
-        find("#picture").replaceWith(next);
+        if (!answer.controls || !(await drawHere(answer.controls))) await fetched(answer.version);
         document.title = `${answer.name} · lightfield-gs`;
         [panel, version] = [answer, answer.version];
+        document.body.dataset.version = version;
         check();
       }
     } catch {
@@ -40,6 +61,24 @@ async function follow() {
     }
   }
 }
+
+let wanted = null, isMoving = false;
+
+/** Follows the hand at once, where this browser draws and shows the page that steers. */
+new BroadcastChannel("lightfield-gs view").addEventListener("message", async ({ data }) => {
+  wanted = data;
+  if (isMoving || !drawing) return;
+  isMoving = true;
+  try {
+    while (wanted) {
+      const now = wanted;
+      wanted = null;
+      await drawHere(now);
+    }
+  } finally {
+    isMoving = false;
+  }
+});
 
 for (const event of ["resize", "fullscreenchange", "focus"]) addEventListener(event, check);
 visualViewport?.addEventListener("resize", check);

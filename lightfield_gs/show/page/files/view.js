@@ -2,6 +2,7 @@
 // for a while, the same in full. Older answers are dropped, so that the page never lags behind the hand.
 
 import { buildControls, element } from "./controls.js";
+import { openDrawing } from "./drawing.js";
 import { answerOf, fit, pictureOf, show, showTimes } from "./pictures.js";
 
 const REST_MS = 250; // without a move, before the picture is drawn in full
@@ -15,6 +16,8 @@ const scene = await (await fetch("scene.json")).json();
 const state = { ...scene.defaults, mode: "eye", width: scene.live ? 1280 : 640, x: 0.5, y: 0.5 };
 const panes = Object.fromEntries([...document.querySelectorAll("figure")].map((pane) => [pane.dataset.pane, pane]));
 let moves = 0, drawn = 0, isDrawing = false, restTimer = 0, stopRest = new AbortController();
+const channel = new BroadcastChannel("lightfield-gs view"); // a panel's page in this browser follows at once
+let drawing = null;
 const rate = []; // times of the last coarse pictures, ms
 
 // What is asked for
@@ -43,7 +46,37 @@ function size(pane) {
   return { width: pixels(clientWidth), height: pixels(clientHeight) };
 }
 
-const draw = (pane, still, signal) => pictureOf(`frame?${query(pane, still)}`, signal);
+/** A picture of a pane: drawn here where this browser can, else by the server. */
+async function draw(pane, still, signal) {
+  const isHere = drawing && !drawing.isLost && (pane === "native" || (pane === "eye" && !still));
+  if (!isHere) return pictureOf(`frame?${query(pane, still)}`, signal);
+  const began = performance.now(), { width, height } = size(panes.native);
+  try {
+    const picture = pane === "eye" ? await drawing.eye(state, state.width) : await drawing.native(state, state.x, state.y, width, height);
+    return { ...picture, stages: [["drawn in the browser", performance.now() - began]] };
+  } catch (error) {
+    console.error(error); // too large, or lost: the server can
+    drawing = null;
+    introduce();
+    showWords();
+    return draw(pane, still, signal);
+  }
+}
+
+/** Has this browser draw, once it is ready. */
+async function drawHere() {
+  try {
+    const opened = await openDrawing();
+    await opened?.eye(state, WIDTHS_PX[0]); // compiles
+    drawing = opened;
+  } catch (error) {
+    console.error(error);
+  }
+  document.body.dataset.draws = drawing ? "here" : "server";
+  if (!drawing) return;
+  introduce();
+  changed();
+}
 
 // When it is asked for
 
@@ -54,6 +87,7 @@ function changed() {
   restTimer = setTimeout(rest, REST_MS);
   find("#panes").setAttribute("aria-busy", "true");
   showWords();
+  channel.postMessage(kept());
   moving();
 }
 
@@ -221,15 +255,16 @@ function introduce() {
   document.title = `${scene.name} · lightfield-gs`;
   find("#name").textContent = scene.name;
   find("#about").textContent = `${scene.gaussians.toLocaleString("en")} Gaussians · panel ${panel.name}, ` +
-    `${panel.width_px} × ${panel.height_px}, ${panel.views} views · ${scene.live ? "GPU" : "CPU"}`;
+    `${panel.width_px} × ${panel.height_px}, ${panel.views} views · ${drawing ? "drawn in this browser" : scene.live ? "GPU" : "CPU"}`;
   const half = scene.zone_mm === null ? `${(panel.cone_deg / 2).toFixed(0)}°` : `${(scene.zone_mm / 2).toFixed(0)} mm`;
   find("#zone-left").textContent = `${half} left`;
   find("#zone-right").textContent = `${half} right`;
-  for (const name of scene.exports)
-    find("#exports").append(element("a", { className: "button", textContent: name, download: name }));
+  find("#exports").replaceChildren(...scene.exports.map((name) =>
+    element("a", { className: "button", textContent: name, download: name })));
 }
 
 const controls = buildControls(find("#sliders"), scene, state, changed);
 introduce();
 listen();
 changed();
+drawHere();

@@ -14,8 +14,8 @@ import { inflated, unpacked } from "./unpack.js";
 const REST_MS = 250, IDLE_MS = 4000;
 const LACKS = {
   webgpu: "This browser cannot draw 3D scenes by itself",
-  adapter: "This browser found no graphics device that draws 3D scenes",
-  hardware: "This device has no graphics processor that the browser can use",
+  adapter: "This browser found no graphics device for 3D",
+  hardware: "This browser can use no graphics processor here",
   lost: "The graphics device stopped",
   large: "This scene is too large for the graphics of this device",
 };
@@ -94,7 +94,7 @@ async function showStrip(lacks) {
   for (const name of ["show", "choose-here"]) find(`#${name}`).hidden = true;
   find("#note").hidden = false;
   find("#note").textContent = `${LACKS[lacks]}: these are ${page.strip.frames.length} pictures, drawn beforehand. A new ` +
-    "Chrome, Edge, Safari or Firefox on a device with graphics of its own shows the scene from all sides.";
+    "Chrome, Edge, Safari or Firefox shows the scene from all sides.";
   draw = async ({ yaw }) => showPlace(0.5 + yaw / (2 * reach));
   changed();
 }
