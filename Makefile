@@ -6,12 +6,14 @@ BIN := $(VENV)/bin
 DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 VULKAN_PACKAGES := libvulkan1 mesa-vulkan-drivers
 ARM_PACKAGES := g++-aarch64-linux-gnu qemu-user
+WINE_PACKAGES := wine wine64
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 CAPTURE := lightfield_gs/data/banana
 
-.PHONY: setup photo demo demo-fit test test-wheel test-cuda-emulated sanitize sanitize-all sanitize-threads sanitized-module \
-  sanitize-cuda cuda-module stubs test-arm clang lint fuzz bench docs clean FORCE
+.PHONY: setup photo demo demo-fit test test-wheel test-cuda-emulated test-webgpu sanitize sanitize-all \
+  sanitize-threads sanitized-module sanitize-cuda cuda-module stubs test-arm test-windows clang lint fuzz bench docs \
+  clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -57,7 +59,7 @@ SKIPPED := build/skipped
 
 test: setup $(VENV)/.vulkan
 	@mkdir -p build && rm -f $(SKIPPED)
-	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) $(BESIDE) -m "not alone and not wheel and not cuda_emulated" tests
+	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) $(BESIDE) -m "not alone and not wheel and not cuda_emulated and not webgpu_large" tests
 	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) -m alone tests
 	@touch $(SKIPPED); echo "skipped: $$(sort $(SKIPPED) | uniq -c | sort -rn | sed 's/^ *//' | paste -sd';' | sed 's/;/; /g')"
 
@@ -67,6 +69,10 @@ test-wheel: setup
 
 test-cuda-emulated: setup
 	$(PYTEST) $(BESIDE) -m cuda_emulated tests/cuda
+
+# Frames by WebGPU that take minutes on Mesa's lavapipe: a panel of 16K, millions of Gaussians, long lists.
+test-webgpu: setup $(VENV)/.vulkan
+	$(PYTEST) -m webgpu_large tests/webgpu
 
 # The native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code; and the stages on
 # several threads under ThreadSanitizer. `sanitize` runs the files that call each native stage, with a quarter of the
@@ -119,14 +125,35 @@ stubs: cuda-module
 QEMU = qemu-aarch64 $(if $(wildcard /lib/ld-linux-aarch64.so.1),,-L /usr/aarch64-linux-gnu)
 STAGES = -DLFGS_MODULE=OFF -DCMAKE_BUILD_TYPE=Release -G Ninja -S .
 test-arm: setup $(VENV)/.arm
-	for kind in arm x86; do \
-	  toolchain=$$([ $$kind = arm ] && echo -DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake); \
-	  PATH=$(CURDIR)/$(BIN):$$PATH cmake $(STAGES) -B build/$$kind $$toolchain && \
-	  MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/$$kind --target stages_to_file || exit 1; \
-	done
+	$(call stages,arm,-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake)
+	$(call stages,x86)
 	$(QEMU) build/arm/stages_to_file build/arm/stages
+	$(call compare_stages,arm,NEON)
+
+# The stages on Windows: cross-compiled by Zig, run by Wine, and compared in the same way. For 64-bit ARM with Windows and
+# with macOS they are compiled and linked, which nothing here can run. The first time Zig compiles its C++ library too.
+# ZIG_OPTIONS, for a machine without GitHub: -DFETCHCONTENT_SOURCE_DIR_HWY=FOLDER -DFETCHCONTENT_SOURCE_DIR_GLM=FOLDER
+WINE = WINEPREFIX=$(CURDIR)/build/wine WINEDEBUG=-all WINEDLLOVERRIDES="mscoree,mshtml=" wine
+ZIG_OPTIONS ?=
+ZIG = -DCMAKE_TOOLCHAIN_FILE=cmake/zig.cmake -DLFGS_ZIG=$(CURDIR)/$(VENV)/zig/bin/python $(ZIG_OPTIONS)
+test-windows: setup $(VENV)/.windows
+	$(call stages,x86)
+	$(call stages,windows,$(ZIG) -DLFGS_TARGET=x86_64-windows-gnu)
+	$(WINE) build/windows/stages_to_file.exe build/windows/stages
+	$(call compare_stages,windows,SSE4)
+	$(call stages,windows-arm,$(ZIG) -DLFGS_TARGET=aarch64-windows-gnu)
+	$(call stages,macos-arm,$(ZIG) -DLFGS_TARGET=aarch64-macos)
+
+# stages_to_file in build/$(1), with the options $(2) of CMake; and the tests of what it wrote there, by the vectors $(2)
+define stages
+	PATH=$(CURDIR)/$(BIN):$$PATH cmake $(STAGES) -B build/$(1) $(2)
+	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/$(1) --target stages_to_file
+endef
+define compare_stages
 	build/x86/stages_to_file build/x86/stages
-	LFGS_STAGES_ARM=build/arm/stages LFGS_STAGES_X86=build/x86/stages $(PYTEST) tests/native
+	LFGS_STAGES_ELSEWHERE=build/$(1)/stages LFGS_STAGES_VECTORS=$(2) LFGS_STAGES_HERE=build/x86/stages \
+	  $(PYTEST) tests/native
+endef
 
 # The native module by Clang, with GCC's warnings as errors, and the tests of the rasterizer with it.
 clang: setup
@@ -141,7 +168,7 @@ lint: setup $(VENV)/.dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/clang-format --dry-run -Werror $(CLANG_FORMATTED)
-	$(BIN)/mypy
+	for system in linux win32 darwin; do $(BIN)/mypy --platform $$system --cache-dir build/mypy-$$system || exit 1; done
 
 # The tests of the GPU under the tools of compute-sanitizer, on a machine that has one: PYTHON has the package, built for
 # it, and pytest. CUDA_TOOLS, and CUDA_SECONDS for each, where a run may last only so long: the next one goes on with it.
@@ -204,6 +231,14 @@ $(VENV)/.arm: | $(VENV)/.system
 	  echo "make: no $$program (Debian: sudo apt-get install $(ARM_PACKAGES))"; exit 1; }; done
 	@ls /usr/lib/aarch64-linux-gnu/libhwy.so >/dev/null 2>&1 || echo "make: no Highway for ARM: CMake downloads it;" \
 	  "or (Debian) sudo dpkg --add-architecture arm64 && sudo apt-get update && sudo apt-get install libhwy-dev:arm64"
+	@touch $@
+
+# Wine, and Zig in an environment of its own.
+$(VENV)/.windows: | $(VENV)/.system
+	$(call system_packages,$(WINE_PACKAGES),it may be here by other means)
+	@command -v wine >/dev/null || { echo "make: no wine (Debian: sudo apt-get install $(WINE_PACKAGES))"; exit 1; }
+	$(PYTHON) -m venv $(VENV)/zig
+	$(VENV)/zig/bin/python -m pip install -q ziglang==0.17.1
 	@touch $@
 
 # torch comes from the constraint, as its CPU build; no other may get in.

@@ -10,6 +10,13 @@ if(NOT TARGET glm::glm)
   FetchContent_MakeAvailable(glm)
 endif()
 
+if(CMAKE_CROSSCOMPILING AND glm_FOUND)  # beside it lie headers of this system, which are not those of the other
+  get_target_property(glm_folder glm::glm INTERFACE_INCLUDE_DIRECTORIES)
+  file(MAKE_DIRECTORY ${CMAKE_BINARY_DIR}/headers)
+  file(CREATE_LINK ${glm_folder}/glm ${CMAKE_BINARY_DIR}/headers/glm SYMBOLIC)
+  set_target_properties(glm::glm PROPERTIES INTERFACE_INCLUDE_DIRECTORIES ${CMAKE_BINARY_DIR}/headers)
+endif()
+
 find_package(hwy CONFIG QUIET)
 if(NOT TARGET hwy::hwy)
   message(STATUS "Highway not found on the system: fetching it")

@@ -10,7 +10,9 @@ set(CMAKE_SYSTEM_NAME ${systems_${system}})
 set(CMAKE_C_COMPILER ${LFGS_ZIG} -m ziglang cc -target ${LFGS_TARGET})  # CMake asks for it where Highway is fetched
 set(CMAKE_CXX_COMPILER ${LFGS_ZIG} -m ziglang c++ -target ${LFGS_TARGET})
 set(CMAKE_TRY_COMPILE_CONFIGURATION Release)  # Zig compiles its C++ library once for each configuration
-set(CMAKE_CXX_FLAGS_RELEASE_INIT "-g0")  # else a .pdb beside each program
+set(CMAKE_CXX_ARCHIVE_CREATE "${LFGS_ZIG} -m ziglang ar qcs <TARGET> <OBJECTS>")  # that of Linux knows no Mach-O
+set(CMAKE_CXX_ARCHIVE_APPEND "${LFGS_ZIG} -m ziglang ar qs <TARGET> <OBJECTS>")
+set(CMAKE_CXX_ARCHIVE_FINISH "")
 # Tools of Apple and Microsoft, which only libraries and installed programs need
 set(CMAKE_INSTALL_NAME_TOOL ${CMAKE_COMMAND})
 set(CMAKE_RC_COMPILER ${CMAKE_COMMAND})

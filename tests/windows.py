@@ -3,6 +3,7 @@
 Files that any process has open are not renamed or removed, locks are of bytes, and what Python lacks there is absent.
 """
 
+import contextlib
 import os
 import struct
 import sys
@@ -31,16 +32,15 @@ def msvcrt() -> types.ModuleType:
 
 
 def is_open(path) -> bool:
-    """Whether any process has a file, or one below a folder, open."""
+    """Whether any process has a file, or one below a folder, open, or this process has it in memory (mmap)."""
+    names = [line.split(maxsplit=5)[5].rstrip("\n") for line in open("/proc/self/maps") if "/" in line]
+    for process in filter(str.isdecimal, os.listdir("/proc")):
+        with contextlib.suppress(OSError):  # it may end meanwhile, or be another user's
+            for file in os.listdir(f"/proc/{process}/fd"):
+                with contextlib.suppress(OSError):
+                    names.append(os.readlink(f"/proc/{process}/fd/{file}"))
     held = os.path.realpath(path)
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        try:
-            name = os.readlink(link)
-        except OSError:
-            continue
-        if name == held or name.startswith(f"{held}/"):
-            return True
-    return False
+    return any(name == held or name.startswith(f"{held}/") for name in names)
 
 
 def refusing(call):

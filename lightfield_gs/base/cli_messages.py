@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import shlex
-import subprocess
 import sys
 import time
 import warnings
@@ -17,6 +15,7 @@ from typing import Any
 
 from lightfield_gs.base.assumptions import Assumption, collect_assumptions
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.system import quoted
 
 FOLDER_GONE = "the working folder has been removed: change to one that is there (cd)"
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -103,12 +102,6 @@ def say(*messages: str) -> None:
     """Print lines on stdout."""
     for message in messages:
         print(as_options(message))
-
-
-def quoted(*words: object) -> str:
-    """Return words as a command line that a terminal reads as them."""
-    texts = [str(word) for word in words]
-    return subprocess.list2cmdline(texts) if sys.platform == "win32" else shlex.join(texts)
 
 
 def say_next(*words: object) -> None:

@@ -13,6 +13,7 @@ import os
 import platform
 import shlex
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path, PurePath, PureWindowsPath
@@ -108,6 +109,12 @@ def split_words(text: str) -> list[str]:
     if IS_WINDOWS:
         words.escape = ""
     return list(words)
+
+
+def quoted(*words: object) -> str:
+    """Return words as a command line that a terminal reads as them."""
+    texts = [str(word) for word in words]
+    return subprocess.list2cmdline(texts) if IS_WINDOWS else shlex.join(texts)
 
 
 def stop_signals() -> tuple[signal.Signals, ...]:

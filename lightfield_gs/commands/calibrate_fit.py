@@ -11,8 +11,9 @@ import numpy as np
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import load_panel, why_no_eye
-from lightfield_gs.base.cli_messages import note, quoted, say, say_next
+from lightfield_gs.base.cli_messages import note, say, say_next
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.system import quoted
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.calibration_fit import CalibrationFit, ViewpointFit, fit_lens

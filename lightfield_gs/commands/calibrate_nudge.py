@@ -6,8 +6,9 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.base.cli_messages import confirm, quoted, say, say_next
+from lightfield_gs.base.cli_messages import confirm, say, say_next
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.system import quoted
 from lightfield_gs.commands.calibrate_pattern import PatternOptions, draw_pattern, write_pattern
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs

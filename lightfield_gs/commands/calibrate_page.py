@@ -6,7 +6,7 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightfield_gs.base.cli_messages import quoted
+from lightfield_gs.base.system import quoted
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.panels.lens_change import check_profile_path

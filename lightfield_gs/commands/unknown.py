@@ -7,9 +7,9 @@ from collections.abc import Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from lightfield_gs.base.cli_messages import quoted
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.suggestions import did_you_mean
+from lightfield_gs.base.system import quoted
 
 _SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
 _PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".exr", ".mpo", ".jps")

@@ -59,6 +59,7 @@ def test_backslashes_are_of_paths(monkeypatch, tmp_path):
     monkeypatch.setattr(system, "IS_WINDOWS", True)
     (item,), _ = read_items(tmp_path / "list", ".png", tmp_path / "out")
     assert item.fit_words == ("--masks", "C:\\in\\m", "--test-list", "a b")
+    assert system.quoted("show", "C:\\my photos\\a.png") == 'show "C:\\my photos\\a.png"'
 
 
 def test_a_file_that_a_scanner_looks_into_is_written_when_it_is_done(monkeypatch, tmp_path):

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <random>
 #include <string>
 #include <utility>
@@ -38,11 +39,10 @@ struct Render {
   std::vector<std::pair<std::string, std::vector<T>>> results;  // what was drawn from what, by name
 
   explicit Render(int threads_) : threads(threads_) {
-    std::mt19937 random(3);
-    std::uniform_real_distribution<float> unit(-1, 1);
+    std::mt19937 random(3);  // the same numbers by every library; a distribution of std has others in each
     auto fill = [&](std::vector<T>& values, int64_t n, double low, double high) {
       values.resize(size_t(n));
-      for (T& v : values) v = T(low + (high - low) * (0.5 + 0.5 * double(unit(random))));
+      for (T& v : values) v = T(low + (high - low) * std::ldexp(double(random()), -32));
     };
     fill(means, 3 * kCount, -0.8, 0.8), fill(quaternions, 4 * kCount, -1, 1), fill(scales, 3 * kCount, 0.005, 0.1);
     fill(opacities, kCount, 0.1, 1), fill(sh, 12 * kCount, -0.5, 0.5);

@@ -1,4 +1,4 @@
-// Write the results of the CPU's stages to a file, which tests/native/test_arm.py reads. Each result is a line with its
+// Write the results of the CPU's stages to a file, which tests/native/test_elsewhere.py reads. Each result is a line with its
 // name, the bytes of a number and the count of the numbers, then the numbers. The program uses the vectors that every
 // processor of the kind has; their name is the first line.
 #include <cstdio>

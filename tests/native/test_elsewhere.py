@@ -1,6 +1,7 @@
-"""The stages on 64-bit ARM (NEON) against x86-64, by files of stages_to_file.
+"""The stages on another system against Linux on x86-64, by files of stages_to_file: 64-bit ARM, and Windows.
 
-`make test-arm` makes the files, with QEMU as the processor, and names them in the environment.
+`make test-arm` makes the files, with QEMU as the processor, and `make test-windows`, with Wine as the system. They name
+the files in the environment, and the vectors that the other one has.
 """
 
 import os
@@ -13,9 +14,13 @@ import torch
 import lightfield_gs.rasterizer.direct  # noqa: F401  the operator
 from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
 
-FILES = {name: os.environ.get(f"LFGS_STAGES_{name.upper()}", "") for name in ("arm", "x86")}
+FILES = {name: os.environ.get(f"LFGS_STAGES_{name.upper()}", "") for name in ("elsewhere", "here")}
+VECTORS = os.environ.get("LFGS_STAGES_VECTORS", "")
 if not all(FILES.values()):
-    pytest.skip("`make test-arm` runs these: they need a cross compiler and QEMU", allow_module_level=True)
+    pytest.skip(
+        "`make test-arm` and `make test-windows` run these: they need a cross compiler, and QEMU or Wine",
+        allow_module_level=True,
+    )
 
 WIDTH, HEIGHT, VIEWS, STEP = 150, 70, 24, int(18446744073709551615.0 / 9.85)
 FIELDS = ("means", "quaternions", "scales", "opacities", "sh")
@@ -42,8 +47,8 @@ def read(path: str) -> tuple[str, dict[tuple[str, str], np.ndarray]]:
     return target.decode(), results
 
 
-TARGET, ARM = read(FILES["arm"])
-TWIN = read(FILES["x86"])[1]
+TARGET, THERE = read(FILES["elsewhere"])
+HERE = read(FILES["here"])[1]
 
 
 def agree(precision: str, name: str, got: np.ndarray, want: np.ndarray) -> None:
@@ -53,13 +58,13 @@ def agree(precision: str, name: str, got: np.ndarray, want: np.ndarray) -> None:
     assert off.max() <= worst and off.mean() <= mean, f"{name}: {off.max():.2g} at most, {off.mean():.2g} in the mean"
 
 
-def test_the_vectors_are_neon():
-    assert TARGET.startswith("NEON")
+def test_the_vectors_are_those_of_the_processor():
+    assert VECTORS and TARGET.startswith(VECTORS)
 
 
-@pytest.mark.parametrize("precision, name", ARM)
-def test_every_stage_computes_what_it_does_on_x86(precision, name):
-    got, want = ARM[precision, name], TWIN[precision, name]
+@pytest.mark.parametrize("precision, name", THERE)
+def test_every_stage_computes_what_it_does_here(precision, name):
+    got, want = THERE[precision, name], HERE[precision, name]
     if name in INPUTS or name == "fit uniforms":
         assert got.tobytes() == want.tobytes()
     else:
@@ -69,7 +74,7 @@ def test_every_stage_computes_what_it_does_on_x86(precision, name):
 @pytest.mark.parametrize("continuous", [False, True])
 @pytest.mark.parametrize("precision", TOLERANCES)
 def test_light_fields_and_their_gradients_are_those_of_the_module(precision, continuous):
-    fields = [torch.from_numpy(ARM[precision, f].copy()).reshape(SHAPES[f]).requires_grad_() for f in FIELDS]
+    fields = [torch.from_numpy(THERE[precision, f].copy()).reshape(SHAPES[f]).requires_grad_() for f in FIELDS]
     background = torch.tensor([0.2, 0.4, 0.6], dtype=fields[0].dtype)
     lens = Lens(
         width_px=WIDTH,
@@ -92,8 +97,8 @@ def test_light_fields_and_their_gradients_are_those_of_the_module(precision, con
         lens=lens,
     )
     image = torch.ops.lightfield_gs.render_direct(*fields, background, *camera.numbers())
-    image.backward(torch.from_numpy(ARM[precision, "gradient"].copy()).reshape(image.shape))
+    image.backward(torch.from_numpy(THERE[precision, "gradient"].copy()).reshape(image.shape))
     name = "continuous" if continuous else "steps"
-    agree(precision, name, ARM[precision, f"{name} image"], image.detach().numpy())
+    agree(precision, name, THERE[precision, f"{name} image"], image.detach().numpy())
     for field, tensor in zip(FIELDS, fields):
-        agree(precision, name, ARM[precision, f"{name} g_{field}"], tensor.grad.numpy())
+        agree(precision, name, THERE[precision, f"{name} g_{field}"], tensor.grad.numpy())
