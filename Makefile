@@ -11,8 +11,9 @@ NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 CAPTURE := lightfield_gs/data/banana
 
-.PHONY: setup photo demo demo-fit test test-wheel test-cuda-emulated sanitize sanitize-all sanitize-threads sanitized-module \
-  sanitize-cuda cuda-module stubs test-arm test-windows clang lint fuzz bench docs clean FORCE
+.PHONY: setup photo demo demo-fit test test-wheel test-cuda-emulated test-webgpu sanitize sanitize-all \
+  sanitize-threads sanitized-module sanitize-cuda cuda-module stubs test-arm test-windows clang lint fuzz bench docs \
+  clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -58,7 +59,7 @@ SKIPPED := build/skipped
 
 test: setup $(VENV)/.vulkan
 	@mkdir -p build && rm -f $(SKIPPED)
-	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) $(BESIDE) -m "not alone and not wheel and not cuda_emulated" tests
+	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) $(BESIDE) -m "not alone and not wheel and not cuda_emulated and not webgpu_large" tests
 	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) -m alone tests
 	@touch $(SKIPPED); echo "skipped: $$(sort $(SKIPPED) | uniq -c | sort -rn | sed 's/^ *//' | paste -sd';' | sed 's/;/; /g')"
 
@@ -68,6 +69,10 @@ test-wheel: setup
 
 test-cuda-emulated: setup
 	$(PYTEST) $(BESIDE) -m cuda_emulated tests/cuda
+
+# Frames by WebGPU that take minutes on Mesa's lavapipe: a panel of 16K, millions of Gaussians, long lists.
+test-webgpu: setup $(VENV)/.vulkan
+	$(PYTEST) -m webgpu_large tests/webgpu
 
 # The native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code; and the stages on
 # several threads under ThreadSanitizer. `sanitize` runs the files that call each native stage, with a quarter of the

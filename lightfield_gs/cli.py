@@ -99,7 +99,7 @@ def _run(arguments: list[str], began: float) -> int:
         if arguments and arguments[0] not in COMMANDS and not arguments[0].startswith("-"):
             raise unknown_command(arguments, COMMANDS)
         args = build_parser(*arguments[:1]).parse_args(join_values(arguments), argparse.Namespace(began=began))
-        for name in _INPUTS:
+        for name in _INPUTS if arguments[0] != "fit" else ():  # which says what a capture is
             if isinstance(path := getattr(args, name, None), Path):
                 check_input(path)
         with quiet() if getattr(args, "quiet", False) else nullcontext(), closing_lines():

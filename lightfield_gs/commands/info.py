@@ -24,11 +24,26 @@ def run(args: argparse.Namespace) -> None:
     """Print the facts of args.file, or of the devices, a line each. Raises InputError."""
     if args.devices == (args.file is not None):
         raise InputError("info: a FILE or --devices is required, and not both")
+    if args.report and not args.devices:
+        raise InputError("info: --report is of --devices: info --devices --report")
     if args.devices:
         print("\n".join(f"{name}: {facts}" for name, facts in describe_devices()))
+        if args.report:
+            _print_report()
         return
     for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up, args.time):
         print(f"{key}: {value}")
+
+
+def _print_report() -> None:
+    """Print what to send of the adapters. Raises InputError."""
+    from lightfield_gs.webgpu.adapters import missing
+
+    if (lacking := missing()) is not None:
+        raise InputError(f"info --report: {lacking}")
+    from lightfield_gs.webgpu.report import report
+
+    print(f"\n{report()}")
 
 
 def describe_devices() -> list[tuple[str, str]]:

@@ -62,7 +62,7 @@ class SelfTest(NamedTuple):
 
 def self_test(adapter: Adapter) -> SelfTest:
     """Draw a frame of 1920 x 1080 pixels on the adapter and on the CPU, and compare images and times."""
-    job = _job()
+    job = standard_frame()
     expected, cpu_ms = _timed(lambda: job.draw(True))
     begin = time.perf_counter()
     frames = Frames(adapter.open(), adapter.limits)
@@ -85,8 +85,8 @@ def known_self_test(adapter: Adapter) -> SelfTest:
     return SelfTest(int(apart), float(open_ms), float(frame_ms), float(cpu_ms))
 
 
-def _job() -> DirectRender:
-    """Return the render of a cloud of Gaussians on a panel of stripes."""
+def standard_frame() -> DirectRender:
+    """Return the render of a cloud of Gaussians on a panel of 1920 x 1080 pixels with stripes."""
     random = np.random.default_rng(0)
     means = random.uniform(-0.6, 0.6, (_COUNT, 3)) * (1.6, 0.9, 0.5) + (0, 0, 2)
     scales = np.exp(random.normal(np.log(0.01), 0.5, (_COUNT, 3)))

@@ -12,6 +12,7 @@ from photo_cases import photo, tiny_net
 from PIL import Image
 from rasterizer_cases import panel, random_scene, rig
 
+import lightfield_gs as lf
 from lightfield_gs import Encoder, PhotoEncoder, Rig, encode
 from lightfield_gs.base.assumptions import Fallback
 from lightfield_gs.base.errors import InputError
@@ -199,6 +200,18 @@ def test_info_lists_the_devices(frames, capsys):
     assert "MiB at once; " in lines[2]
     assert "a FILE or --devices is required, and not both" in complaint(capsys, "info")
     assert "a FILE or --devices is required, and not both" in complaint(capsys, "info s.ply --devices")
+
+
+def test_a_report_has_all_that_an_issue_needs(frames, capsys, monkeypatch):
+    monkeypatch.setattr(self_test, "_SIZE_PX", (160, 90))
+    monkeypatch.setattr(self_test, "_COUNT", 300)
+    text = run(capsys, "info --devices --report")
+    assert f"lightfield-gs {lf.__version__}, wgpu " in text and "max-storage-buffer-binding-size 1" in text
+    kernels = [line.split(": ")[0].strip() for line in text.splitlines() if "/255, " in line and "composite" in line]
+    assert kernels == ["webgpu-pixel", "webgpu-lens-2", "webgpu-lens-3", "webgpu-lens-6"]
+    monkeypatch.delenv(ALLOW_CPU)
+    assert "failed: device 'webgpu:0'" in run(capsys, "info --devices --report") or not adapters()[0].is_cpu
+    assert "info --devices --report" in complaint(capsys, "info s.ply --report")
 
 
 def test_bench_measures_each_tiling(frames, folder, capsys):

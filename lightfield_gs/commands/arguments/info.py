@@ -19,6 +19,7 @@ def add_arguments(parser: Parser) -> None:
         ("info out.png", "which display a picture is for"),
         ("info visual.json", "a calibration"),
         ("info --devices", "what can draw on this computer"),
+        ("info --devices --report", "the same with all that an issue on a GPU needs"),
     )
     add = in_group(parser.add_argument, groups.OWN)
     add(
@@ -36,6 +37,13 @@ def add_arguments(parser: Parser) -> None:
         short="what --device can name on this computer",
         help="in place of a file: what --device can name here, and whether each adapter of WebGPU draws what the CPU "
         "draws, and how fast",
+    )
+    add(
+        "--report",
+        action="store_true",
+        short="with --devices: what to paste into an issue on a GPU",
+        help="with --devices: also the limits and features of each adapter of WebGPU, and the times of a frame, stage "
+        "by stage, for an issue on a GPU that was not tried",
     )
     for add_more in (add_device_serial, add_reading, add_up):
         add_more(rarely(add))
