@@ -120,21 +120,26 @@ def test_an_empty_scene_is_background(frames):
     assert (image == torch.tensor([26, 153, 76])).all()
 
 
-@pytest.mark.parametrize("tiling", [0, 3])
-def test_small_limits_are_kept_by_parts_and_passes(frames, monkeypatch, tiling):
+@pytest.mark.parametrize(("tiling", "output"), [(0, "uint8"), (3, "uint8"), (3, "float32")])
+def test_small_limits_are_kept_by_parts_and_passes(frames, monkeypatch, tiling, output):
     """Harmonics in parts, the image in bands, lists in halves, a row of boxes at a time: the same bytes."""
     limits = Limits(96 * 1024, 128 * 1024)
     sizes, make = [], Buffers._make
     shown = panel(width_px=200, height_px=140)
     gaussians = random_scene(900, 3, size=0.03, dtype=torch.float32)
     frames.tiling = tiling
-    drawn, expected = both(gaussians, shown, rig(shown, 0.1))
-    monkeypatch.setattr(Buffers, "_make", lambda self, *given: sizes.append(given[1]) or make(self, *given))
+    drawn, expected = both(gaussians, shown, rig(shown, 0.1), output=output)
+
+    def made(self, name: str, size: int, *usage: int) -> int:
+        sizes.append((size, limits.buffer_bytes if usage else limits.most_bytes))
+        return make(self, name, size, *usage)
+
+    monkeypatch.setattr(Buffers, "_make", made)
     small = limited(frames, limits, monkeypatch)
     small.tiling, small.most_rows = tiling, 1
-    again = encode(gaussians, shown, rig(shown, 0.1), background=BACKGROUND, device="webgpu")
-    assert torch.equal(again, drawn) and most_apart(again, expected) <= 1
-    assert max(sizes) <= limits.most_bytes < 4 * 200 * 140
+    again = encode(gaussians, shown, rig(shown, 0.1), background=BACKGROUND, device="webgpu", output=output)
+    assert torch.equal(again, drawn) and most_apart(again, expected) <= (1 if output == "uint8" else 1 / 255)
+    assert all(size <= most for size, most in sizes) and limits.most_bytes < 4 * 200 * 140
 
 
 def test_bands_grow_by_the_rate_of_the_device():

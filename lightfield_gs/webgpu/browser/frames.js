@@ -7,6 +7,9 @@ import { Bands, CHUNK, countersOf, HEAD_BYTES, MOST_PAIRS, Plan, Room } from "./
 
 const THREADS = 256, LARGE_GROUPS = 256, WORKGROUPS_ACROSS = 65535, VECTOR_BYTES = 16, COLOURS_EACH = 4, MOST_PLANS = 16;
 
+// What every frame runs after project: compiled side by side
+const AFTER_PROJECT = ["count", "count_large", "allocate", "scatter", "scatter_large", "sort_short", "composite"];
+
 /** Draws frames of one scene, one after the other. */
 export class Frames {
   /** host: the sources and tables of shaders.js, and the colour_error of an exact picture.
@@ -40,7 +43,10 @@ export class Frames {
     }
     const boxes = boxesOf(lens, plan.ordinals);
     this.variant.ordinals = boxes.ordinals;
-    if (!plan.rooms.has(boxes.ordinals)) plan.rooms.set(boxes.ordinals, new Room(this.passes(boxes)));
+    if (!plan.rooms.has(boxes.ordinals)) {
+      await Promise.all(AFTER_PROJECT.map((stage) => this.pipelines.stage(stage, this.variant)));
+      plan.rooms.set(boxes.ordinals, new Room(this.passes(boxes)));
+    }
     const room = plan.rooms.get(boxes.ordinals), waiting = [...room.passes].reverse();
     while (waiting.length) {
       const rows = waiting.pop();

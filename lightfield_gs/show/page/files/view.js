@@ -15,7 +15,7 @@ const find = (query) => document.querySelector(query);
 const scene = await (await fetch("scene.json")).json();
 const state = { ...scene.defaults, mode: "eye", width: scene.live ? 1280 : 640, x: 0.5, y: 0.5 };
 const panes = Object.fromEntries([...document.querySelectorAll("figure")].map((pane) => [pane.dataset.pane, pane]));
-let moves = 0, drawn = 0, isDrawing = false, restTimer = 0, stopRest = new AbortController();
+let moves = 0, drawn = 0, rested = 0, isDrawing = false, restTimer = 0, stopRest = new AbortController();
 const channel = new BroadcastChannel("lightfield-gs view"); // a panel's page in this browser follows at once
 let drawing = null;
 const rate = []; // times of the last coarse pictures, ms
@@ -99,6 +99,7 @@ async function moving() {
       const now = moves, began = performance.now(), pane = state.mode === "split" ? "eye" : state.mode;
       const picture = await draw(pane, false);
       drawn = now;
+      if (rested === now) continue; // the picture at rest was quicker
       lay(pane, picture, false);
       adapt(performance.now() - began);
     }
@@ -119,6 +120,7 @@ async function rest() {
     for (const pane of wanted) {
       const picture = await draw(pane, true, stopRest.signal);
       if (now !== moves) return;
+      rested = now;
       lay(pane, picture, true);
       if (pane === wanted[0]) await settle(stopRest.signal);
     }
