@@ -55,5 +55,5 @@ class _Task:
             raise RuntimeError("CUDA error: an illegal memory access was encountered")
         if self.name == "exits":
             raise SystemExit(3)
-        time.sleep(0.01)
+        time.sleep(30 if self.name.startswith("long") else 0.01)
         return self.name != "kept"

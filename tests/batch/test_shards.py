@@ -1,7 +1,12 @@
 """Processes that do items, and items that kill processes."""
 
 import json
+import os
+import signal
+import threading
+import time
 from collections import Counter
+from multiprocessing.process import BaseProcess
 
 import pytest
 from batch_maker import run_shard
@@ -61,6 +66,22 @@ def test_a_process_that_cannot_begin_ends_the_batch(tmp_path, capfd):
     options = {"names": ["a", "b"], "folder": str(tmp_path), "unfit": "no such thing", "since": now()}
     assert run_shards(run_shard, options, WORKERS, tmp_path) == 2
     assert "error: no such thing" in capfd.readouterr().err
+
+
+def test_processes_note_what_an_interruption_stops_though_no_signal_reaches_them(tmp_path, monkeypatch):
+    def interrupt():
+        deadline = time.monotonic() + 100
+        while not all((tmp_path / name).exists() for name in names) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    names = ["long-1", "long-2"]
+    monkeypatch.setattr(BaseProcess, "terminate", lambda process: pytest.fail("on Windows that leaves no time"))
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        run_shards(run_shard, {"names": names, "folder": str(tmp_path), "since": now()}, WORKERS, tmp_path)
+    lines = [json.loads(line) for path in tmp_path.glob("batch*.jsonl") for line in path.read_text().splitlines()]
+    assert sorted(line["item"] for line in lines if line.get("status") == "stopped") == names
 
 
 def test_cores_are_shared_out():

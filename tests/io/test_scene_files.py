@@ -106,6 +106,7 @@ def test_what_has_no_meaning_is_counted_and_left_out_on_request(tmp_path):
 
 
 def test_commands_skip_on_request(folder, capsys):
+    (folder / "photo.png").touch()
     write(folder / "bad.ply", rows=stored_rows(scene(), rot_3=lambda value, i: math.nan if i == 7 else value))
     for command in ("info bad.ply", "encode bad.ply -o o.png --panel p.yaml", "prune bad.ply -o o.ply --panel p.yaml"):
         assert "rot_3 of Gaussian 7 is nan; 1 of 60 Gaussians" in complaint(capsys, command)
@@ -352,6 +353,7 @@ def test_what_a_download_left_is_named(folder, capsys, name, content, words):
 
 
 def test_quilts_are_told_from_photos(folder, capsys):
+    (folder / "views_qs8x6a0.75.png").write_bytes(b"no picture")
     assert cli.main("encode views_qs8x6a0.75.png -o o.png --panel p.yaml".split()) == 2
     note, error = capsys.readouterr().err.splitlines()
-    assert "quilt of 8 x 6 views" in note and "cannot read" in error
+    assert "quilt of 8 x 6 views" in note and "views_qs8x6a0.75.png" in error

@@ -80,6 +80,7 @@ def test_a_scene_is_turned(capsys):
     assert (a[:3, :3] @ centre + a[:3, 3])[0] > 0
     run(capsys, "encode s.ply -o c.png --panel p.yaml --rig a.yaml --turn 90 --save-rig c.yaml")
     assert Rig.from_yaml("c.yaml").focal_px == Rig.from_yaml("a.yaml").focal_px
+    open("x.png", "w").close()
     assert "--turn is for files of Gaussians" in complaint(capsys, "encode x.png -o c.png --panel p.yaml --turn 9")
 
 

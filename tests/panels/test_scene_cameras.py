@@ -198,6 +198,7 @@ def test_what_cannot_be_a_camera_is_refused(folder, capsys, options, words):
 
 
 def test_photos_have_their_own_camera(folder, capsys):
+    (folder / "photo.png").touch()
     for option in ("--up z", "--camera c.json"):
         assert "is for files of Gaussians" in complaint(capsys, f"encode photo.png -o o.png --panel p.yaml {option}")
 
