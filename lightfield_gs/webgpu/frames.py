@@ -131,10 +131,21 @@ class _Frame:
         forced, plan = self.frames.tiling, self.plan
         is_projected = False
         if plan.ordinals is None or not self.is_in_run or forced not in (None, plan.ordinals):
-            plan.ordinals = None
             plan.choose(self.lens, self._projected().costs, forced)
             is_projected = True
-        boxes = Boxes.of(self.lens, plan.ordinals or 0)
+        ordinals = plan.ordinals or 0
+        found = self._draw_boxes(ordinals, is_projected, image, stats)
+        if (cheapest := plan.choose(self.lens, found.costs, forced)) != ordinals:
+            # Its own costs decide, not those of the frame before: else rounding would depend on that
+            stats.intersections = 0
+            ordinals = cheapest
+            found = self._draw_boxes(ordinals, True, image, stats)
+        stats.images, stats.gaussians_drawn, stats.colour_error = 1, found.drawn, found.error
+        stats.kernel = f"webgpu-{'pixel' if not ordinals else f'lens-{ordinals}'}"
+
+    def _draw_boxes(self, ordinals: int, is_projected: bool, image: Tensor, stats: Stats) -> Counters:
+        """Draw the image by boxes of so many ordinals; return the counters of the last pass."""
+        plan, boxes = self.plan, Boxes.of(self.lens, ordinals)
         self.variant = Variant(**{**vars(self.variant), "ordinals": boxes.ordinals})
         room = plan.rooms.setdefault(boxes.ordinals, Room(self._passes(boxes)))
         waiting = room.passes[::-1]
@@ -149,9 +160,7 @@ class _Frame:
             else:
                 waiting.append(rows)
             self._enlarge(found, room, rows)
-        plan.choose(self.lens, found.costs, forced)
-        stats.images, stats.gaussians_drawn, stats.colour_error = 1, found.drawn, found.error
-        stats.kernel = f"webgpu-{'pixel' if not boxes.ordinals else f'lens-{boxes.ordinals}'}"
+        return found
 
     def upload(self, kept: Kept | None) -> None:
         """Make the buffers of the stage project, and bring the scene to the device. Raises InputError."""

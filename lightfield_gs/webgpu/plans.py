@@ -14,8 +14,6 @@ HEAD, HEAD_BYTES = 16, 64  # counters before the costs
 CHUNK = 1024  # elements of a long list that are sorted together, as in csrc/webgpu/sort.wgsl
 MOST_PAIRS = (1 << 25) - (1 << 20)  # of a pass, so that the chunks of long lists fit into one dispatch
 _SLACK, _LEAST_PAIRS = 1.25, 1 << 12  # room beyond the lists of the last frame
-# A frame takes other boxes than the one before if they cost this much less
-_CHEAPER = 0.9
 # A composite is dispatched in bands: Windows resets a GPU after two seconds in one dispatch, and screens wait for it.
 # The first band has so many instructions, which the slowest GPUs that still matter run in 30 ms. Each later one has at
 # most four times those of the band before, and takes so many seconds by the slowest rate of the first frame.
@@ -108,13 +106,10 @@ class Plan:
     costs: dict[int, float] = field(default_factory=dict)
 
     def choose(self, lens: Lens, costs: tuple[float, ...], forced: int | None) -> int:
-        """Choose the boxes of a frame by its costs, or by those of the frame before."""
+        """Choose the cheapest boxes of a frame by its costs, or the forced ones."""
         self.costs = dict(zip(ORDINALS, costs))
         best = min(tilings(lens), key=lambda k: self.costs[k])
-        if forced is not None:
-            self.ordinals = forced
-        elif self.ordinals is None or self.costs[best] < _CHEAPER * self.costs[self.ordinals]:
-            self.ordinals = best
+        self.ordinals = best if forced is None else forced
         return self.ordinals
 
 
