@@ -12,6 +12,7 @@ import pytest
 from batch_maker import run_shard
 
 from lightfield_gs import InputError
+from lightfield_gs.batch import shards
 from lightfield_gs.batch.run import Worker, now
 from lightfield_gs.batch.shards import choose_workers, processes_per_gpu, run_shards
 
@@ -76,6 +77,7 @@ def test_processes_note_what_an_interruption_stops_though_no_signal_reaches_them
         os.kill(os.getpid(), signal.SIGINT)
 
     names = ["long-1", "long-2"]
+    monkeypatch.setattr(shards, "_PATIENCE_S", 60.0)  # beside other tests a process may take long to wake up
     monkeypatch.setattr(BaseProcess, "terminate", lambda process: pytest.fail("on Windows that leaves no time"))
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
