@@ -79,9 +79,13 @@ def test_processes_note_what_an_interruption_stops_though_no_signal_reaches_them
     names = ["long-1", "long-2"]
     monkeypatch.setattr(shards, "_PATIENCE_S", 60.0)  # beside other tests a process may take long to wake up
     monkeypatch.setattr(BaseProcess, "terminate", lambda process: pytest.fail("on Windows that leaves no time"))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, where the tests run in the background
     threading.Thread(target=interrupt, daemon=True).start()
-    with pytest.raises(KeyboardInterrupt):
-        run_shards(run_shard, {"names": names, "folder": str(tmp_path), "since": now()}, WORKERS, tmp_path)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run_shards(run_shard, {"names": names, "folder": str(tmp_path), "since": now()}, WORKERS, tmp_path)
+    finally:
+        signal.signal(signal.SIGINT, before)
     lines = [json.loads(line) for path in tmp_path.glob("batch*.jsonl") for line in path.read_text().splitlines()]
     assert sorted(line["item"] for line in lines if line.get("status") == "stopped") == names
 
