@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from lightfield_gs.commands.arguments.calibrate_pattern import KINDS
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
 from lightfield_gs.commands.options.messages import add_quiet
-from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.parser import Parser, numbers, panel_name
+from lightfield_gs.commands.options.panel import add_changed_profile
+from lightfield_gs.commands.options.parser import Parser, numbers
 
 _TO_SHOW = [kind for kind in KINDS if kind != "single"]
 
@@ -28,23 +26,7 @@ def add_arguments(parser: Parser) -> None:
         ("calibrate nudge visual.json -o new.json --centre-by 0.05", "move the centre"),
     )
     add = in_group(parser.add_argument, groups.OWN)
-    add(
-        "profile",
-        type=panel_name,
-        metavar="PROFILE",
-        short="visual.json, .yaml or a name",
-        help="name, .yaml or Looking Glass visual.json",
-    )
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="NEW",
-        short="the changed calibration, perhaps the same file",
-        help="the changed profile, in the format of PROFILE",
-    )
-    add_device_serial(add)
+    add_changed_profile(add)
     add(
         "--pitch-by",
         type=_amount,

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
-from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.parser import Parser, panel_name
+from lightfield_gs.commands.options.panel import add_changed_profile
+from lightfield_gs.commands.options.parser import Parser
 from lightfield_gs.commands.options.serving import add_serving
 
 
@@ -20,21 +18,5 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.text.examples = (("calibrate page visual.json -o new.json", "then move the page to the display"),)
     add = in_group(parser.add_argument, groups.OWN)
-    add(
-        "profile",
-        type=panel_name,
-        metavar="PROFILE",
-        short="visual.json, .yaml or a name",
-        help="name, .yaml or Looking Glass visual.json",
-    )
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="NEW",
-        short="the changed calibration, perhaps the same file",
-        help="the changed profile, in the format of PROFILE; it may be the same file",
-    )
-    add_device_serial(add)
+    add_changed_profile(add)
     add_serving(add)

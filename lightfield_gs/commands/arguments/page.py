@@ -8,7 +8,7 @@ from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
 from lightfield_gs.commands.options.panel import add_camera, add_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import Parser
-from lightfield_gs.commands.options.scene import add_scene
+from lightfield_gs.commands.options.scene import add_input, add_scene
 
 
 def add_arguments(parser: Parser) -> None:
@@ -25,13 +25,7 @@ def add_arguments(parser: Parser) -> None:
         ("page scene.ply --panel visual.json -o scene.html", "for your display"),
     )
     add = in_group(parser.add_argument, groups.OWN)
-    add(
-        "input",
-        type=Path,
-        metavar="INPUT",
-        short="a photo, or a scene",
-        help="a photo or a file of Gaussians, as `encode` takes it",
-    )
+    add_input(add)
     add("-o", "--output", type=Path, required=True, metavar="FILE", short="the page, .html", help="the page, .html")
     add("--title", metavar="WORDS", short="title of the page", help="title of the page (default: the input's name)")
     add_panel(add, "for framing")

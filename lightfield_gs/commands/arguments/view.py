@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
 from lightfield_gs.commands.options.messages import add_stats
 from lightfield_gs.commands.options.panel import add_camera, add_drawing_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import Parser
-from lightfield_gs.commands.options.scene import add_scene
+from lightfield_gs.commands.options.scene import add_input, add_scene
 from lightfield_gs.commands.options.serving import add_serving
 
 
@@ -25,13 +23,7 @@ def add_arguments(parser: Parser) -> None:
         ("view scene.ply --panel 27", "for a Looking Glass 27"),
     )
     add = in_group(parser.add_argument, groups.OWN)
-    add(
-        "input",
-        type=Path,
-        metavar="INPUT",
-        short="a photo, or a scene",
-        help="a photo or a file of Gaussians, as `encode` takes it",
-    )
+    add_input(add)
     add_panel(add, "for framing, and for the eye on the page")
     add_camera(add)
     add_look(add)

@@ -74,6 +74,27 @@ def add_device_serial(add: Add) -> None:
     )
 
 
+def add_changed_profile(add: Add) -> None:
+    """Add the profile that a command changes, its new file, and which calibration of it is meant."""
+    add(
+        "profile",
+        type=panel_name,
+        metavar="PROFILE",
+        short="visual.json, .yaml or a name",
+        help="name, .yaml or Looking Glass visual.json",
+    )
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="NEW",
+        short="the changed calibration, perhaps the same file",
+        help="the changed profile, in the format of PROFILE; it may be the same file",
+    )
+    add_device_serial(add)
+
+
 def add_viewing_distance(add: Add, help: str) -> None:
     in_group(add, groups.DISPLAY)("--viewing-distance", type=_distance_mm, metavar="MM", help=help)
 

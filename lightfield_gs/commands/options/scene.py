@@ -25,6 +25,17 @@ _pixel_aspect = within(0.1, 10)
 _intrinsics = numbers(4)
 
 
+def add_input(add: Add) -> None:
+    """Add the photo or the scene that a command shows."""
+    add(
+        "input",
+        type=Path,
+        metavar="INPUT",
+        short="a photo, or a scene",
+        help="a photo or a file of Gaussians, as `encode` takes it",
+    )
+
+
 def add_scene(
     add: Add,
     cutting: str,
