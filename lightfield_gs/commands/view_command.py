@@ -62,8 +62,9 @@ class ShownPicture:
         if all(map(_is_same, numbers, (self.rig.zero_depth, cone, 1, 1, 1, 1))):
             return [], set()
         zoom, pan = self.look.zoom or 1.0, self.look.pan or (0.0, 0.0)
-        words = [f"--focus={now[0]:.6g}", f"--cone={now[1]:.6g}", f"--depth-amount={controls.depth_amount:.6g}"]
-        words.append(f"--zoom={zoom * controls.zoom:.6g}")
+        words = [f"--focus={now[0]:.6g}", f"--cone={now[1]:.6g}"]
+        factors = {"depth-amount": controls.depth_amount, "zoom": zoom * controls.zoom}
+        words += [f"--{name}={factor:.6g}" for name, factor in factors.items() if not _is_same(factor, 1)]
         moved = [controls.zoom * before + after for before, after in zip(pan, (controls.pan_x, controls.pan_y))]
         if any(moved):
             words.append("--pan={:.6g},{:.6g}".format(*moved))

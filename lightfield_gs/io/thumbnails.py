@@ -13,7 +13,7 @@ from lightfield_gs.io.pillow_images import is_heif, open_heif, pillow_errors
 if TYPE_CHECKING:
     from PIL import Image
 
-_FORMATS = ("JPEG", "MPO", "PNG", "WEBP", "TIFF", "BMP")
+_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
 
 
 def thumbnail(path: Path, side_px: int) -> bytes:

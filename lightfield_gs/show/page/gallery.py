@@ -11,6 +11,7 @@ from functools import partial
 from io import BufferedIOBase
 from pathlib import Path
 
+from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.system import check_name
 from lightfield_gs.io.thumbnails import thumbnail
@@ -91,12 +92,17 @@ class Gallery:
             return text("there is no small picture of this file", 404)
 
     def _open(self, stage: Stage, lines: Lines, query: Query) -> Answer:
-        """Show an item on the stage."""
+        """Show an item on the stage. Of what is wrong with it the page says the reason, the terminal all."""
         place = self._item(query)
 
         def read() -> None:
             item = self._items[place]
-            stage.place(self._read(item.path, item.is_dropped))
+            try:
+                scene = self._read(item.path, item.is_dropped)
+            except InputError as error:
+                note(str(error))
+                raise InputError(_reason(error, item.path)) from error
+            stage.place(scene)
             self._shown = place
 
         lines.last(read)
@@ -139,6 +145,11 @@ class Gallery:
     def _of_drop(self, query: Query) -> Path:
         """Return the folder of the files that were dropped together."""
         return self._folder / str(int(number(query, "drop", 0, 1 << 53)))
+
+
+def _reason(error: InputError, path: Path) -> str:
+    """Return why a file cannot be opened, without the advice and the options that follow it."""
+    return re.split(r"[;:] ", str(error).replace(str(path), path.name))[0]
 
 
 def _plain_name(name: str) -> str:

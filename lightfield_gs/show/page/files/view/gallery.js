@@ -38,18 +38,18 @@ export class Gallery {
       const answer = await post("open", this.state.scene.token, { item: place });
       this.show(await answer.json());
       await this.opened();
-    }, `${name} cannot be opened`);
+    }, "Not opened", "The terminal says what helps.");
   }
 
   /** Does something that takes a while, and says so over the picture. */
-  async while(words, work, failed) {
+  async while(words, work, failed, advice = "") {
     if (this.isBusy) return;
     this.isBusy = true;
     this.say(words);
     try {
       await work();
     } catch (error) {
-      this.told.say(`${failed}: ${error.message.split("; ")[0]}`);
+      this.told.say(`${failed}: ${error.message.split("; ")[0]}. ${advice}`);
     } finally {
       this.isBusy = false;
       this.say("");

@@ -128,7 +128,7 @@ function key(name, event, hand, state) {
   if (across || down) {
     if (name === "native") hand.moveNative(-across * KEYS.native * state.scene.panel.width_px, -down * KEYS.native * state.scene.panel.height_px);
     else if (event.shiftKey) state.set({ pan_x: state.values.pan_x + across * KEYS.move, pan_y: state.values.pan_y + down * KEYS.move });
-    else hand.turn(-across * KEYS.turn_deg, -down * KEYS.turn_deg);
+    else hand.turn(across * KEYS.turn_deg, down * KEYS.turn_deg); // as dragging would
   } else if (size) state.set({ zoom: state.values.zoom * KEYS.zoom ** size });
   else if (eye) state.set({ eye: state.values.eye + eye * KEYS.eye });
   else if (event.key === "Enter" && name === "eye") hand.focusMiddle();

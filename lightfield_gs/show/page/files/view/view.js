@@ -54,7 +54,7 @@ function showSteps() {
 function showEdge(eye) {
   const isAtEdge = Math.abs(eye) > EDGE, side = eye < 0 ? "left" : "right";
   find("#edge").hidden = !isAtEdge;
-  if (isAtEdge) find("#edge").textContent = `As far ${side} as the display shows: here its views begin anew, and the picture is double, as on the display.`;
+  if (isAtEdge) find("#edge").textContent = `The ${side} end of what the display shows. The picture is double here, on the display as well: go back to the middle.`;
 }
 
 function placeOf(eye) {
@@ -69,8 +69,9 @@ async function open() {
   const scene = await (await answerOf("scene.json")).json(), { panel } = scene;
   document.title = `${scene.name} · lightfield-gs`;
   document.body.dataset.shape = panel.width_px > panel.height_px ? "wide" : "tall";
+  document.body.style.setProperty("--aspect", panel.width_px / panel.height_px);
   find("#name").textContent = scene.name;
-  find("#about").textContent = `for ${panel.name}, ${panel.width_px} × ${panel.height_px}`;
+  find("#about").textContent = `for the display ${panel.name}, ${panel.width_px} × ${panel.height_px}`;
   const half = scene.zone_mm === null ? `${(panel.cone_deg / 2).toFixed(0)}°` : `${(scene.zone_mm / 20).toFixed(0)} cm`;
   find("#zone-left").textContent = `${half} left`;
   find("#zone-right").textContent = `${half} right`;
@@ -116,5 +117,6 @@ listenToHistory(state);
 const scene = await open();
 state.addEventListener("change", changed);
 state.addEventListener("step", showSteps);
-if (scene.keeps) buildLooks(state, told);
-if (scene.opens) new Gallery(state, told, open).read();
+await Promise.all([scene.keeps && buildLooks(state, told), scene.opens && new Gallery(state, told, open).read()]);
+for (const pane of Object.keys(panes)) frames.refit(pane);
+delete document.body.dataset.loading; // all at once, so that nothing jumps
