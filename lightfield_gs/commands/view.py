@@ -64,7 +64,12 @@ class ViewOptions:
     words: tuple[str, ...] = ()
 
     def of(self, path: Path, is_dropped: bool) -> ViewOptions:
-        """Return the options by which another picture opens: a dropped one without those that are the input's own."""
+        """Return the options by which a picture opens: a dropped one without those that are the input's own.
+
+        Photos of a folder, and dropped ones, take the depth maps beside them, as in a batch.
+        """
+        if path == self.scene.input:
+            return self
         photo = self.scene.photo
         if is_dropped:
             fresh = PhotoOptions(**{name: getattr(photo, name) for name in PhotoOptions.__slots__ if name in _GENERAL})
@@ -136,6 +141,8 @@ class _Reader:
             framed = load_framed(own.scene, choice, own.render, own.look, self._panel, self._device, watch)
         render, self.messages = framed.scene.render, framed.messages
         typed = [(name, words) for name, words in self._typed if name in _GENERAL or not is_dropped]
+        if own.scene.photo.depth != self._options.scene.photo.depth:
+            typed.append(("depth", (f"--depth={own.scene.photo.depth}",)))
         self._shown = ShownPicture(path, self._panel, framed.rig, own.look, typed)
         return StagedScene(
             framed.scene.gaussians, framed.rig, path.name, render.background, render.antialiased, render.view_filter
