@@ -190,7 +190,8 @@ def add_depth_model(add: Add) -> None:
     add(
         "--depth-model",
         metavar="NAME|FOLDER",
-        help=f"network of --depth auto: its name on huggingface.co, or a folder with its files (default {DEPTH_MODEL})",
+        help="network of --depth auto: DA3MONO-LARGE, MoGe-2, Video-Depth-Anything, another name on huggingface.co, or "
+        f"a folder with its files (default {DEPTH_MODEL})",
     )
 
 
