@@ -44,7 +44,8 @@ class CameraChoice:
         rig: of --rig.
         pose: world to camera of --camera, [4, 4]; focal_px and principal_point_px: at the panel's resolution.
         up: the axis of --up, for automatic framing.
-        turn_deg, tilt_deg: of --turn and --tilt, from whichever camera it is.
+        turn_deg, tilt_deg: of --turn and --tilt, from whichever camera it is. A scene without a camera is seen from
+            its front where turn_deg is None.
         messages: lines on decisions.
     """
 
@@ -53,14 +54,14 @@ class CameraChoice:
     focal_px: tuple[float, float] = (1.0, 1.0)
     principal_point_px: tuple[float, float] = (0.0, 0.0)
     up: str | None = None
-    turn_deg: float = 0.0
+    turn_deg: float | None = None
     tilt_deg: float = 0.0
     messages: list[str] = field(default_factory=list)
 
 
 def read_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
     """Read the camera that the options name, before the scene is read. Raises InputError."""
-    return replace(_named_camera(options, panel), turn_deg=options.turn or 0.0, tilt_deg=options.tilt or 0.0)
+    return replace(_named_camera(options, panel), turn_deg=options.turn, tilt_deg=options.tilt or 0.0)
 
 
 def _named_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
@@ -145,21 +146,19 @@ def chosen_rig(choice: CameraChoice, panel: Panel, gaussians: Gaussians) -> Rig 
     return _look_from(choice.pose, choice.focal_px, choice.principal_point_px, panel, gaussians)
 
 
-def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-    """Return the rig that a scene's file brings along, or else frame the scene; and lines on how it was chosen.
+def file_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
+    """Return the rig that a scene's file brings along, and lines on how it was chosen; None where it brings none.
 
     Args:
-        up: the axis of --up; with it the cameras of the file do not count.
         path: of the file, for errors.
         file: its contents beside the Gaussians.
         panel: the panel that shows the scene.
         gaussians: the scene; the rig is in its coordinates.
 
     Raises:
-        InputError: the framing in the file cannot be read, or there is nothing to frame.
+        InputError: the framing in the file cannot be read.
     """
-    own = None if up else _own_rig(path, file, panel, gaussians) or _rig_beside(path, panel, gaussians)
-    return own or _frame(up, file, panel, gaussians)
+    return _own_rig(path, file, panel, gaussians) or _rig_beside(path, panel, gaussians)
 
 
 def has_own_camera(path: Path, file: SceneFile, panel: Panel) -> bool:
@@ -209,13 +208,34 @@ def _look_from(
     return focus_on_scene(rig, gaussians, panel)
 
 
-def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-    axis = scene_up(up, file)
-    words = f"axes: {axis.describe()}"
+def frame_automatically(
+    choice: CameraChoice, file: SceneFile, panel: Panel, gaussians: Gaussians
+) -> tuple[Rig, list[str]]:
+    """Return the rig of a scene that has no cameras, seen from its front or as --turn says; and lines on it.
+
+    Raises:
+        InputError: there is nothing to frame.
+    """
+    axis = scene_up(choice.up, file)
+    words = [f"axes: {axis.describe()}"]
+    turn, tilt = choice.turn_deg, choice.tilt_deg
+    if turn is None:
+        from lightfield_gs.panels.front import find_front
+
+        turn = find_front(gaussians, axis.axis)
+        if turn:
+            words.append(f"front: turned by {turn:g} degrees, to the side that shows most (unturned: --turn 0)")
+    if choice.turn_deg or tilt:
+        words.append(turned_words(turn, tilt))
     notes: list[str] = []
-    rig = Rig.frame(gaussians, panel, up=axis.axis, notes=notes)
+    rig = Rig.frame(gaussians, panel, up=axis.axis, turn_deg=turn, tilt_deg=tilt, notes=notes)
     others = "another view: --camera, --rig or --up"
-    return rig, [words, *(f"framing: {line}; {others}" for line in notes)]
+    return rig, [*words, *(f"framing: {line}; {others}" for line in notes)]
+
+
+def turned_words(turn_deg: float, tilt_deg: float) -> str:
+    """Return a line on cameras that were turned round the scene."""
+    return f"turned: {turn_deg:g} degrees to the right, {tilt_deg:g} up"
 
 
 def scene_up(up: str | None, file: SceneFile) -> Up:

@@ -12,9 +12,11 @@ from lightfield_gs.app.cameras import (
     apply_look,
     chosen_rig,
     file_rig,
+    frame_automatically,
     has_own_camera,
     path_beside,
     report_depth,
+    turned_words,
 )
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
@@ -287,26 +289,27 @@ def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[
     The first of these counts: the options, the photo, the cameras that the scene's file brings along, automatic
     framing; then --turn and --tilt. Raises InputError.
     """
-    rig, how = _front_rig(choice, scene, panel)
-    if not (choice.turn_deg or choice.tilt_deg):
-        return rig, how
+    if (own := _own_rig(choice, scene, panel)) is None:
+        assert scene.file is not None
+        return frame_automatically(choice, scene.file, panel, scene.gaussians)
+    rig, how = own
+    turn, tilt = choice.turn_deg or 0.0, choice.tilt_deg
+    if not (turn or tilt):
+        return own
     from lightfield_gs.panels.look import orbited
-    from lightfield_gs.panels.rig import Rig
 
-    turned = orbited(rig, choice.turn_deg, choice.tilt_deg)
-    if is_framed_here(choice, scene, panel):
-        turned = Rig.frame(scene.gaussians, panel, turned.world_to_camera)
-    return turned, [*how, f"turned: {choice.turn_deg:g} degrees to the right, {choice.tilt_deg:g} up"]
+    return orbited(rig, turn, tilt), [*how, turned_words(turn, tilt)]
 
 
-def _front_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
-    """Return the rig of choose_rig before it is turned."""
+def _own_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]] | None:
+    """Return the rig of the options, the photo or the scene's file, and lines on it; None where there is none."""
     if (rig := chosen_rig(choice, panel, scene.gaussians)) is not None:
         return rig, choice.messages
     if scene.photo is not None:
         return photo_rig(scene.photo, panel, scene.gaussians), []
-    assert scene.file is not None
-    return file_rig(choice.up, scene.path, scene.file, panel, scene.gaussians)
+    if choice.up or scene.file is None:
+        return None
+    return file_rig(scene.path, scene.file, panel, scene.gaussians)
 
 
 def is_framed_here(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> bool:
