@@ -20,7 +20,7 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 @dataclass(frozen=True)
 class FrontConstants:
-    """How the sides are looked at. All are chosen by hand; tests/panels/test_front.py has scenes that they must tell."""
+    """How the sides are looked at. All are chosen by hand; tests/panels/test_front.py has the scenes."""
 
     step_deg: int = 15  # between the sides
     size_px: int = 160
