@@ -19,6 +19,7 @@ from lightfield_gs.app.photo_depth import (
     depth_camera,
     depth_from_file,
     depth_within,
+    field_of_view_deg,
     flat_depth,
     has_depth,
     is_depth_inside,
@@ -316,6 +317,8 @@ def _scene_of_whole(
         check_depth_size(str(options.depth), depth.z, photo.pixels)
     height, width = photo.size
     focal, centre, camera, notes = depth_camera(options, height, width, depth.focal_px)
+    if options.is_estimated and depth.focal_px is not None and focal is not None and options.intrinsics is None:
+        options = replace(options, fov=field_of_view_deg(focal, height, width))  # of pictures that follow, too
     watch.lap("load" if source.depth is not None else "depth network")
     image = torch.from_numpy(photo.floats()).to(device)
     known = known_camera(focal, centre, height, width)

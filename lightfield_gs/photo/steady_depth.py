@@ -131,7 +131,7 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
         weight = torch.exp(change.double() / (-2 * _C.colour_std**2))
         if float(weight.mean()) < _C.least_weight:
             continue
-        scale, offset = _fit(other.disparities.double(), own.disparities.double(), weight, has_scale)
+        scale, offset = fit_scale(other.disparities.double(), own.disparities.double(), weight, has_scale)
         if not scale > 0:
             continue
         total += weight * (scale * other.disparities + offset)
@@ -144,7 +144,7 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
     return PictureEstimate((common * total / weights).float(), own.colours, (common * low, common * high))
 
 
-def _fit(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[float, float]:
+def fit_scale(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[float, float]:
     """Return scale and offset by which values come closest to a target, in weighted squares."""
     if has_scale:
         return float((weight * values * target).sum() / (weight * values.square()).sum().clamp(min=1e-30)), 0.0
