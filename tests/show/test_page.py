@@ -22,9 +22,11 @@ from lightfield_gs.panels.quilt import panel_quilt
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.show.page import routes
-from lightfield_gs.show.page.routes import exports, shown_routes, steering_routes
+from lightfield_gs.show.page.exports import exports
+from lightfield_gs.show.page.routes import shown_routes
 from lightfield_gs.show.page.server import Server
-from lightfield_gs.show.page.stage import Controls, Stage, cut_out, orbited
+from lightfield_gs.show.page.stage import Controls, Stage, StagedScene, cut_out, orbited
+from lightfield_gs.show.page.steering import steering_routes
 from lightfield_gs.show.preview import to_integers
 
 CELLS = replace(
@@ -34,7 +36,7 @@ CELLS = replace(
 
 def stage(panel: Panel = PANEL) -> Stage:
     gaussians = scene()
-    return Stage(gaussians, panel, Rig.frame(gaussians, panel), name="s.ply")
+    return Stage(StagedScene(gaussians, Rig.frame(gaussians, panel), "s.ply"), panel)
 
 
 @contextmanager
@@ -140,7 +142,7 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what came to rest
         depth = json.loads(get(server, f"/depth.json?{controls}")[1])
         report = depth_report(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"))
-        assert depth == {"lines": report.lines(), "warnings": report.warnings()}
+        assert depth == json.loads(json.dumps(report.to_dict()))
         answers = [get(server, f"/focus.json?x=0.5&y={y / 10}") for y in range(11)]
         assert {status for status, *_ in answers} == {200, 400}  # the scene has gaps
         for focus in (json.loads(body)["focus"] for status, body, _ in answers if status == 200):

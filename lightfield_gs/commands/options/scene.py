@@ -25,14 +25,14 @@ _pixel_aspect = within(0.1, 10)
 _intrinsics = numbers(4)
 
 
-def add_input(add: Add) -> None:
-    """Add the photo or the scene that a command shows."""
+def add_input(add: Add, short: str = "a photo, or a scene", more: str = "") -> None:
+    """Add the photo or the scene that a command shows; more: words of the help on other inputs."""
     add(
         "input",
         type=Path,
         metavar="INPUT",
-        short="a photo, or a scene",
-        help="a photo or a file of Gaussians, as `encode` takes it",
+        short=short,
+        help=f"a photo or a file of Gaussians, as `encode` takes it{more}",
     )
 
 
