@@ -168,7 +168,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   }
   m_end = select(min(m_end, 3 * i32(P.size.x)), m0, row >= i32(P.size.y));
   let py = f32(row) + 0.5;
-  let offsets = offsets_of(box.z); let origin = origin_of(box);
+  let offsets = offsets_of(box.z); let origin = origin_of(box); let cut = P.cuts.w;
   let per_offset = select(0.0, 1.0 / offsets.y, offsets.y > 0.0);
   let place0 = select(0u, u32(m0 - 3 * ((m0 + 3000) / 3 - 1000)), BY_LENS);
   let channels = vec3u(stripe_channel(place0), stripe_channel((place0 + 1u) % 3u), stripe_channel((place0 + 2u) % 3u));
@@ -226,7 +226,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         let a = staged[h].a; let b = staged[h].b; let c = staged[h].c;
         let dy = py - a.z;
         let top = a.w - abs(b.x) * dy * dy;
-        if (top < LOG2_MIN_ALPHA) { continue; }
+        if (top < cut) { continue; }
         let middle = a.x + c.x * dy; let sweep = a.y + c.y * dy;
         //{q
         var root[q] = b.y + x[q] * (b.z + x[q] * select(b.w, b.w + x[q] * c.w, BY_LENS));
@@ -247,7 +247,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         }
         highest = max(highest, p[q]);
         //q}
-        if (highest < LOG2_MIN_ALPHA) { continue; }
+        if (highest < cut) { continue; }
         var constant = vec4f(0.0);
         if (!HARMONICS) { constant = lights[h]; }
         let by_place = vec3f(pick(constant, channels.x), pick(constant, channels.y), pick(constant, channels.z));
@@ -275,12 +275,12 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
           }
         }
         //{q
-        let alpha[q] = select(0.0, min(exp2(p[q]), MAX_ALPHA), p[q] >= LOG2_MIN_ALPHA);
+        let alpha[q] = select(0.0, min(exp2(p[q]), MAX_ALPHA), p[q] >= cut);
         let w[q] = alpha[q] * T[q];
         let after[q] = T[q] - w[q];
-        let ends[q] = after[q] < MIN_TRANSMITTANCE;
-        C[q] += select(w[q], 0.0, ends[q]) * light[q];
-        T[q] = select(after[q], -abs(T[q]), ends[q]);
+        let ends[q] = after[q] < P.cuts.z;
+        C[q] += select(w[q], select(0.0, T[q], ENDS_EARLY), ends[q]) * light[q];
+        T[q] = select(after[q], select(-abs(T[q]), 0.0, ENDS_EARLY), ends[q]);
         //q}
       }
     }

@@ -40,9 +40,10 @@ if TYPE_CHECKING:
     from lightfield_gs.models.splatter_net import ReplayedNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.photo.cut_out import NoCutOut
     from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.load import NoCutOut, Photo
     from lightfield_gs.photo.margin import Margin, PanelFit
+    from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.steady_depth import PictureEstimate
     from lightfield_gs.scene.gaussians import Gaussians
@@ -138,7 +139,8 @@ def photo_rig(photo: PhotoPlacement, panel: Panel, gaussians: Gaussians) -> Rig:
 def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo and cut its object out; where that fails and depths can be estimated, read the whole photo."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.load import NoCutOut, cut_out_photo
+    from lightfield_gs.photo.cut_out import NoCutOut
+    from lightfield_gs.photo.load import cut_out_photo
     from lightfield_gs.photo.stereo_matching import PairMismatch
 
     picture = read_picture(path)
@@ -255,7 +257,8 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo that is shown whole, with its depth map unless a network estimates it."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.embedded_depth import embedded_notes
-    from lightfield_gs.photo.load import cut_out_photo, reduce_photo
+    from lightfield_gs.photo.load import cut_out_photo
+    from lightfield_gs.photo.photo import reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
 
     if (pair := pair_of(path, options)) is not None:

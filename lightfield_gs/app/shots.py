@@ -41,7 +41,7 @@ from lightfield_gs.io.images import read_picture
 from lightfield_gs.io.scenes.files import SceneFile
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.photo.load import Photo
+from lightfield_gs.photo.photo import Photo
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.photo.steady_depth import REACH
 from lightfield_gs.scene.axes import find_up, upright_rotation
