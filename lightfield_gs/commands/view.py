@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from lightfield_gs.app.cameras import read_camera
-from lightfield_gs.app.options import CameraOptions, LookOptions, PanelOptions, RenderOptions, SceneOptions
-from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.options import (
+    CameraOptions,
+    LookOptions,
+    PanelOptions,
+    RenderOptions,
+    SceneOptions,
+    StereoOptions,
+)
 from lightfield_gs.app.scene import check_scene_options, load_framed
+from lightfield_gs.app.stereo import panel_of, refuse_files
 from lightfield_gs.base.cli_messages import Stopwatch, say
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.serving import ServingOptions, serve
@@ -23,6 +30,7 @@ class ViewOptions:
 
     Attributes:
         device: Device that draws the scene.
+        stereo: for a screen of two eyes, in place of a panel.
         stats: whether to print the times of the stages.
     """
 
@@ -33,6 +41,7 @@ class ViewOptions:
     render: RenderOptions
     serving: ServingOptions
     device: str = "auto"
+    stereo: StereoOptions = field(default_factory=StereoOptions)
     stats: bool = False
 
 
@@ -43,7 +52,8 @@ def run(args: argparse.Namespace) -> None:
 
 def _view(options: ViewOptions, watch: Stopwatch) -> None:
     check_scene_options(options.scene, options.camera)
-    panel = load_panel(options.panel)
+    refuse_files(options.stereo.stereo, "a screen")
+    panel, screen = panel_of(options.stereo, options.panel)
     pixels = panel.width_px * panel.height_px
     device, webgpu, decisions = choose_drawing_device(options.device, pixels, _MANY_FRAMES)
     choice = read_camera(options.camera, panel)
@@ -52,14 +62,19 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
 
     from lightfield_gs.show.page.routes import exports, steering_routes
     from lightfield_gs.show.page.stage import Stage
+    from lightfield_gs.show.page.stereo_stage import StereoStage
 
     watch.lap("start")
     with torch.no_grad():
         framed = load_framed(options.scene, choice, options.render, options.look, panel, device, watch)
     scene, render, path = framed.scene, framed.scene.render, options.scene.input
     drawn_as = render.background, render.antialiased, path.name, render.view_filter
-    stage = Stage(scene.gaussians, panel, framed.rig, *drawn_as, webgpu)
-    print(f"{path}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {webgpu or device}")
+    if (layout := options.stereo.stereo) is None:
+        stage, where = Stage(scene.gaussians, panel, framed.rig, *drawn_as, webgpu), f"panel {panel.name}"
+    else:
+        stage = StereoStage(scene.gaussians, panel, framed.rig, layout, *drawn_as, webgpu)
+        where = f"a screen of two eyes, {layout}"
+    print(f"{path}: {scene.gaussians.count} Gaussians on {where}, drawn on {webgpu or device}")
     watch.say_if(options.stats)
-    say(*decisions, *framed.messages)
+    say(*decisions, *screen, *framed.messages)
     serve(options.serving, steering_routes(stage, exports(stage)), "/")

@@ -19,7 +19,8 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.video.decoding import decode, timeline
 
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
+PICTURES: tuple[str, ...] = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif")
+PICTURES += (".bmp", ".mpo", ".jps", ".pns")
 _MAPS = (*PICTURES, ".npy", ".npz")
 
 
@@ -128,10 +129,10 @@ def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
 def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     with reading(folder):
         files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")]
-    return sorted(files, key=_natural)
+    return sorted(files, key=natural_key)
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
+def natural_key(path: Path) -> list[tuple[int, int, str]]:
     """Sort key by which frame9 comes before frame10."""
     parts = re.split(r"(\d+)", path.name)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

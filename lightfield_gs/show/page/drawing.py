@@ -11,6 +11,7 @@ from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.browser_data import host_tables, rig_numbers
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, as_json
 from lightfield_gs.show.page.stage import Stage
+from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.scripts import joined
 
 _SCRIPT = Path(__file__).parent / "files" / "drawing.js"
@@ -23,8 +24,8 @@ def drawing_routes(stage: Stage) -> dict[str, Route]:
     floats = stage.gaussians.count * (_GAUSSIAN_FLOATS + 3 * stage.gaussians.sh.shape[1])
 
     def data(query: Query) -> Answer:
-        """Return what draws the scene, or null where the server does: on a GPU, or of a large scene."""
-        if stage.is_live or 4 * floats > _MOST_BYTES:
+        """Return what draws the scene, or null where the server does: on a GPU, of a large scene, for two eyes."""
+        if stage.is_live or isinstance(stage, StereoStage) or 4 * floats > _MOST_BYTES:
             return as_json(None)
         panel, drawn = stage.panel, stage.drawn_as
         return as_json(

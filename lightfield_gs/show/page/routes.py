@@ -21,9 +21,11 @@ from lightfield_gs.base.options import QUALITY_NAMES
 from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.images import write_image
+from lightfield_gs.io.stereo_names import stereo_paths
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
 from lightfield_gs.panels.simulate import missing_geometry
+from lightfield_gs.panels.stereo_screen import eye_geometry
 from lightfield_gs.show.page.drawing import drawing_routes
 from lightfield_gs.show.page.server import (
     Answer,
@@ -37,6 +39,7 @@ from lightfield_gs.show.page.server import (
     text,
 )
 from lightfield_gs.show.page.stage import Controls, Picture, Stage
+from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.preview import image_bytes
 
 _JPEG_QUALITY = 85
@@ -72,6 +75,7 @@ def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path
             stage.panel,
             steering.native,
             lambda after: stage.wait_for(after, _WAIT_S),
+            fills=isinstance(stage, StereoStage),
             controls=lambda: asdict(stage.resting()),
         ),
     }
@@ -150,6 +154,7 @@ def panel_routes(
         "/panel.css": page_file("panel.css"),
         "/panel.js": page_file("panel.js"),
         "/display.js": page_file("display.js"),
+        "/pixel_word.js": page_file("pixel_word.js"),
         "/panel.json": Route(state),
         "/panel.png": Route(
             lambda query: packed.answer(version(-1)), place=lambda query: Reservation(True, version(-1))
@@ -268,10 +273,13 @@ class _Lines:
 
 def exports(stage: Stage) -> dict[str, Callable[[Controls, Path], None]]:
     """Return functions that write a file to a path, by the file's name."""
-    layout = panel_quilt(stage.panel)
+    if isinstance(stage, StereoStage):
+        pictures = {stereo_paths(Path("eyes.png"), stage.layout)[0].name: partial(_eyes, stage)}
+    else:
+        layout = panel_quilt(stage.panel)
+        pictures = {"native.png": partial(_native, stage), f"quilt{layout.suffix}.png": partial(_quilt, stage, layout)}
     return {
-        "native.png": partial(_native, stage),
-        f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
+        **pictures,
         "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(
             path, stage.panel
         ),  # in the axes of the scene's file
@@ -287,6 +295,12 @@ def _native(stage: Stage, controls: Controls, path: Path) -> None:
     encoding |= {"view_filter": drawn["view_filter"]} if drawn["view_filter"] else {}
     made_by = {"panel": stage.panel.to_dict(), "rig": stage.rig_of_file(controls).to_dict(), "encoding": encoding}
     write_image(path, image, {**_origin(stage), **{name: json.dumps(value) for name, value in made_by.items()}})
+
+
+def _eyes(stage: StereoStage, controls: Controls, path: Path) -> None:
+    """Write the picture of both eyes, as `encode --stereo` does."""
+    stereo = {"layout": stage.layout, **eye_geometry(stage.panel, stage.rig_of_file(controls))}
+    write_image(path, stage.native(controls)[0], {**_origin(stage), "stereo": json.dumps(stereo)})
 
 
 def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:

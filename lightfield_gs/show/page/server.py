@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import ipaddress
 import json
+import re
 import secrets
 import socket
 import sys
@@ -27,6 +28,8 @@ DEFAULT_HOST = "127.0.0.1"
 _FILES = Path(__file__).parent / "files"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _LONGEST_QUERY, _MOST_VALUES = 4096, 64
+_FILM_TYPES = {".webm": "video/webm", ".mkv": "video/x-matroska"}
+_PART_BYTES = 4 << 20  # of a film, at most: browsers then ask for the next
 _IDLE_S = 60  # after so long without a request a connection is closed
 _BACKLOG = 128  # connections that wait to be taken
 _MOST_LARGE, _MOST_SMALL = 4, 32  # answers at a time: of pictures at rest and files, of coarse pictures
@@ -71,11 +74,13 @@ class Route:
         token: If given, the address is for POST alone, with the query as body and this token in a header. Else it is
             for GET and HEAD, and make changes nothing.
         place: The place in memory that the answer takes.
+        file: Returns a file whose bytes are the answer, in parts as the request asks for them; in place of make.
     """
 
     make: Callable[[Query], Answer]
     token: str | None = None
     place: Callable[[Query], Reservation] | None = None
+    file: Callable[[Query], Path] | None = None
 
 
 @dataclass(frozen=True)
@@ -150,6 +155,36 @@ def page_file(name: str) -> Route:
     path = _FILES / name
     answer = Answer(path.read_bytes(), f"{_TYPES[path.suffix]}; charset=utf-8")
     return Route(lambda query: answer)
+
+
+def file_route(path: Callable[[Query], Path]) -> Route:
+    """Return the route of a film, which browsers read in parts."""
+    return Route(lambda query: text("", 404), place=lambda query: Reservation(True), file=path)
+
+
+def part_of_file(path: Path, wanted: str | None) -> Answer:
+    """Return the part of a file that a header Range asks for (RFC 9110, 14.2), or its beginning if it is long.
+
+    Args:
+        path: The file.
+        wanted: The header; None: not given. Of several parts the first counts.
+    """
+    size = path.stat().st_size
+    found = re.fullmatch(r"bytes=(\d*)-(\d*)(?:,.*)?", (wanted or "bytes=0-").replace(" ", ""))
+    if found is None or not (found[1] or found[2]):
+        start, end = size, size  # not understood
+    elif found[1]:
+        start, end = int(found[1]), int(found[2] or size - 1)
+    else:
+        start, end = max(0, size - int(found[2])), size - 1
+    if not start <= end or start >= size:
+        return Answer(b"", "text/plain", 416, {"Content-Range": f"bytes */{size}"})
+    end = min(end, size - 1, start + _PART_BYTES - 1)
+    with path.open("rb") as file:
+        file.seek(start)
+        body = file.read(end + 1 - start)
+    headers = {"Accept-Ranges": "bytes", "Content-Range": f"bytes {start}-{end}/{size}"}
+    return Answer(body, _FILM_TYPES.get(path.suffix.lower(), "video/mp4"), 206, headers)
 
 
 class Server(ThreadingHTTPServer):
@@ -244,14 +279,15 @@ class Server(ThreadingHTTPServer):
         if not isinstance(error, (ConnectionError, TimeoutError)):
             traceback.print_exc()
 
-    def run(self, open_path: str | None = None) -> None:
+    def run(self, open_path: str | None = None, opened: Callable[[str], object] = webbrowser.open) -> None:
         """Serve until Ctrl-C.
 
         Args:
             open_path: The page that the browser is told to open.
+            opened: Opens a browser at an address.
         """
         if open_path is not None:
-            webbrowser.open(self.url + open_path)
+            opened(self.url + open_path)
         try:
             self.serve_forever(poll_interval=0.2)
         except KeyboardInterrupt:
@@ -341,6 +377,8 @@ class _Handler(BaseHTTPRequestHandler):
             if route.place is not None:
                 place = route.place(values)
                 held.enter_context(self.server.pending[place.is_large].taken(place.key))
+            if route.file is not None:
+                return part_of_file(route.file(values), self.headers.get("Range"))
             return route.make(values)
         except Superseded:
             return text("a newer request has taken the place of this one", 409)
