@@ -52,14 +52,15 @@ def run(args: argparse.Namespace) -> None:
 def _show(options: ShowOptions) -> None:
     playlist = find_slides(options.inputs, options.panel, options.stereo)
     say(*_lines(options, playlist))
-    position = None if playlist.layout is not None else connected_position()
+    panel, of_panel = playlist.panel, playlist.layout is None
+    position, size = (connected_position(), (panel.width_px, panel.height_px)) if of_panel else (None, None)
     has_browser = position is not None and find_browser() is not None and not options.serving.no_open
-    if playlist.layout is None and options.panel.panel is None:
-        say(*where_to_show(playlist.panel, is_opened_there=has_browser))
+    if of_panel and options.panel.panel is None:
+        say(*where_to_show(panel, is_opened_there=has_browser))
     if options.wall:
-        _show_on_wall(options, position)
+        _show_on_wall(options, position, size)
         return
-    browser = DisplayBrowser(position) if has_browser else None
+    browser = DisplayBrowser(position, size) if has_browser else None
     try:
         serve(options.serving, _routes(options, playlist), "/", None if browser is None else browser.open)
     finally:
@@ -91,20 +92,21 @@ def _lines(options: ShowOptions, playlist: Playlist) -> list[str]:
     if len(slides) == 1:
         return [f"{slides[0].path}: {where}", *playlist.messages]
     films = sum(slide.is_film for slide in slides)
-    counts = [f"{count} {words}" for count, words in ((len(slides) - films, "pictures"), (films, "films")) if count]
+    kinds = ((len(slides) - films, "picture"), (films, "film"))
+    counts = [f"{count} {words}{'s' if count > 1 else ''}" for count, words in kinds if count]
     each = f"{options.seconds:g} s each" if options.seconds else "by the arrow keys"
     ways = f"{each}{', by chance' if options.shuffle else ''}{', once' if options.once else ''}"
     return [f"{' and '.join(counts)}: {where}", f"pictures: {ways} (--seconds; H lists the keys)", *playlist.messages]
 
 
-def _show_on_wall(options: ShowOptions, position: tuple[int, int] | None) -> None:
+def _show_on_wall(options: ShowOptions, position: tuple[int, int] | None, size: tuple[int, int] | None) -> None:
     """Serve in a process of its own, and start the browser and it again where they end."""
     from lightfield_gs.show.wall import keep_showing
 
     host = options.serving.host
     port = options.serving.port or _free_port(host)
     served = replace(options, serving=replace(options.serving, port=port, no_open=True))
-    browser = None if options.serving.no_open else DisplayBrowser(position, is_kiosk=True)
+    browser = None if options.serving.no_open else DisplayBrowser(position, size, is_kiosk=True)
     local = host if host not in ("0.0.0.0", "::") else "127.0.0.1" if host == "0.0.0.0" else "::1"
     url = f"http://{f'[{local}]' if ':' in local else local}:{port}/"
     print(f"wall mode at {url}: what ends is started again; Ctrl-C ends it", flush=True)

@@ -33,7 +33,12 @@ def find_browser() -> str | None:
 
 
 def browser_command(
-    browser: str, url: str, profile: str, position: tuple[int, int] | None, is_kiosk: bool
+    browser: str,
+    url: str,
+    profile: str,
+    position: tuple[int, int] | None,
+    size_px: tuple[int, int] | None,
+    is_kiosk: bool,
 ) -> list[str]:
     """Return the command by which a browser shows an address full screen on the screen at this place.
 
@@ -44,13 +49,18 @@ def browser_command(
         url: The address.
         profile: A folder for its settings, so that it is not another window of a running browser.
         position: Left and top edge of the screen on the desktop; None: the usual screen.
+        size_px: Of the screen, for systems without a window manager; None: not known.
         is_kiosk: Whether it has no way out but its end.
     """
     command = [browser, f"--app={url}", f"--user-data-dir={profile}", "--no-first-run", "--no-default-browser-check"]
     command += ["--kiosk"] if is_kiosk else ["--start-fullscreen"]
     command += ["--force-device-scale-factor=1", "--force-color-profile=srgb", "--noerrdialogs", "--disable-infobars"]
     command += ["--autoplay-policy=no-user-gesture-required", "--disable-session-crashed-bubble"]
-    command += [] if position is None else ["--window-position={},{}".format(*position)]
+    if position is not None or is_kiosk:
+        command.append("--window-position={},{}".format(*(position or (0, 0))))
+    if size_px is not None:
+        # Without a window manager, Chromium takes a pixel off a window that is as large as the screen
+        command.append(f"--window-size={size_px[0] + 1},{size_px[1] + 1}")
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         command.append("--no-sandbox")  # else it refuses to run as root
     return command
@@ -60,16 +70,19 @@ class DisplayBrowser:
     """A browser on the display.
 
     Args:
-        position: See browser_command.
+        position: See browser_command, also for the others.
+        size_px: Likewise.
         is_kiosk: Likewise.
 
     Attributes:
         program: None where none is found: then the usual browser is asked.
     """
 
-    def __init__(self, position: tuple[int, int] | None, is_kiosk: bool = False):
+    def __init__(
+        self, position: tuple[int, int] | None, size_px: tuple[int, int] | None = None, is_kiosk: bool = False
+    ):
         self.program = find_browser()
-        self._position, self._is_kiosk = position, is_kiosk
+        self._place, self._is_kiosk = (position, size_px), is_kiosk
         self._process: subprocess.Popen | None = None
         self._profile: tempfile.TemporaryDirectory | None = None
 
@@ -80,7 +93,7 @@ class DisplayBrowser:
             return
         if self._profile is None:
             self._profile = tempfile.TemporaryDirectory(prefix="lightfield-gs-", ignore_cleanup_errors=True)
-        command = browser_command(self.program, url, self._profile.name, self._position, self._is_kiosk)
+        command = browser_command(self.program, url, self._profile.name, *self._place, self._is_kiosk)
         nowhere = subprocess.DEVNULL
         self._process = subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
 

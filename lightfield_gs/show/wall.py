@@ -8,7 +8,7 @@ from collections.abc import Callable
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
-from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.cli_messages import EXIT_BAD_INPUT, note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.show.display_browser import DisplayBrowser
 
@@ -48,7 +48,7 @@ def keep_showing(
         browser: None: none is opened.
 
     Raises:
-        InputError: The server ends at its first start.
+        InputError: The server refuses its arguments.
     """
     context = multiprocessing.get_context("spawn")
     alive: Synchronized[float] = context.Value("d", time.monotonic())
@@ -65,8 +65,8 @@ def keep_showing(
             time.sleep(_LOOK_S)
             had_answer = had_answer or answers(url)
             if not server.is_alive():
-                if not had_answer:
-                    raise InputError("the server could not begin; the lines above say why")
+                if server.exitcode == EXIT_BAD_INPUT and not had_answer:
+                    raise InputError("the server could not begin; the line above says why")
                 if of_server.is_due():
                     note(f"the server ended with code {server.exitcode}, and is started again")
                     server = start()

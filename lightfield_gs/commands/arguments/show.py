@@ -59,7 +59,7 @@ def add_arguments(parser: Parser) -> None:
         default=10.0,
         metavar="S",
         short="of each picture (default 10; 0: by the keys)",
-        help="of each picture (default 10; 0: until a key is pressed); films are shown to their end",
+        help="of each picture (default 10); films are shown to their end. 0: all stay until a key is pressed",
     )
     add(
         "--shuffle",

@@ -35,13 +35,15 @@ vec3 taken(int view, vec2 at) {
 void main() {
   vec2 at = window.xy + (vec2(pixel()) + 0.5) / vec2(size) * window.zw;
   uvec3 seen = texelFetch(views, pixel(), 0).rgb;
-  colour = vec4(0.0, 0.0, 0.0, 1.0);
+  vec3 mixed = vec3(0.0);
+  colour = vec4(mixed, 1.0);
   if (any(lessThan(at, vec2(-1e-5))) || any(greaterThan(at, vec2(1.00001)))) return;
   for (int channel = 0; channel < 3; channel++) {
     float place = texelFetch(places, ivec2(int(seen[channel]) % 4096, int(seen[channel]) / 4096), 0).r;
     int low = int(floor(place)), last = tiles.x * tiles.y - 1;
-    colour[channel] = mix(taken(low, at)[channel], taken(min(low + 1, last), at)[channel], place - float(low));
+    mixed[channel] = mix(taken(low, at)[channel], taken(min(low + 1, last), at)[channel], place - float(low));
   }
+  colour = vec4(mixed, 1.0);
 }`;
 
 // Both eyes' pictures from one arrangement to another; anaglyphs as lightfield_gs/encoding/stereo.py makes them
@@ -85,6 +87,7 @@ class Screen {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(`Films cannot be drawn here: ${gl.getShaderInfoLog(shader)}`);
       gl.attachShader(program, shader);
     }
     gl.linkProgram(program);

@@ -17,8 +17,8 @@ const pictures = new Map(); // by index: elements that are loaded, or being so
 async function opened(index, mine) {
   const slide = list.slides[index];
   if (slide.kind !== "picture") {
-    const over = () => mine === turn && step(1);
-    return openFilm(slide, index, list.panel, list.slides.length === 1 && list.loop, over, (words) => mine === turn && skip(words));
+    const over = () => mine === turn && step(1), loops = list.seconds === 0 || (list.slides.length === 1 && list.loop);
+    return openFilm(slide, index, list.panel, loops, over, (words) => mine === turn && skip(words));
   }
   const element = await loaded(index);
   return { element, play() { waitForNext(); }, stop() { clearTimeout(timer); }, close() {} };
