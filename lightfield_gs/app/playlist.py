@@ -157,7 +157,10 @@ def _film(path: Path) -> Slide:
     elif (named := layout_in_name(path)) is not None:
         slide = Slide(path, pair=named, is_film=True)
     else:
-        frames = open_sequence(path)
+        try:
+            frames = open_sequence(path)
+        except InputError as error:
+            raise InputError(f"{error}; `lightfield-gs video` makes films for the panel") from None
         fps = frames.fps or _DEFAULT_FPS
         slide = Slide(path, pair=frames.pair, is_film=True, fps=fps, frames=frames.count)
     if not slide.is_native and path.suffix.lower() not in _BROWSER_FILMS:
