@@ -98,7 +98,8 @@ def _run(arguments: list[str], began: float) -> int:
             raise InputError(FOLDER_GONE)
         if arguments and arguments[0] not in COMMANDS and not arguments[0].startswith("-"):
             raise unknown_command(arguments, COMMANDS)
-        args = build_parser(*arguments[:1]).parse_args(join_values(arguments), argparse.Namespace(began=began))
+        words = join_values(arguments)
+        args = build_parser(*arguments[:1]).parse_args(words, argparse.Namespace(began=began, words=words[1:]))
         for name in _INPUTS if arguments[0] != "fit" else ():  # which says what a capture is
             if isinstance(path := getattr(args, name, None), Path):
                 check_input(path)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.torchrun import see_own_gpu
 from training.command import with_line_errors
 from training.config import TrainingConfig
 from training.loop import train
@@ -86,6 +87,7 @@ def _config(options: Namespace) -> TrainingConfig:
 @with_line_errors("training.train")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
+    see_own_gpu()
     weights = train(read_config(arguments))
     if weights is not None:
         print(f"weights: {weights}")

@@ -13,12 +13,12 @@
 const BATCH = 128u;
 const WORDS = 4u;  // of a patch's mask
 // A splat as a box draws it. x is the offset of a sample, -1..1 over those of the box.
-//   a: column at x = 0, its change with x, row, log2 opacity
-//   b: tau; S^(-1/2) as a parabola in x; -tau where no parabola is near enough, and S then
-//   c: c0 at x = 0, c1 times the change of s with x; bits of the colour's place, FAR_FROM_CUBIC added
+//   a: column at x = 0 from the box's origin, its change with x, row, log2 opacity
+//   b: tau; S^(-1/2) as a polynomial in x; -tau where none is near enough, and S then
+//   c: c0 at x = 0, c1 times the change of s with x; bits of the colour's place, FAR_FROM_CUBIC added; the root's x^3
 struct Staged { a: vec4f, b: vec4f, c: vec4f };
 const FAR_FROM_CUBIC = 0x80000000u;  // no cubic in x draws the colour
-const ROOT_ERROR = 3e-4;             // of the parabola, relative: 0.06/255 of a colour
+const ROOT_ERROR = 4e-5;             // of the root, relative: kMostRootError in csrc/cpu/direct/direct_job.h
 var<workgroup> staged: array<Staged, BATCH>;
 var<workgroup> lights: array<vec4f, select(1u, 3u, HARMONICS) * BATCH>;  // colours, or a cubic in x for each channel
 var<workgroup> unfiltered: array<vec4f, select(1u, BATCH, COMPENSATED)>;  // D(s)
@@ -47,6 +47,13 @@ fn touches(s: Splat, box: vec3u, patch_index: u32, offsets: vec2f, widest: f32) 
   return x.x <= right && x.y >= left;
 }
 
+// A column of pixels in the middle of a box's left edge: floats have their digits for distances from there.
+fn origin_of(box: vec3u) -> i32 {
+  if (!BY_LENS) { return i32(box.x) * TILE_WIDTH; }
+  let lens = f32(box.x * u32(LENSES)) + P.lens.w;
+  return i32((lens * P.lens.x - P.lens.z) / 3.0 - (f32(box.y) + 0.5) * f32(LENS_ROWS) * P.lens.y);
+}
+
 fn pick(c: vec4f, channel: u32) -> f32 { return select(select(c.z, c.y, channel == 1u), c.x, channel == 0u); }
 
 // The colour seen from an offset, before it is clamped at zero.
@@ -63,6 +70,14 @@ fn colour_at(place: u32, s: f32) -> vec3f {
   var c = vec3f(0.0);
   for (var k = u32(first.w); k > 0u; k--) { c = s * (c + colours[place + k].xyz); }
   return c + first.xyz;
+}
+
+// The cubic in x through values at Chebyshev's four nodes, from the right.
+fn cubic_through(f: vec4f) -> vec4f {
+  let t1 = 0.46193977 * (f.x - f.w) + 0.19134172 * (f.y - f.z);
+  let t2 = 0.35355339 * (f.x - f.y - f.z + f.w);
+  let t3 = 0.19134172 * (f.x - f.w) - 0.46193977 * (f.y - f.z);
+  return vec4f(0.25 * (f.x + f.y + f.z + f.w) - t2, t1 - 3.0 * t3, 2.0 * t2, 4.0 * t3);
 }
 
 // Store the colour of a splat as a cubic in x for each channel, through Chebyshev's nodes; return whether it is near, which
@@ -89,11 +104,7 @@ fn stage_colour(mine: u32, place: u32, offsets: vec2f) -> bool {
   }
   var error = 0.0;
   for (var k = 0u; k < 3u; k++) {
-    let f = nodes[k];
-    let t1 = 0.46193977 * (f.x - f.w) + 0.19134172 * (f.y - f.z);
-    let t2 = 0.35355339 * (f.x - f.y - f.z + f.w);
-    let t3 = 0.19134172 * (f.x - f.w) - 0.46193977 * (f.y - f.z);
-    let c = vec4f(0.25 * (f.x + f.y + f.z + f.w) - t2, t1 - 3.0 * t3, 2.0 * t2, 4.0 * t3);
+    let c = cubic_through(nodes[k]);
     lights[3u * mine + k] = c;
     let apart = abs(tests[k] - vec3f(c.x, c.x + c.y + c.z + c.w, c.x - c.y + c.z - c.w));
     error = max(error, max(apart.x, max(apart.y, apart.z)));
@@ -107,21 +118,23 @@ fn pick_cubic(red: vec4f, green: vec4f, blue: vec4f, channel: u32) -> vec4f {
 
 fn cubic(c: vec4f, x: f32) -> f32 { return c.x + x * (c.y + x * (c.z + x * c.w)); }
 
-// A splat for the offsets of a box: their middle, and half their range.
-fn staged_splat(s: Splat, offsets: vec2f) -> Staged {
-  // S as a parabola in x, its root through Chebyshev's nodes, and their errors where his polynomial of order 3 is largest
+// A splat for the offsets of a box, their middle and half their range, and from its origin.
+fn staged_splat(s: Splat, offsets: vec2f, origin: f32) -> Staged {
+  // S as a parabola in x; its root as a cubic, or in tiles, which are for narrow cones, as a parabola; and their errors
+  // where Chebyshev's next polynomials are largest
   let S = vec3f(s.b.x + offsets.x * (s.b.y + offsets.x * s.b.z), offsets.y * (s.b.y + 2.0 * offsets.x * s.b.z),
                 offsets.y * offsets.y * s.b.z);
-  let nodes = inverseSqrt(S.x + vec3f(0.8660254 * S.y, 0.0, -0.8660254 * S.y) + vec3f(0.75, 0.0, 0.75) * S.z);
-  let t2 = (nodes.x - 2.0 * nodes.y + nodes.z) / 3.0;
-  let root = vec3f((nodes.x + nodes.y + nodes.z) / 3.0 - t2, 0.57735027 * (nodes.x - nodes.z), 2.0 * t2);
-  let x = vec4f(-1.0, -0.5, 0.5, 1.0);
-  let apart = abs((root.x + x * (root.y + x * root.z)) * sqrt(S.x + x * (S.y + x * S.z)) - 1.0);
+  let nodes = vec4f(0.92387953, 0.38268343, -0.38268343, -0.92387953);
+  var root = cubic_through(inverseSqrt(S.x + nodes * (S.y + nodes * S.z)));
+  if (!BY_LENS) { root = vec4f(root.x, root.y + 0.75 * root.w, root.z, 0.0); }
+  let x = select(vec4f(-1.0, -0.5, 0.5, 1.0), vec4f(-1.0, -0.70710678, 0.70710678, 1.0), BY_LENS);
+  let apart = abs((root.x + x * (root.y + x * (root.z + x * root.w))) * sqrt(S.x + x * (S.y + x * S.z)) - 1.0);
   let is_near = max(max(apart.x, apart.y), max(apart.z, apart.w)) <= ROOT_ERROR;
+  if (!is_near) { root = vec4f(S, 0.0); }
   var out: Staged;
-  out.a = vec4f(s.a.x + offsets.x * s.a.y, offsets.y * s.a.y, s.a.zw);
-  out.b = vec4f(select(-s.b.w, s.b.w, is_near), select(S, root, is_near));
-  out.c = vec4f(s.c.x + offsets.x * s.c.y, offsets.y * s.c.y, s.c.w, 0.0);
+  out.a = vec4f(s.a.x - origin + offsets.x * s.a.y, offsets.y * s.a.y, s.a.zw);
+  out.b = vec4f(select(-s.b.w, s.b.w, is_near), root.xyz);
+  out.c = vec4f(s.c.x + offsets.x * s.c.y, offsets.y * s.c.y, s.c.w, root.w);
   return out;
 }
 
@@ -155,7 +168,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   }
   m_end = select(min(m_end, 3 * i32(P.size.x)), m0, row >= i32(P.size.y));
   let py = f32(row) + 0.5;
-  let offsets = offsets_of(box.z);
+  let offsets = offsets_of(box.z); let origin = origin_of(box); let cut = P.cuts.w;
   let per_offset = select(0.0, 1.0 / offsets.y, offsets.y > 0.0);
   let place0 = select(0u, u32(m0 - 3 * ((m0 + 3000) / 3 - 1000)), BY_LENS);
   let channels = vec3u(stripe_channel(place0), stripe_channel((place0 + 1u) % 3u), stripe_channel((place0 + 2u) % 3u));
@@ -164,7 +177,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   //{q
   let there[q] = m0 + q >= 0 && m0 + q < m_end;
   let column[q] = column0 + (i32(place0) + q) / 3;
-  let px[q] = f32(column[q]) + 0.5;
+  let px[q] = f32(column[q] - origin) + 0.5;
   let channel[q] = select(channels[q % 3], cell_at(row, m0 + q).z, CELLS);
   let x[q] = (offset_at(row, m0 + q, phase) - offsets.x) * per_offset;
   phase = add64(phase, P.phase0.zw);
@@ -191,7 +204,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         if (!HARMONICS) { lights[mine] = colours[place]; }
         if (HARMONICS) { place |= select(FAR_FROM_CUBIC, 0u, stage_colour(mine, place, offsets)); }
         splat.c.w = bitcast<f32>(place);
-        staged[mine] = staged_splat(splat, offsets);
+        staged[mine] = staged_splat(splat, offsets, f32(origin));
       }
       let half = (thread >> 7u) * 4u;
       let widest = widest(splat);
@@ -213,10 +226,10 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         let a = staged[h].a; let b = staged[h].b; let c = staged[h].c;
         let dy = py - a.z;
         let top = a.w - abs(b.x) * dy * dy;
-        if (top < LOG2_MIN_ALPHA) { continue; }
+        if (top < cut) { continue; }
         let middle = a.x + c.x * dy; let sweep = a.y + c.y * dy;
         //{q
-        var root[q] = b.y + x[q] * (b.z + x[q] * b.w);
+        var root[q] = b.y + x[q] * (b.z + x[q] * select(b.w, b.w + x[q] * c.w, BY_LENS));
         //q}
         if (b.x < 0.0) {
           //{q
@@ -234,7 +247,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         }
         highest = max(highest, p[q]);
         //q}
-        if (highest < LOG2_MIN_ALPHA) { continue; }
+        if (highest < cut) { continue; }
         var constant = vec4f(0.0);
         if (!HARMONICS) { constant = lights[h]; }
         let by_place = vec3f(pick(constant, channels.x), pick(constant, channels.y), pick(constant, channels.z));
@@ -262,12 +275,12 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
           }
         }
         //{q
-        let alpha[q] = select(0.0, min(exp2(p[q]), MAX_ALPHA), p[q] >= LOG2_MIN_ALPHA);
+        let alpha[q] = select(0.0, min(exp2(p[q]), MAX_ALPHA), p[q] >= cut);
         let w[q] = alpha[q] * T[q];
         let after[q] = T[q] - w[q];
-        let ends[q] = after[q] < MIN_TRANSMITTANCE;
-        C[q] += select(w[q], 0.0, ends[q]) * light[q];
-        T[q] = select(after[q], -abs(T[q]), ends[q]);
+        let ends[q] = after[q] < P.cuts.z;
+        C[q] += select(w[q], select(0.0, T[q], ENDS_EARLY), ends[q]) * light[q];
+        T[q] = select(after[q], select(-abs(T[q]), 0.0, ENDS_EARLY), ends[q]);
         //q}
       }
     }

@@ -22,7 +22,6 @@ from lightfield_gs.panels.stored_rigs import (
     read_rig_file,
     rig_path,
     stored_framing,
-    stored_size,
 )
 from lightfield_gs.scene.axes import DEFAULT_UP, Up, find_up
 
@@ -41,26 +40,28 @@ class CameraChoice:
     """The camera that the options name, read from its file, in the coordinates of the scene's file.
 
     Attributes:
-        rig: of --rig.
+        rig: of --rig; for_px: width and height of the panel that it is for, where that is another one.
         pose: world to camera of --camera, [4, 4]; focal_px and principal_point_px: at the panel's resolution.
         up: the axis of --up, for automatic framing.
-        turn_deg, tilt_deg: of --turn and --tilt, from whichever camera it is.
+        turn_deg, tilt_deg: of --turn and --tilt, from whichever camera it is. A scene without a camera is seen from
+            its front where turn_deg is None.
         messages: lines on decisions.
     """
 
     rig: Rig | None = None
+    for_px: tuple[int, int] | None = None
     pose: np.ndarray | None = None
     focal_px: tuple[float, float] = (1.0, 1.0)
     principal_point_px: tuple[float, float] = (0.0, 0.0)
     up: str | None = None
-    turn_deg: float = 0.0
+    turn_deg: float | None = None
     tilt_deg: float = 0.0
     messages: list[str] = field(default_factory=list)
 
 
 def read_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
     """Read the camera that the options name, before the scene is read. Raises InputError."""
-    return replace(_named_camera(options, panel), turn_deg=options.turn or 0.0, tilt_deg=options.tilt or 0.0)
+    return replace(_named_camera(options, panel), turn_deg=options.turn, tilt_deg=options.tilt or 0.0)
 
 
 def _named_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
@@ -69,24 +70,27 @@ def _named_camera(options: CameraOptions, panel: Panel) -> CameraChoice:
     up = options.up
     unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if up else []
     if options.rig is not None:
-        rig, fitted = _read_rig(options.rig, panel)
-        return CameraChoice(rig, up=up, messages=[*fitted, *unused])
+        rig, other_px = _read_rig(options.rig, panel)
+        return CameraChoice(rig, other_px, up=up, messages=[*_fitted_words(options.rig, other_px), *unused])
     if options.camera is None:
         return CameraChoice(up=up)
     path, index = options.camera
     if path.suffix.lower() in (".yaml", ".yml"):
         if index is not None:
             raise InputError(f"{path}:{index}: a rig is one camera; leave out the index")
-        rig, fitted = _read_rig(path, panel)
+        rig, other_px = _read_rig(path, panel)
+        if other_px is not None:
+            rig = rig.fitted(other_px, panel)
         words = f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew"
+        messages = [words, *_fitted_words(path, other_px), *unused]
         return CameraChoice(
-            None, rig.world_to_camera, rig.focal_px, rig.principal_point_px, up, messages=[words, *fitted, *unused]
+            None, None, rig.world_to_camera, rig.focal_px, rig.principal_point_px, up, messages=messages
         )
     return _read_camera_file(path, index, panel, up, unused)
 
 
-def _read_rig(path: Path, panel: Panel) -> tuple[Rig, list[str]]:
-    """Return the rig of a file, fitted to the panel, and a line where it is for another size.
+def _read_rig(path: Path, panel: Panel) -> tuple[Rig, tuple[int, int] | None]:
+    """Return the rig of a file, and the size of the panel that it is for where that is another one.
 
     Raises:
         InputError: The file is no rig, or that of another panel, whose size it does not say.
@@ -103,10 +107,18 @@ def _read_rig(path: Path, panel: Panel) -> tuple[Rig, list[str]]:
                 f"{path}: {words}, as a rig of a panel of another size is; add its size to the file, as "
                 "`size_px: [7680, 3840]`, and it is fitted to this panel"
             )
-        return read.rig, []
-    if read.size_px == (panel.width_px, panel.height_px):
-        return read.rig, []
-    return read.rig.fitted(read.size_px, panel), [f"rig: {path}, fitted from {_by(read.size_px)} to the panel"]
+        return read.rig, None
+    return read.rig, _other_size(read.size_px, panel)
+
+
+def _other_size(size_px: tuple[int, int], panel: Panel) -> tuple[int, int] | None:
+    """Return the size unless it is the panel's own."""
+    return None if size_px == (panel.width_px, panel.height_px) else size_px
+
+
+def _fitted_words(path: Path, size_px: tuple[int, int] | None) -> list[str]:
+    """Return a line on a rig that is for a panel of another size."""
+    return [] if size_px is None else [f"rig: {path}, fitted from {_by(size_px)} to the panel"]
 
 
 def _by(size_px: tuple[int, int]) -> str:
@@ -133,54 +145,85 @@ def _read_camera_file(path: Path, index: int | None, panel: Panel, up: str | Non
     if camera.distorted:
         words += "; its lens distortion is left out"
     fitted = camera.fitted(panel.width_px, panel.height_px)
-    return CameraChoice(None, camera.world_to_camera, *fitted, up, messages=[words, *messages])
+    return CameraChoice(None, None, camera.world_to_camera, *fitted, up, messages=[words, *messages])
 
 
-def chosen_rig(choice: CameraChoice, panel: Panel, gaussians: Gaussians) -> Rig | None:
-    """Return the rig of the options, in the coordinates of the Gaussians; None where they name no camera."""
+@dataclass(frozen=True)
+class ChosenRig:
+    """The cameras of the views, in the coordinates of the Gaussians.
+
+    Attributes:
+        rig: the cameras.
+        messages: lines on how they were chosen.
+        is_settled: whether their depth was settled for this panel before, and is kept.
+    """
+
+    rig: Rig
+    messages: list[str]
+    is_settled: bool = False
+
+
+def chosen_rig(choice: CameraChoice, panel: Panel, gaussians: Gaussians) -> ChosenRig | None:
+    """Return the rig of the options; None where they name no camera."""
     if choice.rig is not None:
-        return choice.rig.relative_to(gaussians.origin)
+        rig = _on_panel(choice.rig, choice.for_px, panel, gaussians)
+        return ChosenRig(rig, choice.messages, is_settled=choice.for_px is None)
     if choice.pose is None:
         return None
-    return _look_from(choice.pose, choice.focal_px, choice.principal_point_px, panel, gaussians)
+    rig = Rig(choice.pose, choice.focal_px, choice.principal_point_px, 1.0)
+    return ChosenRig(_focused(_on_panel(rig, None, panel, gaussians), panel, gaussians), choice.messages)
 
 
-def file_rig(up: str | None, path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-    """Return the rig that a scene's file brings along, or else frame the scene; and lines on how it was chosen.
+def _on_panel(rig: Rig, for_px: tuple[int, int] | None, panel: Panel, gaussians: Gaussians) -> Rig:
+    """Return a rig of a file in the coordinates of the Gaussians, fitted to the panel where it is for another one."""
+    rig = rig.relative_to(gaussians.origin)
+    if for_px is None:
+        return rig
+    from lightfield_gs.photo.fill_panel import fill_panel
+
+    return fill_panel(rig, for_px, panel, gaussians)
+
+
+def file_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> ChosenRig | None:
+    """Return the rig that a scene's file brings along; None where it brings none.
 
     Args:
-        up: the axis of --up; with it the cameras of the file do not count.
         path: of the file, for errors.
         file: its contents beside the Gaussians.
         panel: the panel that shows the scene.
         gaussians: the scene; the rig is in its coordinates.
 
     Raises:
-        InputError: the framing in the file cannot be read, or there is nothing to frame.
+        InputError: the framing in the file cannot be read.
     """
-    own = None if up else _own_rig(path, file, panel, gaussians) or _rig_beside(path, panel, gaussians)
-    return own or _frame(up, file, panel, gaussians)
+    return _rig_inside(path, file, panel, gaussians) or _rig_beside(path, panel, gaussians)
 
 
-def has_own_camera(path: Path, file: SceneFile, panel: Panel) -> bool:
+def has_own_camera(path: Path, file: SceneFile) -> bool:
     """Return whether a scene's file brings a framing or a camera along, in it or beside it. Raises InputError."""
     with named(path):
-        inside = stored_framing(file.comments, panel) is not None or photo_camera(file.elements) is not None
+        inside = stored_framing(file.comments) is not None or photo_camera(file.elements) is not None
     return inside or path_beside(path) is not None
 
 
-def _own_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
-    """Return the rig of the cameras that the scene's file brings along, and a line on it."""
+def _rig_inside(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> ChosenRig | None:
+    """Return the rig of the cameras in the scene's file; None without any."""
     with named(path):
-        if (stored := stored_framing(file.comments, panel)) is not None:
-            return stored[0].relative_to(gaussians.origin), [f"camera: {stored[1]} ({_OTHERS})"]
+        if (stored := stored_framing(file.comments)) is not None:
+            rig, size_px = stored
+            other_px = _other_size(size_px, panel)
+            words = "" if other_px is None else f", made for {_by(size_px)}"
+            return ChosenRig(
+                _on_panel(rig, other_px, panel, gaussians),
+                [f"camera: the framing stored in the file{words} ({_OTHERS})"],
+                is_settled=other_px is None,
+            )
         if (camera := photo_camera(file.elements)) is None:
             return None
-    size = f"{camera.width_px:g} x {camera.height_px:g}"
-    return (
-        _look_from(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
-        [f"camera: that of the photo, {size}, which the file brings along ({_OTHERS})"],
-    )
+    photo = Rig(camera.world_to_camera, camera.focal_px, camera.principal_point_px, 1.0)
+    rig = _on_panel(photo, (round(camera.width_px), round(camera.height_px)), panel, gaussians)
+    words = f"camera: that of the photo, {camera.width_px:g} x {camera.height_px:g}, which the file brings along"
+    return ChosenRig(_focused(rig, panel, gaussians), [f"{words} ({_OTHERS})"])
 
 
 def path_beside(path: Path) -> Path | None:
@@ -188,34 +231,51 @@ def path_beside(path: Path) -> Path | None:
     return rig_path(path) if needs_rig_beside(path) and rig_path(path).is_file() else None
 
 
-def _rig_beside(path: Path, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
-    """Return the rig in the file beside a scene, and a line on it; None where there is none."""
+def _rig_beside(path: Path, panel: Panel, gaussians: Gaussians) -> ChosenRig | None:
+    """Return the rig in the file beside a scene; None where there is none."""
     if (beside := path_beside(path)) is None:
         return None
-    rig, words = _read_rig(beside, panel)
-    return rig.relative_to(gaussians.origin), [f"camera: the framing in {beside}, beside the scene ({_OTHERS})", *words]
+    rig, other_px = _read_rig(beside, panel)
+    words = f"camera: the framing in {beside}, beside the scene ({_OTHERS})"
+    return ChosenRig(
+        _on_panel(rig, other_px, panel, gaussians),
+        [words, *_fitted_words(beside, other_px)],
+        is_settled=other_px is None,
+    )
 
 
-def _look_from(
-    pose: np.ndarray,
-    focal_px: tuple[float, float],
-    principal_point_px: tuple[float, float],
-    panel: Panel,
-    gaussians: Gaussians,
-) -> Rig:
+def _focused(rig: Rig, panel: Panel, gaussians: Gaussians) -> Rig:
     from lightfield_gs.panels.framing import focus_on_scene
 
-    rig = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin)
     return focus_on_scene(rig, gaussians, panel)
 
 
-def _frame(up: str | None, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]]:
-    axis = scene_up(up, file)
-    words = f"axes: {axis.describe()}"
+def frame_automatically(choice: CameraChoice, file: SceneFile, panel: Panel, gaussians: Gaussians) -> ChosenRig:
+    """Return the rig of a scene that has no cameras, seen from its front or as --turn says.
+
+    Raises:
+        InputError: there is nothing to frame.
+    """
+    axis = scene_up(choice.up, file)
+    words = [f"axes: {axis.describe()}"]
+    turn, tilt = choice.turn_deg, choice.tilt_deg
+    if turn is None:
+        from lightfield_gs.panels.front import find_front
+
+        turn = find_front(gaussians, axis.axis)
+        if turn:
+            words.append(f"front: turned by {turn:g} degrees, to the side that shows most (unturned: --turn 0)")
+    if choice.turn_deg or tilt:
+        words.append(turned_words(turn, tilt))
     notes: list[str] = []
-    rig = Rig.frame(gaussians, panel, up=axis.axis, notes=notes)
+    rig = Rig.frame(gaussians, panel, up=axis.axis, turn_deg=turn, tilt_deg=tilt, notes=notes)
     others = "another view: --camera, --rig or --up"
-    return rig, [words, *(f"framing: {line}; {others}" for line in notes)]
+    return ChosenRig(rig, [*words, *(f"framing: {line}; {others}" for line in notes)])
+
+
+def turned_words(turn_deg: float, tilt_deg: float) -> str:
+    """Return a line on cameras that were turned round the scene."""
+    return f"turned: {turn_deg:g} degrees to the right, {tilt_deg:g} up"
 
 
 def scene_up(up: str | None, file: SceneFile) -> Up:
@@ -239,8 +299,8 @@ def fit_and_cameras(file: SceneFile) -> list[tuple[str, str]]:
 
 def _cameras_in(file: SceneFile) -> list[tuple[str, str]]:
     try:
-        if (size := stored_size(file.comments)) is not None:
-            return [("camera", f"a framing stored for {size[0]} x {size[1]}")]
+        if (stored := stored_framing(file.comments)) is not None:
+            return [("camera", f"a framing stored for {_by(stored[1])}")]
         camera = photo_camera(file.elements)
     except InputError as error:
         return [("camera", str(error))]

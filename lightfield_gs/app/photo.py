@@ -19,6 +19,7 @@ from lightfield_gs.app.photo_depth import (
     depth_camera,
     depth_from_file,
     depth_within,
+    field_of_view_deg,
     flat_depth,
     has_depth,
     is_depth_inside,
@@ -39,9 +40,10 @@ if TYPE_CHECKING:
     from lightfield_gs.models.splatter_net import ReplayedNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.photo.cut_out import NoCutOut
     from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.load import NoCutOut, Photo
     from lightfield_gs.photo.margin import Margin, PanelFit
+    from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.steady_depth import PictureEstimate
     from lightfield_gs.scene.gaussians import Gaussians
@@ -139,7 +141,8 @@ def photo_rig(photo: PhotoPlacement, panel: Panel, gaussians: Gaussians) -> Rig:
 def _read_object(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo and cut its object out; where that fails and depths can be estimated, read the whole photo."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.photo.load import NoCutOut, cut_out_photo
+    from lightfield_gs.photo.cut_out import NoCutOut
+    from lightfield_gs.photo.load import cut_out_photo
     from lightfield_gs.photo.stereo_matching import PairMismatch
 
     picture = read_picture(path)
@@ -256,7 +259,8 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo that is shown whole, with its depth map unless a network estimates it."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.embedded_depth import embedded_notes
-    from lightfield_gs.photo.load import cut_out_photo, reduce_photo
+    from lightfield_gs.photo.load import cut_out_photo
+    from lightfield_gs.photo.photo import reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
 
     if (pair := pair_of(path, options)) is not None:
@@ -319,6 +323,8 @@ def _scene_of_whole(
         check_depth_size(str(options.depth), depth.z, photo.pixels)
     height, width = photo.size
     focal, centre, camera, notes = depth_camera(options, height, width, depth.focal_px)
+    if options.is_estimated and depth.focal_px is not None and focal is not None and options.intrinsics is None:
+        options = replace(options, fov=field_of_view_deg(focal, height, width))  # of pictures that follow, too
     watch.lap("load" if source.depth is not None else "depth network")
     image = torch.from_numpy(photo.floats()).to(device)
     known = known_camera(focal, centre, height, width)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
-    from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.steady_depth import PictureEstimate
 
 # Default meaning of a depth map beside its photo: bright is near, as in Looking Glass' files
@@ -39,20 +39,22 @@ def depth_by_network(
     wanted: dict[str, Any] = dict(kind=options.depth_kind, limits=options.depth_range)
     if estimate is not None:
         return depth_of_estimate(photo.floats(), estimate, model, on, **wanted)
-    return estimated_depth(photo.floats(), model, on, **wanted, say=lambda words: print(words, flush=True))
+    depth = estimated_depth(photo.floats(), model, on, **wanted, say=lambda words: print(words, flush=True))
+    if depth.focal_px is not None:  # of the photo as its file has it
+        depth.focal_px *= photo.size[1] / photo.pixels.shape[1]
+    return depth
 
 
 def steady_estimates(
     photos: Iterable[tuple[int, Photo]], options: PhotoOptions, device: str
 ) -> Iterator[tuple[int, PictureEstimate]]:
     """Yield the network's numbers for photos in a row, each averaged with its neighbours. Raises InputError."""
-    from lightfield_gs.photo.depth_network import estimate_picture, is_metric
+    from lightfield_gs.photo.depth_network import estimate_pictures, is_metric
     from lightfield_gs.photo.steady_depth import steadied
 
     model, on = options.depth_network, _network_device(device)
-    estimates = (
-        (number, estimate_picture(photo.floats(), model, on, kind=options.depth_kind)) for number, photo in photos
-    )
+    images = ((number, photo.floats()) for number, photo in photos)
+    estimates = estimate_pictures(images, model, on, kind=options.depth_kind)
     return steadied(estimates, is_metric(model, on, options.depth_kind))
 
 
@@ -193,7 +195,7 @@ def _turn_with(
     Args:
         choice: The value of --map-orientation.
     """
-    from lightfield_gs.photo.load import turn_with_photo
+    from lightfield_gs.photo.map_orientation import turn_with_photo
 
     return lambda numbers: turn_with_photo(
         str(options.depth),
@@ -229,7 +231,7 @@ def _ray_lengths(
 def _resize_to_photo(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """Return the map at the photo's size. Raises InputError where it has another shape."""
     from lightfield_gs.photo.joint_upsampling import resize_to_photo
-    from lightfield_gs.photo.load import has_same_shape
+    from lightfield_gs.photo.map_orientation import has_same_shape
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
     if shape == size:
@@ -272,6 +274,9 @@ def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float
     if focal_px is not None:
         focals = focal_px / wide, focal_px
         _, notes = _check_intrinsics((*focals, width / 2, height / 2), height, width)
+        if options.is_estimated:
+            angle = field_of_view_deg(focals, height, width)
+            return focals, None, f"field of view {angle:.3g} degrees, estimated too (--fov){squeezed}", notes
         name = "its file" if options.depth is None else options.depth.name
         return focals, None, f"focal length {focal_px:.5g} px, of {name}{squeezed}", notes
     description = f"field of view {FIELD_OF_VIEW_DEG:g} degrees (assumed; --fov){squeezed}"
@@ -281,10 +286,15 @@ def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float
     return (focal / wide, focal), None, description, []
 
 
+def field_of_view_deg(focal_px: tuple[float, float], height: int, width: int) -> float:
+    """Return the angle of a photo's longer side."""
+    return 2 * math.degrees(math.atan(max(width / focal_px[0], height / focal_px[1]) / 2))
+
+
 def _check_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) -> tuple[str, list[str]]:
     """Return words on intrinsics, and notes on unusual values. Raises InputError where they cannot be the photo's."""
     fx, fy, cx, cy = intrinsics
-    angle = 2 * math.degrees(math.atan(max(width / fx, height / fy) / 2))
+    angle = field_of_view_deg((fx, fy), height, width)
     off = max(abs(cx / width - 0.5), abs(cy / height - 0.5))
     at = f"{fx:g},{fy:g},{cx:g},{cy:g} of a photo of {width} x {height}"
     if off > 0.5 or not _ANGLES_DEG[0] <= angle <= _ANGLES_DEG[1]:

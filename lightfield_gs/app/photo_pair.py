@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap
-    from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.stereo_matching import Parallax
     from lightfield_gs.photo.stereo_pair import PairCamera
@@ -131,7 +131,8 @@ def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_
     Raises:
         InputError: The file cannot be read, or its pictures do not match.
     """
-    from lightfield_gs.photo.load import cut_out_photo, reduce_photo
+    from lightfield_gs.photo.load import cut_out_photo
+    from lightfield_gs.photo.photo import reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
     from lightfield_gs.photo.stereo_matching import PairMismatch, Parallax, match_eyes
     from lightfield_gs.photo.stereo_pair import read_pair

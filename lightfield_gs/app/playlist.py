@@ -88,12 +88,12 @@ def find_slides(inputs: Sequence[Path], options: PanelOptions, stereo: StereoLay
 
 def _in_folder(folder: Path, wants_pairs: bool | None) -> tuple[list[Slide], list[str]]:
     """Return the slides of a folder in natural order, and why its other files are none."""
-    from lightfield_gs.video.sequence import PICTURES, natural_key
+    from lightfield_gs.video.sequence import PICTURES, natural_order
 
     found: list[Slide] = []
     refused = []
     with reading(folder):
-        paths = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=natural_key)
+        paths = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=natural_order)
     for path in paths:
         is_frames = path.is_dir() and (path / MANIFEST).is_file()
         if not is_frames and path.suffix.lower() not in (*PICTURES, *VIDEO_INPUTS) or is_sidecar_name(path.name):

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import (
     CameraChoice,
+    ChosenRig,
     apply_look,
     chosen_rig,
     file_rig,
+    frame_automatically,
     has_own_camera,
     path_beside,
     report_depth,
+    turned_words,
 )
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
@@ -281,39 +284,39 @@ def _photo_background(settings: RenderSettings, source: ReadPhoto) -> tuple[Rend
     return replace(settings, background=background), [words]
 
 
-def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
-    """Return the rig in the coordinates of the Gaussians, and lines on how it was chosen.
+def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> ChosenRig:
+    """Return the rig in the coordinates of the Gaussians.
 
     The first of these counts: the options, the photo, the cameras that the scene's file brings along, automatic
     framing; then --turn and --tilt. Raises InputError.
     """
-    rig, how = _front_rig(choice, scene, panel)
-    if not (choice.turn_deg or choice.tilt_deg):
-        return rig, how
+    if (own := _own_rig(choice, scene, panel)) is None:
+        assert scene.file is not None
+        return frame_automatically(choice, scene.file, panel, scene.gaussians)
+    turn, tilt = choice.turn_deg or 0.0, choice.tilt_deg
+    if not (turn or tilt):
+        return own
     from lightfield_gs.panels.look import orbited
-    from lightfield_gs.panels.rig import Rig
 
-    turned = orbited(rig, choice.turn_deg, choice.tilt_deg)
-    if is_framed_here(choice, scene, panel):
-        turned = Rig.frame(scene.gaussians, panel, turned.world_to_camera)
-    return turned, [*how, f"turned: {choice.turn_deg:g} degrees to the right, {choice.tilt_deg:g} up"]
+    return replace(own, rig=orbited(own.rig, turn, tilt), messages=[*own.messages, turned_words(turn, tilt)])
 
 
-def _front_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
-    """Return the rig of choose_rig before it is turned."""
-    if (rig := chosen_rig(choice, panel, scene.gaussians)) is not None:
-        return rig, choice.messages
+def _own_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> ChosenRig | None:
+    """Return the rig of the options, the photo or the scene's file; None where there is none."""
+    if (chosen := chosen_rig(choice, panel, scene.gaussians)) is not None:
+        return chosen
     if scene.photo is not None:
-        return photo_rig(scene.photo, panel, scene.gaussians), []
-    assert scene.file is not None
-    return file_rig(choice.up, scene.path, scene.file, panel, scene.gaussians)
+        return ChosenRig(photo_rig(scene.photo, panel, scene.gaussians), [])
+    if choice.up or scene.file is None:
+        return None
+    return file_rig(scene.path, scene.file, panel, scene.gaussians)
 
 
-def is_framed_here(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> bool:
+def is_framed_here(choice: CameraChoice, scene: LoadedScene) -> bool:
     """Return whether neither the options nor the scene's file have a camera. Raises InputError."""
     if choice.rig is not None or choice.pose is not None:
         return False
-    return scene.file is None or bool(choice.up) or not has_own_camera(scene.path, scene.file, panel)
+    return scene.file is None or bool(choice.up) or not has_own_camera(scene.path, scene.file)
 
 
 def _ease_depth(look: LookOptions, rig: Rig, panel: Panel, scene: LoadedScene) -> tuple[Rig, list[str]]:
@@ -352,9 +355,10 @@ def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, pan
 
     The rig is in the coordinates of the Gaussians. Raises InputError.
     """
-    chosen, how = choose_rig(choice, scene, panel)
-    rig, looks = apply_look(look, chosen, panel, scene.gaussians)
-    if is_framed_here(choice, scene, panel):
+    chosen = choose_rig(choice, scene, panel)
+    how = chosen.messages
+    rig, looks = apply_look(look, chosen.rig, panel, scene.gaussians)
+    if not chosen.is_settled:
         rig, eased = _ease_depth(look, rig, panel, scene)
         looks += eased
     # The framing of an object leaves space around it, as no other does

@@ -187,7 +187,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     if first.photo.options.depth in (AUTO, FLAT):  # also where no object is cut out
         photo = replace(photo, depth=first.photo.options.depth)
     if first.photo.placed is not None and photo.is_in_row:
-        photo = replace(photo, fit=first.photo.placed.fit)
+        photo = replace(photo, fit=first.photo.placed.fit, fov=first.photo.options.fov)
     messages = [*paired, *halved, *(note for part in parts.values() for note in part.notes)]
     rig, how = frame_scene(choice, look, first, panel)
 

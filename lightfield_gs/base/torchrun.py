@@ -29,6 +29,20 @@ def is_first() -> bool:
     return _environment("RANK", 0) == 0
 
 
+def see_own_gpu() -> None:
+    """Hide the other GPUs from this process of torchrun, before anything asks CUDA: its own is number 0 then.
+
+    Compiled kernels name their GPU by number, so one compilation serves all processes. Where there are fewer GPUs than
+    processes nothing is hidden, and join_processes says so.
+    """
+    if _environment("WORLD_SIZE", 1) == 1:
+        return
+    rank, visible = _environment("LOCAL_RANK", 0), os.environ.get("CUDA_VISIBLE_DEVICES")
+    gpus = [str(number) for number in range(torch.cuda.device_count())] if visible is None else visible.split(",")
+    if rank < len(gpus):
+        os.environ.update(CUDA_VISIBLE_DEVICES=gpus[rank], LOCAL_RANK="0")
+
+
 @contextmanager
 def join_processes(kind: Literal["cpu", "cuda"], timeout: timedelta) -> Iterator[Member]:
     """Join the processes that torchrun started for the time of the block; without torchrun there is one.

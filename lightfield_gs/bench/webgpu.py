@@ -1,7 +1,8 @@
 """Measure frames by WebGPU, tiling by tiling and stage by stage, beside CUDA or the CPU in the same run.
 
 Times of stages are the device's timestamps, medians of a few frames; `frame` is from the first to the last. The wall
-time is that of a call of the frame with the copy of the image to the host.
+time is that of a call of the frame with the copy of the image to the host. Bytes are compared with the CPU's, since the
+polynomials of CUDA err too; beside CUDA the distances of both from each other and from the CPU are told.
 """
 
 from __future__ import annotations
@@ -87,16 +88,25 @@ def _rows(frames: Frames, gaussians: Gaussians, panel: Panel, rig: Rig, given: O
     expected, beside = timed(_peer(gaussians, panel, rig, given.device), given.device == "cuda", given.repeats)
     camera = lenticular_camera(panel, rig)
     job = DirectRender(gaussians.fields().values(), torch.ones(3), camera)
+    by_cuda = expected.cpu() if given.device == "cuda" else None
+    on_cpu = expected if by_cuda is None else job.draw(True)
     rows = []
     for tiling in (None, *(tilings(camera.lens) if given.tilings else ())):
         frames.tiling = tiling
         row = _measured(frames, job, given.repeats or _FRAMES)
         image = row.pop("image")
-        row["most_apart"] = int((image.int() - expected.cpu().int()).abs().max())
+        row["most_apart"] = _most_apart(image, on_cpu)
+        if by_cuda is not None:
+            row["most_apart_from_cuda"], row["cuda_most_apart"] = (_most_apart(by_cuda, i) for i in (image, on_cpu))
         row[f"{given.device}_ms"] = statistics.median(beside)
         rows.append(row)
     frames.tiling = None
     return rows
+
+
+def _most_apart(image: torch.Tensor, other: torch.Tensor) -> int:
+    """Return the largest difference of two images, of 255."""
+    return int((image.int() - other.int()).abs().max())
 
 
 def _peer(gaussians: Gaussians, panel: Panel, rig: Rig, device: str) -> Any:
@@ -139,17 +149,21 @@ def _measured(frames: Frames, job: DirectRender, repeats: int) -> dict[str, Any]
 
 
 def _table(rows: list[dict[str, Any]], device: str) -> str:
-    """Return the rows for people; `stages` is the sum of the stages, for the host waits between some of them."""
+    """Return the rows for people; `stages` is the sum of the stages, for the host waits between some of them.
+
+    `apart` is from the CPU; beside CUDA, then from CUDA, and CUDA from the CPU.
+    """
     head = ("scene", "SH", "cone", "kernel", "stages", "composite", "wall", device, "apart", "pairs", "MB")
     lines: list[tuple[str, ...]] = [head]
     for row in rows:
         stages = row["stages_ms"]
+        apart = [row[key] for key in ("most_apart", "most_apart_from_cuda", "cuda_most_apart") if key in row]
         busy = sum(ms for name, ms in stages.items() if name != "frame")
         lines.append(
             (
                 *(row["scene"], str(row["degree"]), f"{row['cone_deg']:.1f}", row["kernel"]),
                 *(in_ms(ms) for ms in (busy, stages["composite"], row["wall_ms"], row[f"{device}_ms"])),
-                *(str(row["most_apart"]), str(row["pairs"]), f"{row['work_bytes'] / 1e6:.0f}"),
+                *(" ".join(map(str, apart)), str(row["pairs"]), f"{row['work_bytes'] / 1e6:.0f}"),
             )
         )
     return "\n".join(aligned(lines))

@@ -112,6 +112,8 @@ def _say(options: FitOptions, result: FitResult, folder: Path) -> None:
         print(f"{rig}: the rig in the capture's coordinates")
         if result.pruning is None:
             print("stopped: nothing was left out yet of what the panel does not show")
+    elif result.front is not None:
+        print(f"front: {result.front.cone.name}, which most photographs are near (another side: encode --turn)")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
     else:

@@ -95,7 +95,7 @@ def _upright(look: LookOptions, choice: CameraChoice, framed: FramedScene, panel
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.show.scene_page.write import UPRIGHT_PX
 
-    is_chosen = look.zoom is not None or look.pan is not None or not is_framed_here(choice, framed.scene, panel)
+    is_chosen = look.zoom is not None or look.pan is not None or not is_framed_here(choice, framed.scene)
     if is_chosen or framed.scene.photo is not None:
         return None
     width, height = UPRIGHT_PX

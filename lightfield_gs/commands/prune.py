@@ -77,9 +77,9 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
     render, messages = settle_render(options.render, source, file)
     watch.lap("load")
     scene = LoadedScene(source, file.gaussians.to(device), render, file)
-    chosen, how = choose_rig(choice, scene, panel)
-    rig, looks = apply_look(options.look, chosen, panel, scene.gaussians)
-    messages += [*how, *looks]
+    chosen = choose_rig(choice, scene, panel)
+    rig, looks = apply_look(options.look, chosen.rig, panel, scene.gaussians)
+    messages += [*chosen.messages, *looks]
     rig_of_file = scene.in_file(rig)
     kept = prune(scene.gaussians, panel, rig, options.contribution_cut, render.antialiased, render.view_filter)
     watch.lap("prune")

@@ -1,37 +1,59 @@
-"""`lightfield-gs view`: a page in the browser that shows a scene as the panel would, and steers it."""
+"""`lightfield-gs view`: a page in the browser that shows scenes as the panel would, and steers them."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
 
 from lightfield_gs.app.cameras import read_camera
+from lightfield_gs.app.openable import OPENED_SUFFIXES, depth_map_beside, photos_and_scenes
 from lightfield_gs.app.options import (
     CameraOptions,
     LookOptions,
     PanelOptions,
+    PhotoOptions,
     RenderOptions,
     SceneOptions,
     StereoOptions,
 )
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.app.stereo import panel_of, refuse_files
-from lightfield_gs.base.cli_messages import Stopwatch, say
-from lightfield_gs.commands.options.parser import read_options
+from lightfield_gs.base.cli_messages import Stopwatch, note, say
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.arguments.view import add_arguments
+from lightfield_gs.commands.options.parser import Parser, read_options
 from lightfield_gs.commands.options.serving import ServingOptions, serve
+from lightfield_gs.commands.view_command import ShownPicture
+from lightfield_gs.io.atomic import scratch_folder
+from lightfield_gs.io.scenes.files import is_scene_path
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.show.page.exports import exports
+from lightfield_gs.show.page.gallery import Gallery
+from lightfield_gs.show.page.looks import LookStore, looks_path
+from lightfield_gs.show.page.stage import Controls, Stage, StagedScene
+from lightfield_gs.show.page.steering import steering_routes
+from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
+# Options that hold for photos that are dropped on the page, too: the others are of the input
+_GENERAL = {"panel", "device_serial", "viewing_distance", "antialiased", "view_filter", "background", "device"}
+_GENERAL |= {"checkpoint", "depth_model", "detail", "detail_budget", "remove_background", "clean_edges"}
 
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """A scene that a page shows.
+    """A scene that a page shows, or a folder of them.
 
     Attributes:
         device: Device that draws the scene.
         stereo: for a screen of two eyes, in place of a panel.
         stats: whether to print the times of the stages.
+        words: the words of the command line after `view`.
     """
 
     scene: SceneOptions
@@ -43,6 +65,24 @@ class ViewOptions:
     device: str = "auto"
     stereo: StereoOptions = field(default_factory=StereoOptions)
     stats: bool = False
+    words: tuple[str, ...] = ()
+
+    def of(self, path: Path, is_dropped: bool) -> ViewOptions:
+        """Return the options by which a picture opens: a dropped one without those that are the input's own.
+
+        Photos of a folder, and dropped ones, take the depth maps beside them, as in a batch.
+        """
+        if path == self.scene.input:
+            return self
+        photo = self.scene.photo
+        if is_dropped:
+            fresh = PhotoOptions(**{name: getattr(photo, name) for name in PhotoOptions.__slots__ if name in _GENERAL})
+            own = replace(self, scene=SceneOptions(path, photo=fresh), camera=CameraOptions(), look=LookOptions())
+        else:
+            own = replace(self, scene=replace(self.scene, input=path))
+        if own.scene.photo.depth is None and not is_scene_path(path) and (beside := depth_map_beside(path)):
+            own = replace(own, scene=replace(own.scene, photo=replace(own.scene.photo, depth=beside)))
+        return own
 
 
 def run(args: argparse.Namespace) -> None:
@@ -51,30 +91,73 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _view(options: ViewOptions, watch: Stopwatch) -> None:
-    check_scene_options(options.scene, options.camera)
+    given = options.scene.input
+    is_folder = given.is_dir() and not is_scene_path(given)
+    paths = photos_and_scenes(given) if is_folder else [given]
+    if not paths:
+        raise InputError(f"{given} is a folder without photos and scenes; give one that has them, or a file")
+    if not is_folder:
+        check_scene_options(options.scene, options.camera)
     refuse_files(options.stereo.stereo, "a screen")
     panel, screen = panel_of(options.stereo, options.panel)
-    pixels = panel.width_px * panel.height_px
-    device, webgpu, decisions = choose_drawing_device(options.device, pixels, _MANY_FRAMES)
-    choice = read_camera(options.camera, panel)
-
-    import torch
-
-    from lightfield_gs.show.page.routes import exports, steering_routes
-    from lightfield_gs.show.page.stage import Stage
-    from lightfield_gs.show.page.stereo_stage import StereoStage
-
+    device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     watch.lap("start")
-    with torch.no_grad():
-        framed = load_framed(options.scene, choice, options.render, options.look, panel, device, watch)
-    scene, render, path = framed.scene, framed.scene.render, options.scene.input
-    drawn_as = render.background, render.antialiased, path.name, render.view_filter
+    reader = _Reader(options, panel, device.torch)
+    shown, scene = _first(reader, paths)
     if (layout := options.stereo.stereo) is None:
-        stage, where = Stage(scene.gaussians, panel, framed.rig, *drawn_as, webgpu), f"panel {panel.name}"
+        stage, where = Stage(scene, panel, device.webgpu), f"panel {panel.name}"
     else:
-        stage = StereoStage(scene.gaussians, panel, framed.rig, layout, *drawn_as, webgpu)
-        where = f"a screen of two eyes, {layout}"
-    print(f"{path}: {scene.gaussians.count} Gaussians on {where}, drawn on {webgpu or device}")
+        stage, where = StereoStage(scene, panel, layout, device.webgpu), f"a screen of two eyes, {layout}"
+    drawn_on = device.webgpu or device.torch
+    print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on {where}, drawn on {drawn_on}")
     watch.say_if(options.stats)
-    say(*decisions, *screen, *framed.messages)
-    serve(options.serving, steering_routes(stage, exports(stage)), "/")
+    say(*device.messages, *screen, *reader.messages)
+    with scratch_folder() as dropped:
+        gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_scene_path, OPENED_SUFFIXES, dropped)
+        routes = steering_routes(stage, exports(stage), gallery, LookStore(looks_path()), reader.command)
+        serve(options.serving, routes, "/")
+
+
+def _first(reader: _Reader, paths: list[Path]) -> tuple[int, StagedScene]:
+    """Return the first picture that can be read, and its place. Raises InputError where none can."""
+    for place, path in enumerate(paths):
+        try:
+            return place, reader.read(path)
+        except InputError as error:
+            if len(paths) == 1:
+                raise
+            note(f"{error}; it is left out")
+    raise InputError(f"none of the {len(paths)} photos and scenes can be read")
+
+
+class _Reader:
+    """Reads the pictures of a page, and knows the command line of the one that was read last."""
+
+    def __init__(self, options: ViewOptions, panel: Panel, device: str):
+        parser = Parser("lightfield-gs view")
+        add_arguments(parser)
+        self._typed = parser.typed(options.words)
+        self._options, self._panel, self._device = options, panel, device
+        self.messages: list[str] = []
+
+    def read(self, path: Path, is_dropped: bool = False) -> StagedScene:
+        """Read a picture, and print what is to be said of it later. Raises InputError."""
+        own = self._options.of(path, is_dropped)
+        check_scene_options(own.scene, own.camera)
+        choice, watch = read_camera(own.camera, self._panel), Stopwatch(time.perf_counter())
+        with torch.no_grad():
+            framed = load_framed(own.scene, choice, own.render, own.look, self._panel, self._device, watch)
+        render, self.messages = framed.scene.render, framed.messages
+        typed = [(name, words) for name, words in self._typed if name in _GENERAL or not is_dropped]
+        if own.scene.photo.depth != self._options.scene.photo.depth:
+            typed.append(("depth", (f"--depth={own.scene.photo.depth}",)))
+        self._shown = ShownPicture(path, self._panel, framed.rig, own.look, typed)
+        return StagedScene(
+            framed.scene.gaussians, framed.rig, path.name, render.background, render.antialiased, render.view_filter
+        )
+
+    def command(self, controls: Controls) -> list[str]:
+        """Return the command line of the picture that was read last."""
+        if self._options.stereo.stereo is not None:
+            controls = replace(controls, quality="exact")  # which pictures of eyes always are
+        return self._shown.command(controls)

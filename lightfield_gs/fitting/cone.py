@@ -22,9 +22,12 @@ from lightfield_gs.fitting.evaluate import ConeAngles
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.captures.pinhole import nearest_rotation
+from lightfield_gs.panels.comfort import comfortable_amount
+from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.stored_rigs import framing_comment
+from lightfield_gs.scene.gaussians import Gaussians
 
 # Photographs within half the cone and this margin count fully. Objects before and behind the zero plane are seen at
 # other angles than the pivot. Views at the cone's edge lie between photographs, too.
@@ -257,6 +260,42 @@ class Display:
         quarters, turn_messages = upright_turns(capture, placed.centre)
         rig = centre_rig(capture, placed, panel, quarters)
         return cls(panel, placed, rig, (*placed.messages, *turn_messages, panel_message))
+
+    @classmethod
+    def place_front(cls, capture: Capture) -> Display | None:
+        """Place a panel of the photograph's shape before the one that most others are near.
+
+        The rig leaves the cone to the panel that shows the scene.
+
+        Returns:
+            None where the capture has no middle.
+        """
+        panel = Panel.load(DEFAULT_PANEL)
+        try:
+            placed = place_cone(capture, panel.cone_deg)
+        except InputError:
+            return None
+        quarters, _ = upright_turns(capture, placed.centre)
+        width, height = map(int, capture.sizes_px[placed.centre])
+        size = (height, width) if quarters % 2 else (width, height)
+        panel = replace(panel, width_px=size[0], height_px=size[1])
+        rig = replace(centre_rig(capture, placed, panel, quarters), cone_deg=None)
+        return cls(panel, placed, rig, ())
+
+    def eased(self, gaussians: Gaussians) -> Display:
+        """Return the display with as much depth as does not strain the eyes.
+
+        Args:
+            gaussians: the fitted scene, in the capture's coordinates.
+        """
+        rig = self.rig.relative_to(gaussians.origin)
+        amount = comfortable_amount(gaussians, self.panel, rig)
+        if amount is None:
+            return self
+        words = f"depth: {amount:g} of what it is, the most that does not strain the eyes"
+        return replace(
+            self, rig=Look(depth_amount=amount).applied(self.rig, self.panel), messages=(*self.messages, words)
+        )
 
     def photo_weights(self, indices: Sequence[int]) -> list[float]:
         """Return the weights of photographs, by their indices in the capture; the largest is 1."""

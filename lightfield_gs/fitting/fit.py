@@ -36,7 +36,7 @@ from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
 from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.stored_rigs import write_rig_beside
+from lightfield_gs.panels.stored_rigs import needs_rig_beside, write_rig_beside
 from lightfield_gs.scene.gaussians import Gaussians
 
 _ORIGIN_STEP = 1e-3  # the largest rounding to float32 of a position, as a fraction of the usual Gaussian's size
@@ -55,6 +55,8 @@ class FitResult:
         history: all evaluations: step, psnr_db, ssim, gaussians.
         stopped: whether `stop` ended the fit.
         display: the panel that the scene is fitted for.
+        front: the photograph that most others are near, from which a scene for no panel opens; None where the capture
+            has no middle.
         angles: scores of the held-out photographs by angle, if asked for.
         pruning: the result of pruning for the panel; None without a display, or if the fit was stopped.
         window_scores: scores of the pixels of held-out photographs that the display can show, before and after pruning.
@@ -70,21 +72,23 @@ class FitResult:
     angles: ConeAngles | None = None
     pruning: PanelPruning | None = None
     window_scores: WindowScores | None = None
+    front: Display | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
         """Write the scene as .ply, .spz or .splat, see Gaussians.save.
 
-        The header of a .ply holds the settings. The scene of a display has its framing there too, and its rig with
-        its background beside it: scene.rig.yaml for scene.ply.
+        The header of a .ply holds the settings and the framing. The rig and the background are beside the scene of a
+        display, and beside other formats: scene.rig.yaml for scene.spz.
 
         Args:
             path: where to.
             comments: further lines of the header.
         """
-        if self.display is not None:
-            comments = [*comments, *self.display.comments()]
-            own = self.settings.background, self.settings.antialiased
-            write_rig_beside(Path(path), self.display.rig, self.display.panel, *own)
+        if (shown := self.display or self.front) is not None:
+            comments = [*comments, *shown.comments()]
+            if self.display is not None or needs_rig_beside(Path(path)):
+                own = self.settings.background, self.settings.antialiased
+                write_rig_beside(Path(path), shown.rig, shown.panel, *own)
         settings = {**asdict(self.settings), "steps_done": self.steps}
         trained = [ANTIALIASED] if self.settings.antialiased else []
         self.gaussians.save(path, [fit_comment(settings), *trained, *comments])
@@ -169,7 +173,17 @@ def fit(
             scene, pruning, window_scores = prune_run(run, normalization, display, cut)
         scene = _remove_origin(normalization.restore(scene.to("cpu")))
     return FitResult(
-        scene, chosen, trainer.done, run.scores, run.history, run.stopped, display, run.angles, pruning, window_scores
+        scene,
+        chosen,
+        trainer.done,
+        run.scores,
+        run.history,
+        run.stopped,
+        None if display is None else display.eased(scene),
+        run.angles,
+        pruning,
+        window_scores,
+        Display.place_front(read) if display is None else None,
     )
 
 

@@ -17,7 +17,6 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels import visibility
 from lightfield_gs.panels.content import Subject, content_bounds, content_extent, find_subject, select, subsample
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene.axes import upright_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
@@ -53,7 +52,12 @@ _WIDEST_TAN = math.tan(_WIDEST_RAD / 2)
 
 
 def fit_scene(
-    rig: Rig, gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None, up: str, notes: list[str] | None
+    rig: Rig,
+    gaussians: Gaussians,
+    panel: Panel,
+    world_to_camera: np.ndarray | None,
+    turn: np.ndarray,
+    notes: list[str] | None,
 ) -> Rig:
     """Return a rig fitted to a scene, as Rig.frame describes it.
 
@@ -62,11 +66,10 @@ def fit_scene(
         gaussians: As in Rig.frame, and so are the others.
         panel: As in Rig.frame.
         world_to_camera: As in Rig.frame.
-        up: As in Rig.frame.
+        turn: Rotation [3, 3] of a new camera.
         notes: As in Rig.frame.
     """
     gaussians = checked_scene(gaussians, panel)
-    turn = upright_rotation(up)
     if world_to_camera is not None:
         rig = replace(rig, world_to_camera=world_to_camera)
     found = find_subject(gaussians)

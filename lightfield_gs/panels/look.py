@@ -12,6 +12,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.visibility import depth_at
+from lightfield_gs.scene.axes import orbit_rotation
 from lightfield_gs.scene.gaussians import Gaussians
 
 MOST_AMOUNT = 2.0  # of depth, in depths of the rig
@@ -125,11 +126,8 @@ def orbited(rig: Rig, yaw_deg: float, pitch_deg: float) -> Rig:
         yaw_deg: To the right, about the camera's vertical axis.
         pitch_deg: Up, about its horizontal axis.
     """
-    yaw, pitch = math.radians(yaw_deg), math.radians(pitch_deg)
-    about_y = np.array([[math.cos(yaw), 0, math.sin(yaw)], [0, 1, 0], [-math.sin(yaw), 0, math.cos(yaw)]])
-    about_x = np.array([[1, 0, 0], [0, math.cos(pitch), -math.sin(pitch)], [0, math.sin(pitch), math.cos(pitch)]])
     pivot = np.array([0.0, 0.0, rig.zero_depth])
     turn = np.eye(4)
-    turn[:3, :3] = about_x @ about_y
+    turn[:3, :3] = orbit_rotation(yaw_deg, pitch_deg)
     turn[:3, 3] = pivot - turn[:3, :3] @ pivot
     return replace(rig, world_to_camera=turn @ rig.world_to_camera)

@@ -28,7 +28,7 @@ from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.text_files import read_mapping, write_mapping
 from lightfield_gs.panels.panel import Panel, panel_lens
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture, LenticularCamera
-from lightfield_gs.scene.axes import DEFAULT_UP
+from lightfield_gs.scene.axes import DEFAULT_UP, orbit_rotation, upright_rotation
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras
@@ -77,6 +77,8 @@ class Rig:
         world_to_camera: np.ndarray | None = None,
         *,
         up: str = DEFAULT_UP,
+        turn_deg: float = 0.0,
+        tilt_deg: float = 0.0,
         notes: list[str] | None = None,
     ) -> Rig:
         """Return a rig that shows a scene on the panel: the whole scene, or its subject.
@@ -100,6 +102,8 @@ class Rig:
             world_to_camera: [4, 4], the camera's pose; None: a new camera.
             up: The axis that points up for a new camera, one of axes.UP_AXES, or three numbers. With -y, as in OpenCV
                 axes, the camera looks along +z.
+            turn_deg: Degrees that a new camera goes to the right round the content; find_front tells a good number.
+            tilt_deg: Degrees that it goes up.
             notes: A list to append a line to for each assumption.
 
         Raises:
@@ -107,7 +111,8 @@ class Rig:
         """
         from lightfield_gs.panels.framing import fit_scene
 
-        return fit_scene(_unfitted(), gaussians, panel, world_to_camera, up, notes)
+        turn = orbit_rotation(turn_deg, tilt_deg) @ upright_rotation(up)
+        return fit_scene(_unfitted(), gaussians, panel, world_to_camera, turn, notes)
 
     @staticmethod
     def from_yaml(path: str | Path, panel: Panel | None = None) -> Rig:

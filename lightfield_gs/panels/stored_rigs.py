@@ -101,30 +101,12 @@ def framing_comment(rig: Rig, panel: Panel) -> str:
     return f"{_KEY} " + json.dumps({"rig": rig.to_dict(), "width_px": panel.width_px, "height_px": panel.height_px})
 
 
-def stored_framing(comments: Iterable[str], panel: Panel) -> tuple[Rig, str] | None:
-    """Return the framing in a header, fitted to the panel, and a description of it; None without one.
+def stored_framing(comments: Iterable[str]) -> tuple[Rig, tuple[int, int]] | None:
+    """Return the framing in a header, and width and height of the panel that it is for; None without one.
 
     Raises:
         InputError: The framing cannot be read.
     """
-    if (stored := _stored(comments)) is None:
-        return None
-    rig, (width, height) = stored
-    words = "" if (width, height) == (panel.width_px, panel.height_px) else f", made for {width} x {height}"
-    return rig.fitted((width, height), panel), f"the framing stored in the file{words}"
-
-
-def stored_size(comments: Iterable[str]) -> tuple[int, int] | None:
-    """Return width and height of the panel of a stored framing; None without one.
-
-    Raises:
-        InputError: The framing cannot be read.
-    """
-    stored = _stored(comments)
-    return None if stored is None else stored[1]
-
-
-def _stored(comments: Iterable[str]) -> tuple[Rig, tuple[int, int]] | None:
     lines = [comment.strip() for comment in comments if comment.strip().startswith(_KEY)]
     if not lines:
         return None

@@ -282,6 +282,12 @@ def _depth_ends(depths: np.ndarray) -> tuple[float, float]:
     return float(near), float(far)
 
 
+def centre_picture(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Return which pixels of a small picture of the centre camera show the scene, bool [H, W], and depths [H, W]."""
+    alpha, depth = _pictures(gaussians, panel, rig, [panel.views / 2])
+    return (alpha[0] >= _CONSTANTS.opaque) & (depth > 0), depth
+
+
 def background_fraction(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
     """Return the fraction 0..1 of background in an outermost view, the larger of the two.
 

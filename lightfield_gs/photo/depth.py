@@ -210,6 +210,11 @@ class DepthMap:
     notes: list[str]
 
 
+def far_distance(farthest: float) -> float:
+    """Return the distance of infinitely far things, by that of the farthest other one."""
+    return min(_C.far_ratio * farthest, FARTHEST)
+
+
 def read_depth(
     path: str | Path,
     kind: DepthKind = "distance",
@@ -297,7 +302,7 @@ def depth_map(
         description += f", {nearness(kind, limits)} (assumed; depth_kind=)"
     description += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
-        beyond = min(_C.far_ratio * z[measured].max(), FARTHEST) if limits is None else max(limits)
+        beyond = far_distance(z[measured].max()) if limits is None else max(limits)
         z[far] = beyond if invalid == "far" else np.nan
         words = [stored, f"put at {beyond:.4g}" if invalid == "far" else "left out"]
         description += f", {far.mean():.1%} {'sky' if stored else 'infinitely far'} ({', '.join(filter(None, words))})"

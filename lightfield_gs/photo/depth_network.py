@@ -1,14 +1,10 @@
-"""Depth of a photo without a depth map, estimated by a network of the optional package transformers."""
+"""Depth of a photo without a depth map, estimated by a network."""
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import importlib.util
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,30 +16,15 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_MODEL, DEVICES, DepthKind, Device
 from lightfield_gs.photo.depth import DepthMap
+from lightfield_gs.photo.depth_models.folder import OTHER_WAY, model_folder, short_message
+from lightfield_gs.photo.depth_models.model import DepthModel, Prediction
+from lightfield_gs.photo.depth_models.open import open_model
+from lightfield_gs.photo.depth_models.weights import WrongWeights
+from lightfield_gs.photo.depth_windows import in_windows
 from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z, upsample
 from lightfield_gs.photo.steady_depth import PictureEstimate
 
-_ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
-_INSTALL = "pip install 'lightfield-gs[photo]'"
-_OTHER_WAY = "or give a depth map with depth=FILE"
-_FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
-_USUAL_SIDE_PX = 518  # of the network's input, where its processor does not state it
-# Families that users may name and transformers does not read, by a part of their names on huggingface.co
-_UNREAD = {
-    "video-depth-anything": "Video Depth Anything",
-    "depth-anything-3": "Depth Anything 3",
-    "/da3": "Depth Anything 3",
-    "/moge": "MoGe",
-}
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
-# Numbers of model families whose configuration does not state their kind
-_KINDS: dict[str, DepthKind] = {
-    "depth_pro": "distance",
-    "dpt": "disparity",
-    "glpn": "distance",
-    "tipsv2_dpt": "distance",
-    "zoedepth": "distance",
-}
 
 
 def depth_from_network(
@@ -62,9 +43,9 @@ def depth_from_network(
 
     Args:
         image: [H, W, 3], or [H, W, 4] whose alpha is ignored; uint8, or floating point in 0..1.
-        model: The name of a depth-estimation model on huggingface.co, or a folder with one (config.json,
-            preprocessor_config.json, *.safetensors). The default, Depth Anything V2 Small (Apache-2.0), is 99 MB. The
-            package huggingface_hub fetches it at first use and caches it; later uses need no connection.
+        model: The name of a depth-estimation model on huggingface.co, or a folder with its files: one of transformers,
+            Depth Anything 3 for single pictures, MoGe-2 or Video Depth Anything. The default, Depth Anything V2 Small
+            (Apache-2.0), is 99 MB. huggingface_hub fetches it at first use and caches it.
         device: "cpu", "cuda" or "auto".
         kind: The meaning of the model's numbers, "distance" (z) or "disparity" (a + b / z, a and b unknown). None: by
             its configuration.
@@ -102,14 +83,43 @@ def estimated_depth(
     """
     limits = _checked_options(kind, device, model, limits)
     network, kind = _open(model, device, kind, limits, say)
-    return _as_depth_map(image, model, kind, _predict(str(model), network, _to_pixels(image)), limits, None)
+    pixels = _to_pixels(image)
+    (found,) = _predict(model, network, [network.shrink(pixels)])
+    depth = _as_depth_map(pixels, model, kind, found.values, limits, None)
+    if found.focal is not None:
+        depth.focal_px = found.focal * pixels.shape[1]
+    if found.sky:
+        depth.description += f", {found.sky:.1%} of them sky, put behind the rest"
+    return depth
 
 
-def estimate_picture(image: np.ndarray, model: str | Path, device: Device, *, kind: str | None) -> PictureEstimate:
-    """Return the network's numbers for a picture, for `steadied`; the arguments as of depth_from_network."""
+def estimate_pictures(
+    images: Iterable[tuple[int, np.ndarray]], model: str | Path, device: Device, *, kind: str | None
+) -> Iterator[tuple[int, PictureEstimate]]:
+    """Yield the network's numbers for pictures in a row, for `steadied`.
+
+    Args:
+        images: Numbers and pictures, as of depth_from_network.
+        model: See depth_from_network.
+        device: See depth_from_network.
+        kind: See depth_from_network.
+
+    Raises:
+        InputError: As depth_from_network.
+    """
     network, kind = _open(model, device, kind, None, None)
-    values = _predict(str(model), network, _to_pixels(image))
-    return PictureEstimate.of(values if kind == "disparity" else distances_to_z(values).disparities, image)
+
+    def disparities(pictures: list[np.ndarray]) -> list[Tensor]:
+        values = [found.values for found in _predict(model, network, pictures)]
+        return values if kind == "disparity" else [distances_to_z(part).disparities for part in values]
+
+    if network.at_once > 1:
+        pictures = ((number, network.shrink(_to_pixels(image))) for number, image in images)
+        yield from in_windows(pictures, disparities, network.at_once, kind == "distance")
+        return
+    for number, image in images:
+        (values,) = disparities([network.shrink(_to_pixels(image))])
+        yield number, PictureEstimate.of(values, image)
 
 
 def is_metric(model: str | Path, device: Device, kind: str | None) -> bool:
@@ -130,7 +140,7 @@ def depth_of_estimate(
     limits = _checked_options(kind, device, model, limits)
     _, kind = _open(model, device, kind, limits, None)
     values = estimate.disparities if kind == "disparity" else 1 / estimate.disparities
-    return _as_depth_map(image, model, kind, values, limits, estimate.limits)
+    return _as_depth_map(_to_pixels(image), model, kind, values, limits, estimate.limits)
 
 
 def _checked_options(
@@ -150,18 +160,35 @@ def _open(
     kind: str | None,
     limits: tuple[float, float] | None,
     say: Callable[[str], None] | None,
-) -> tuple[Any, str]:
+) -> tuple[DepthModel, str]:
     """Return a network, and the kind of its numbers; raise InputError."""
-    on = choose_device(device)
-    network = _network(_folder(str(model), say), on)
-    kind = kind or _model_kind(str(model), network.model.config)
+    network = open_model(model_folder(str(model), say), choose_device(device))
+    kind = kind or network.kind
+    if kind is None:
+        raise InputError(f"{model} ({network.family}) does not say what its numbers are: give depth_kind=")
     if kind == "distance" and limits is not None:
         raise InputError(f"{model} estimates distances, and depth_range= is for disparities; leave it out")
     return network, kind
 
 
+@torch.no_grad()
+def _predict(model: str | Path, network: DepthModel, pictures: list[np.ndarray]) -> list[Prediction]:
+    """Return the network's numbers for pictures in a row, float32; raise InputError."""
+    exact = torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False)
+    try:
+        with exact:
+            found = network.predict(pictures)
+    except WrongWeights as error:
+        raise InputError(f"depth_model=: expected the weights of {network.family}, got {model}: {error}") from None
+    except RuntimeError as error:
+        raise InputError(f"{model} could not estimate the depth of this photo: {short_message(error)}") from None
+    if not all(bool(torch.isfinite(part.values).all()) for part in found):
+        raise InputError(f"{model}: its depths are not finite; give another with depth_model=, {OTHER_WAY}")
+    return found
+
+
 def _as_depth_map(
-    image: np.ndarray | Tensor,
+    pixels: np.ndarray,
     model: str | Path,
     kind: str,
     values: Tensor,
@@ -169,7 +196,7 @@ def _as_depth_map(
     ends: tuple[float, float] | None,
 ) -> DepthMap:
     found = distances_to_z(values) if kind == "distance" else disparities_to_z(values, limits, ends)
-    photo = torch.from_numpy(_to_pixels(image)).to(values.device).float() / 255
+    photo = torch.from_numpy(pixels).to(values.device).float() / 255
     z = found.z(upsample(found.disparities, photo, found.value_range)).cpu().numpy()
     name = Path(model).name if Path(model).is_dir() else model
     description = f"depth estimated by {name}: {found.description}"
@@ -206,134 +233,3 @@ def _checked_limits(limits: tuple[float, float]) -> tuple[float, float]:
     if near >= far:
         raise InputError(f"depth range: expected near < far, got {near:g},{far:g}")
     return near, far
-
-
-def _folder(model: str, say: Callable[[str], None] | None) -> str:
-    """Return the folder with the model's files, fetched where missing; raise InputError."""
-    if Path(model).is_dir():
-        return str(Path(model).resolve())
-    try:
-        from huggingface_hub import snapshot_download
-        from huggingface_hub.errors import HFValidationError
-    except ImportError as error:
-        raise _not_installed(error) from None
-    try:
-        folder = snapshot_download(model, allow_patterns=list(_FILES), local_files_only=True)
-        if all(any(Path(folder).glob(pattern)) for pattern in ("config.json", "preprocessor_config.json", _FILES[1])):
-            return folder
-    except HFValidationError:
-        raise InputError(
-            f"depth_model=: expected a name of huggingface.co, such as {DEPTH_MODEL}, or a folder; there is no "
-            f"folder {model}"
-        ) from None
-    except OSError:
-        pass  # it was never fetched
-    for part, family in _UNREAD.items():
-        if part in model.lower():
-            raise InputError(
-                f"depth_model={model}: transformers has no {family}, whose weights are for a program of its own; give "
-                f"a model of transformers, such as {DEPTH_MODEL}, {_OTHER_WAY}"
-            )
-    about = _ABOUT.get(model, f"its licence: huggingface.co/{model}")
-    if say is not None:
-        say(f"fetching the depth network {model} from huggingface.co, once ({about})")
-    try:
-        return snapshot_download(model, allow_patterns=list(_FILES))
-    except Exception as error:  # of the connection, the server or the disk: it may be anything
-        raise InputError(
-            f"the depth network {model} ({about}) is not on this machine and could not be fetched: with a connection, "
-            f"run `hf download {model}` once; or copy its folder here for depth_model=FOLDER, {_OTHER_WAY}. It failed "
-            f"with: {_short_message(error.__cause__ or error)}"
-        ) from None
-
-
-@functools.lru_cache(maxsize=1)
-def _network(folder: str, device: str) -> Any:
-    """Return the pipeline of transformers for the model in a folder; raise InputError."""
-    try:
-        with _quiet(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import transformers
-
-            # Never inside inference_mode, in which its weights could not be used outside
-            with torch.inference_mode(False):
-                return transformers.pipeline(
-                    "depth-estimation", model=folder, device=device, model_kwargs=dict(use_safetensors=True)
-                )
-    except ImportError as error:
-        raise _not_installed(error) from None
-    except Exception as error:  # of its files: it may be anything
-        raise InputError(
-            "depth_model=: expected a depth-estimation model of transformers with weights in .safetensors, got "
-            f"{folder}: {_short_message(error)}"
-        ) from None
-
-
-def _not_installed(error: ImportError) -> InputError:
-    return InputError(
-        f"transformers, which has depth networks, could not be imported ({error}): {_INSTALL}; {_OTHER_WAY}"
-    )
-
-
-def _model_kind(model: str, config: Any) -> str:
-    """Return the meaning of a model's numbers."""
-    declared = getattr(config, "depth_estimation_type", None)
-    if declared in ("metric", "relative"):
-        return "distance" if declared == "metric" else "disparity"
-    if config.model_type not in _KINDS:
-        raise InputError(f"{model} ({config.model_type}) does not say what its numbers are: give depth_kind=")
-    return _KINDS[config.model_type]
-
-
-@torch.no_grad()
-def _predict(model: str, network: Any, pixels: np.ndarray) -> Tensor:
-    """Return the network's map [h, w] of a photo, about as large as its input, float32."""
-    from PIL import Image
-
-    photo = Image.fromarray(pixels)
-    side = _side_px(network.image_processor)
-    shrink = side / min(photo.size)
-    if shrink < 1:
-        photo = photo.resize([max(1, round(shrink * part)) for part in photo.size], Image.Resampling.BICUBIC)
-    exact = torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False)
-    try:
-        # Its grey picture, which is not used, divides by zero where all is equally far
-        with exact, _quiet(), np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            values = network(photo)["predicted_depth"].float()
-    except RuntimeError as error:
-        raise InputError(f"{model} could not estimate the depth of this photo: {_short_message(error)}") from None
-    values = values.reshape(values.shape[-2:])
-    if not bool(torch.isfinite(values).all()):
-        raise InputError(f"{model}: its depths are not finite; give another with depth_model=, {_OTHER_WAY}")
-    return values
-
-
-def _side_px(processor: Any) -> int:
-    """Return the shorter side of the photo as the network sees it."""
-    size = dict(processor.size or {})
-    sides = [size[name] for name in ("height", "width", "shortest_edge") if size.get(name)]
-    return min(sides, default=_USUAL_SIDE_PX)
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence the messages of transformers on loading and running."""
-    try:
-        from transformers.utils import logging
-    except ImportError:  # the caller says so
-        yield
-        return
-    level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
-    logging.set_verbosity(logging.CRITICAL)
-    logging.disable_progress_bar()
-    try:
-        yield
-    finally:
-        logging.set_verbosity(level)
-        if bars:
-            logging.enable_progress_bar()
-
-
-def _short_message(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

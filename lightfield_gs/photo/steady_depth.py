@@ -134,7 +134,7 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
         if float(weight.mean()) < _C.least_weight:
             continue
         values = other.disparities.double()
-        scale, offset = (1.0, 0.0) if is_measured else _fit(values, own.disparities.double(), weight, has_scale)
+        scale, offset = (1.0, 0.0) if is_measured else fit_scale(values, own.disparities.double(), weight, has_scale)
         if not scale > 0:
             continue
         total += weight * (scale * other.disparities + offset)
@@ -147,7 +147,7 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
     return PictureEstimate((common * total / weights).float(), own.colours, (common * low, common * high))
 
 
-def _fit(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[float, float]:
+def fit_scale(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[float, float]:
     """Return scale and offset by which values come closest to a target, in weighted squares."""
     if has_scale:
         return float((weight * values * target).sum() / (weight * values.square()).sum().clamp(min=1e-30)), 0.0

@@ -81,6 +81,19 @@ def upright_rotation(up: str) -> np.ndarray:
     )  # no minus zeros
 
 
+def orbit_rotation(yaw_deg: float, pitch_deg: float) -> np.ndarray:
+    """Return the rotation [3, 3] of a camera's axes that goes round what it looks at, with a level horizon.
+
+    Args:
+        yaw_deg: To the right, about the camera's vertical axis.
+        pitch_deg: Up, about its horizontal axis.
+    """
+    yaw, pitch = math.radians(yaw_deg), math.radians(pitch_deg)
+    about_y = np.array([[math.cos(yaw), 0, math.sin(yaw)], [0, 1, 0], [-math.sin(yaw), 0, math.cos(yaw)]])
+    about_x = np.array([[1, 0, 0], [0, math.cos(pitch), -math.sin(pitch)], [0, math.sin(pitch), math.cos(pitch)]])
+    return about_x @ about_y
+
+
 def _direction(words: str) -> np.ndarray | None:
     """Parse a direction to a unit vector [3]; return None for other words."""
     if words in UP_AXES:

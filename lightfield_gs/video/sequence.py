@@ -129,10 +129,10 @@ def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
 def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     with reading(folder):
         files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")]
-    return sorted(files, key=natural_key)
+    return sorted(files, key=natural_order)
 
 
-def natural_key(path: Path) -> list[tuple[int, int, str]]:
-    """Sort key by which frame9 comes before frame10."""
+def natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Return the sort key by which frame9 comes before frame10."""
     parts = re.split(r"(\d+)", path.name)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

@@ -368,3 +368,15 @@ def test_a_fit_for_all_is_judged_in_the_same_cone():
     cone, whole = (lf.fit(known_capture(), **options, **how) for how in ({"cone": shown}, {"score_cone": 20.0}))
     assert cone.angles == whole.angles and whole.display is None and whole.pruning is None
     assert whole.angles is not None and len(whole.angles.angles_deg) == 2
+
+
+def test_a_fit_for_no_panel_opens_from_the_most_central_photograph(tmp_path, capsys):
+    capture, scene = known_capture(), tmp_path / "scene.ply"
+    lf.fit(capture, steps=3, cap_max=200, progress=False).save(scene)
+    panel(width_px=96, height_px=64).to_yaml(tmp_path / "panel.yaml")
+    rig = tmp_path / "rig.yaml"
+    words = ["encode", scene, "-o", tmp_path / "a.png", "--panel", tmp_path / "panel.yaml", "--save-rig", rig]
+    assert cli.main([str(word) for word in words]) == 0
+    centre = place_cone(capture, 40.0).centre
+    assert np.allclose(Rig.from_yaml(rig).world_to_camera, capture.world_to_camera[centre], atol=1e-6)
+    assert not rig.with_name("scene.rig.yaml").exists()

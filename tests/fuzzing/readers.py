@@ -77,7 +77,7 @@ def _read_record3d(path: Path) -> None:
 def _read_own_camera(path: Path) -> Any:
     """Read the axes and cameras in a scene's file."""
     scene = read_scene(path)
-    return find_up(scene.comments), stored_framing(scene.comments, SMALL_PANEL), photo_camera(scene.elements)
+    return find_up(scene.comments), stored_framing(scene.comments), photo_camera(scene.elements)
 
 
 def _read_spz_inside(path: Path) -> Any:

@@ -15,6 +15,8 @@ from lightfield_gs.io.images import read_info, read_picture, write_image
 from lightfield_gs.panels.framing import focus_on_subject
 from lightfield_gs.panels.rig import frame_photo
 from lightfield_gs.photo import depth_network
+from lightfield_gs.photo.depth_models.open import open_model
+from lightfield_gs.photo.depth_models.pipeline import numbers_kind
 from lightfield_gs.photo.depth_network import depth_from_network, estimated_depth
 from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z
 
@@ -92,8 +94,8 @@ def test_metric_networks_give_distances(folder, transformers):
     model, photo = tiny_network(transformers, "net", depth_estimation_type="metric", max_depth=20), busy_photo()
     found = estimated_depth(photo, model, "cpu")
     with torch.no_grad():
-        network = depth_network._network(model, "cpu")
-        values = depth_network._predict(model, network, photo)
+        network = open_model(model, "cpu")
+        (values, _, _), *_ = network.predict([network.shrink(photo)])
     assert "distances" in found.description and found.focal_px is None
     assert float(values.min()) * 0.999 <= found.z.min() <= found.z.max() <= float(values.max()) * 1.001
     with pytest.raises(lf.InputError, match="depth_range= is for disparities"):
@@ -104,7 +106,7 @@ def test_metric_networks_give_distances(folder, transformers):
 def test_without_a_cut_out_the_whole_scene_is_shown(folder, capsys, transformers, monkeypatch):
     tiny_network(transformers, "net")
     busy_photo()
-    monkeypatch.setattr(depth_network, "_folder", lambda model, say: "net")
+    monkeypatch.setattr(depth_network, "model_folder", lambda model, say: "net")
     assert cli.main(LINE.split()) == 0
     output = capsys.readouterr()
     assert "shown as a whole scene, as with --depth auto" in output.err and "--mask FILE" in output.err
@@ -174,23 +176,33 @@ def test_images_that_are_none(bad):
         depth_from_network(bad)
 
 
-def test_models_that_do_not_say_what_their_numbers_are():
-    class Config:
-        model_type = "chmv2"
+def test_models_that_do_not_say_what_their_numbers_are(monkeypatch):
+    class Network:
+        model_type = family = "chmv2"
+        kind = None
 
-    with pytest.raises(lf.InputError, match="depth_kind="):
-        depth_network._model_kind("trees", Config())
-    Config.model_type = "dpt"
-    assert depth_network._model_kind("dpt", Config()) == "disparity"
+    assert numbers_kind(Network) is None
+    monkeypatch.setattr(depth_network, "open_model", lambda folder, device: Network)
+    with pytest.raises(lf.InputError, match=r"\(chmv2\).* give depth_kind="):
+        depth_from_network(np.zeros((4, 4, 3), np.uint8), ".", "cpu")
+    Network.model_type = "dpt"
+    assert numbers_kind(Network) == "disparity"
 
 
 @pytest.mark.parametrize(
-    "name", ["depth-anything/Video-Depth-Anything-Small", "depth-anything/DA3MONO-LARGE", "Ruicheng/moge-2-vitl"]
+    "name, repository, licence",
+    [
+        ("MoGe-2", "Ruicheng/moge-2-vitl", "MIT"),
+        ("DA3MONO-LARGE", "depth-anything/DA3MONO-LARGE", "Apache-2.0"),
+        ("Video-Depth-Anything", "depth-anything/Video-Depth-Anything-Small", "Apache-2.0"),
+    ],
 )
-def test_models_that_transformers_does_not_read(folder, capsys, transformers, offline, name):
+def test_models_of_other_families_by_their_names(folder, capsys, offline, name, repository, licence):
     busy_photo()
-    refusal = complaint(capsys, f"{LINE} --depth auto --depth-model {name}")
-    assert "transformers has no " in refusal and DEPTH_MODEL in refusal
+    assert cli.main(f"{LINE} --depth auto --depth-model {name}".split()) == 2
+    output = capsys.readouterr()
+    assert output.out.startswith(f"fetching the depth network {repository} ") and licence in output.out
+    assert f"run `hf download {repository}` once" in output.err and output.err.count("\n") == 1
 
 
 def test_depths_of_a_video_are_averaged_with_their_neighbours(folder, capsys, transformers):

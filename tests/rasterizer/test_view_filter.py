@@ -21,7 +21,7 @@ from lightfield_gs.rasterizer.workspace import GradientRequest
 from lightfield_gs.reference.blend import LOW_PASS_PX2, Projection, Scene, square
 from lightfield_gs.reference.light_field import rig_eye
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.page.stage import Controls, Stage
+from lightfield_gs.show.page.stage import Controls, Stage, StagedScene
 from lightfield_gs.show.preview import contact_sheet, look_around
 
 BACKGROUND = (0.1, 0.6, 0.3)
@@ -229,7 +229,7 @@ def test_an_encoder_and_pruning_do_the_same():
 def test_the_page_does_the_same():
     shown, scene = panel(width_px=96, height_px=54), deep_scene().to(torch.float32)
     fan, options = rig(shown), {"background": BACKGROUND, "view_filter": WIDTH}
-    stage = Stage(scene, shown, fan, BACKGROUND, view_filter=WIDTH)
+    stage = Stage(StagedScene(scene, fan, background=BACKGROUND, view_filter=WIDTH), shown)
     assert np.array_equal(stage.native(Controls())[0], encode(scene, shown, stage._rig(Controls()), **options).numpy())
     want = to_bytes(render_views(scene, shown, stage._rig(Controls()), [shown.views / 2], **options))[0]
     assert np.array_equal(stage.eye(Controls(), shown.width_px, still=False).pixels, want)

@@ -24,9 +24,11 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.panels.stereo_screen import StereoScreen
 from lightfield_gs.show.page import routes
-from lightfield_gs.show.page.routes import exports, shown_routes, steering_routes
+from lightfield_gs.show.page.exports import exports
+from lightfield_gs.show.page.routes import shown_routes
 from lightfield_gs.show.page.server import Server
-from lightfield_gs.show.page.stage import Controls, Stage, cut_out, orbited
+from lightfield_gs.show.page.stage import Controls, Stage, StagedScene, cut_out, orbited
+from lightfield_gs.show.page.steering import steering_routes
 from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.preview import to_integers
 
@@ -37,7 +39,7 @@ CELLS = replace(
 
 def stage(panel: Panel = PANEL) -> Stage:
     gaussians = scene()
-    return Stage(gaussians, panel, Rig.frame(gaussians, panel), name="s.ply")
+    return Stage(StagedScene(gaussians, Rig.frame(gaussians, panel), "s.ply"), panel)
 
 
 @contextmanager
@@ -143,7 +145,7 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what came to rest
         depth = json.loads(get(server, f"/depth.json?{controls}")[1])
         report = depth_report(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"))
-        assert depth == {"lines": report.lines(), "warnings": report.warnings()}
+        assert depth == json.loads(json.dumps(report.to_dict()))
         answers = [get(server, f"/focus.json?x=0.5&y={y / 10}") for y in range(11)]
         assert {status for status, *_ in answers} == {200, 400}  # the scene has gaps
         for focus in (json.loads(body)["focus"] for status, body, _ in answers if status == 200):
@@ -348,7 +350,7 @@ def test_a_port_that_is_taken_is_a_complaint():
 def test_a_screen_of_two_eyes_gets_both_pictures(tmp_path):
     """What `view --stereo` shows and saves is what `encode --stereo` draws, and moves as the controls do."""
     gaussians, screen = scene(), StereoScreen(96, 54).panel()
-    shown = StereoStage(gaussians, screen, Rig.frame(gaussians, screen), "half-sbs", (1.0, 1.0, 1.0), False, "s.ply")
+    shown = StereoStage(StagedScene(gaussians, Rig.frame(gaussians, screen), "s.ply"), screen, "half-sbs")
     with serving(steering_routes(shown, exports(shown))) as server:
         state = json.loads(get(server, "/panel.json?after=-1")[1])
         assert state["fills"] and json.loads(get(server, "/drawing.json")[1]) is None

@@ -19,8 +19,10 @@ from test_page import serving
 from lightfield_gs import encode
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.show.page.routes import exports, shown_routes, steering_routes
-from lightfield_gs.show.page.stage import Controls, Stage
+from lightfield_gs.show.page.exports import exports
+from lightfield_gs.show.page.routes import shown_routes
+from lightfield_gs.show.page.stage import Controls, Stage, StagedScene
+from lightfield_gs.show.page.steering import steering_routes
 from lightfield_gs.show.preview import write_preview
 
 pytestmark = pytest.mark.not_sanitized  # a sanitizer that is loaded before a browser stops it
@@ -50,7 +52,7 @@ def pixels(page: Browser, pane: str) -> np.ndarray:
 @pytest.fixture
 def stage() -> Stage:
     gaussians = scene()
-    return Stage(gaussians, PANEL, Rig.frame(gaussians, PANEL), name="s.ply")
+    return Stage(StagedScene(gaussians, Rig.frame(gaussians, PANEL), "s.ply"), PANEL)
 
 
 def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):
@@ -59,7 +61,7 @@ def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):
         page.wait(REST)
         np.testing.assert_array_equal(pixels(page, "eye"), stage.eye(Controls(), 64, still=True).pixels)
 
-        page.run("(s => {s.value = 0.4; s.dispatchEvent(new Event('input'))})(document.querySelector('#depth_amount'))")
+        page.run("(s => {s.value = 40; s.dispatchEvent(new Event('input'))})(document.querySelector('#depth_amount'))")
         page.wait(REST)
         less = stage.eye(Controls(depth_amount=0.4), 64, still=True).pixels
         np.testing.assert_array_equal(pixels(page, "eye"), less)
@@ -74,7 +76,7 @@ def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):
         page.mouse("mouseMoved", 460, 300, button="left", buttons=1)
         page.mouse("mouseReleased", 460, 300, button="left")
         page.wait(REST)
-        assert page.run("document.querySelector('#turned').textContent") == "-18° across, 0° up"
+        assert page.run("document.querySelector('#yaw_deg-typed').value") == "-18"
 
         page.run("document.querySelector('#reset').click()")
         page.run("document.querySelector('[data-mode=split]').click()")
@@ -96,12 +98,14 @@ EYE = """(async (controls) => {
 def test_a_browser_with_webgpu_draws_the_bytes_of_the_server(tmp_path, stage):
     """What an eye sees while it moves, native pixels, and the panel's page."""
     controls = Controls(yaw_deg=7.0, zoom=1.2, focus=stage.base.zero_depth * 1.1, depth_amount=0.7, eye=0.3)
+    controls = replace(controls, background="#3060a0")
     with serving(steering_routes(stage, exports(stage))) as server, browser(tmp_path, gpu=SWIFTSHADER_CANVAS) as page:
         page.open(server.url + "/#software")
         page.wait("document.body?.dataset.draws", 60)
         if not page.run("(async () => Boolean(navigator.gpu && await navigator.gpu.requestAdapter()))()"):
             pytest.skip("this Chromium has no adapter for WebGPU")
         assert page.run("document.body.dataset.draws") == "here"
+        page.run("document.querySelector('#advanced').open = true")
         page.run("document.querySelector('[data-mode=native]').click()")
         page.wait(f"{REST} && document.querySelector('#times').innerText.includes('in the browser')", 90)
         expected = encode(stage.gaussians, PANEL, stage.base).numpy()
@@ -114,7 +118,8 @@ def test_a_browser_with_webgpu_draws_the_bytes_of_the_server(tmp_path, stage):
         page.resize(PANEL.width_px, PANEL.height_px)
         page.open(server.url + "/panel#software")
         page.wait("document.body?.dataset.draws === 'here' && document.body.dataset.exact === 'true'", 60)
-        expected = encode(stage.gaussians, PANEL, controls.rig(stage.base, PANEL)).numpy()
+        blue = (0x30 / 255, 0x60 / 255, 0xA0 / 255)
+        expected = encode(stage.gaussians, PANEL, controls.rig(stage.base, PANEL), background=blue).numpy()
         assert np.abs(page.screenshot().astype(int) - expected).max() <= 1
 
 
@@ -150,7 +155,7 @@ def test_pages_from_elsewhere_do_not_steer_the_panel(tmp_path, stage):
         page.open(server.url)  # and its own page does
         page.wait(REST)
         version = stage.version
-        page.run("(s => {s.value = 0.4; s.dispatchEvent(new Event('input'))})(document.querySelector('#depth_amount'))")
+        page.run("(s => {s.value = 40; s.dispatchEvent(new Event('input'))})(document.querySelector('#depth_amount'))")
         page.wait(REST)
         assert stage.version == version + 1 and page.run("document.querySelector('#trouble').hidden")
 

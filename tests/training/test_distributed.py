@@ -1,6 +1,7 @@
 """Several processes train as one does."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import torch
 from training_runs import losses, run_config, start
 
 from lightfield_gs import InputError
+from lightfield_gs.base.torchrun import see_own_gpu
 from training.distributed import Team, join_team
 
 PROGRAM = Path(__file__).with_name("train_and_list_threads.py")
@@ -97,3 +99,18 @@ def test_one_process_needs_no_torchrun(monkeypatch):
     with join_team("cpu") as team:
         assert (team.rank, team.size, team.device.type) == (0, 1, "cpu") and team.leads
         assert not torch.distributed.is_initialized()
+
+
+@pytest.mark.parametrize(
+    ("visible", "rank", "expected"), [(None, "1", ("1", "0")), ("4,6", "1", ("6", "0")), ("4", "1", ("4", "1"))]
+)
+def test_a_process_sees_its_own_gpu_alone(monkeypatch, visible, rank, expected):
+    """As number 0, for the kernels that are compiled for that number; not where there are too few GPUs."""
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible or "")
+    if visible is None:
+        monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    for name, value in {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": "2"}.items():
+        monkeypatch.setenv(name, value)
+    see_own_gpu()
+    assert (os.environ["CUDA_VISIBLE_DEVICES"], os.environ["LOCAL_RANK"]) == expected

@@ -18,7 +18,7 @@ from lightfield_gs.base.assumptions import Fallback
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.panels.quilt import QuiltLayout
-from lightfield_gs.show.page.stage import Controls, Stage
+from lightfield_gs.show.page.stage import Controls, Stage, StagedScene
 from lightfield_gs.webgpu import adapters as module
 from lightfield_gs.webgpu import devices, self_test
 from lightfield_gs.webgpu.adapters import ALLOW_CPU, Adapter, adapter_at, adapters
@@ -132,7 +132,7 @@ def test_commands_draw_on_the_adapter(frames, folder, capsys):
 
 def test_the_page_draws_on_the_adapter(frames):
     gaussians, fan = random_scene(60, dtype=torch.float32), rig(PANEL)
-    a, b = (Stage(gaussians, PANEL, fan, device=where).native(Controls())[0] for where in ("webgpu", None))
+    a, b = (Stage(StagedScene(gaussians, fan), PANEL, where).native(Controls())[0] for where in ("webgpu", None))
     assert np.abs(a.astype(int) - b.astype(int)).max() <= 1
 
 

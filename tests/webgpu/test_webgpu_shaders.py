@@ -43,7 +43,7 @@ def test_a_stage_keeps_to_what_webgpu_guarantees(stage):
 
 def test_samples_of_a_thread_are_variables_of_their_own():
     text = source("composite", Variant(2))
-    assert "let px_1 = f32(column_1) + 0.5;" in text and "px_2" not in text
+    assert "let px_1 = f32(column_1 - origin) + 0.5;" in text and "px_2" not in text
     assert "px_5" in source("composite", Variant())
 
 

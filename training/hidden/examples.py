@@ -1,4 +1,4 @@
-"""Examples for the network: holes as find_hidden finds them in the first surface alone, and what is true in them."""
+"""Examples for the scores: holes as find_hidden finds them in the first surface alone, and what is true in them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,9 @@ from lightfield_gs.photo.image_filters import max_filter
 from lightfield_gs.photo.inpainting import solve_membrane
 from training.hidden.compositions import Composition
 from training.hidden.faults import draw_softness, estimated, photographed, soften
-from training.hidden.network import HiddenInput
 
 _BETWEEN = 16  # rows without depths between pictures that are searched as one: more than any window of the search
 _FRINGE_PX = 3
-_CHANNELS = ([0, 1, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0])  # orders of the channels, for further uses
 _SAME_SURFACE = 0.25  # difference of log disparity up to which the second surface is the one that the search means
 
 
@@ -49,18 +47,9 @@ class Example(NamedTuple):
     log_disparity: Tensor
     known: Tensor
 
-    def seen(self) -> HiddenInput:
-        """Return what the network sees."""
-        return HiddenInput(
-            self.image, -self.depth.log(), self.guess, self.guess_disparity.log(), self.hole, self.fringe
-        )
-
-    def part(self, chosen: slice, use: int = 0) -> Example:
-        """Return some of the examples: other ones for each use, by mirror images and by exchanged channels."""
-        order, mirrored = _CHANNELS[use // 2 % len(_CHANNELS)], use % 2 == 1
-        parts = (value[chosen] if isinstance(value, Tensor) else value for value in self)
-        parts = (value[:, order] if isinstance(value, Tensor) and value.ndim == 4 else value for value in parts)
-        return Example(*(value.flip(-1) if mirrored and isinstance(value, Tensor) else value for value in parts))
+    def part(self, chosen: slice) -> Example:
+        """Return some of the examples."""
+        return Example(*(value[chosen] if isinstance(value, Tensor) else value for value in self))
 
 
 @torch.no_grad()

@@ -1,4 +1,4 @@
-"""PSNR of filled holes on held-out compositions: of the membrane, of the exemplar, and of the network."""
+"""PSNR of filled holes on compositions: of the membrane and of the exemplar."""
 
 from __future__ import annotations
 
@@ -12,61 +12,52 @@ from torch import Tensor
 from lightfield_gs.photo.hidden import fill_hidden, find_hidden
 from training.hidden.compositions import Composition, CompositionOptions, Compositions
 from training.hidden.examples import Example, make_examples
-from training.hidden.network import HiddenNet
 from training.hidden.pictures import read_pieces
 from training.meshes.pack import ResidentMeshes, read_meshes
 
-_SEED = 10_007  # of the held-out compositions, whatever the run's
+_SEED = 10_007
 _AT_ONCE = 4
 _FEWEST = 200  # known pixels of a hole that is scored
 
 
-class HeldOut:
-    """Compositions of meshes of the split "val" before photographs that training never sees.
+class ScoredCompositions:
+    """Compositions of meshes of the split "val" before photographs, and their fillings.
 
     Args:
-        count: How many.
+        names: File name patterns of the photographs.
+        count: How many compositions.
+
+    Attributes:
+        filled: Examples, each of one picture, and their fillings [3,S,S] by name.
     """
 
     def __init__(
-        self,
-        meshes: Path,
-        photographs: Path,
-        held_out: list[str],
-        options: CompositionOptions,
-        count: int,
-        device: torch.device,
+        self, meshes: Path, photographs: Path, names: list[str], options: CompositionOptions, count: int
     ) -> None:
-        pictures = read_pieces(photographs, held_out, held_out=True).to(device)
-        source = Compositions(ResidentMeshes(read_meshes(meshes, "val"), device), pictures, options)
-        self._examples = list(_examples(source, count))
-        self.exemplars = [_exemplar(example) for example in self._examples]
+        packs = ResidentMeshes(read_meshes(meshes, "val"), torch.device("cpu"))
+        source = Compositions(packs, read_pieces(photographs, names), options)
+        self.filled = [
+            (example, {"membrane": example.guess[0], "exemplar": _exemplar(example)})
+            for example in _examples(source, count)
+        ]
 
-    @torch.no_grad()
-    def fillings(self, net: HiddenNet | None) -> Iterator[tuple[Example, dict[str, Tensor]]]:
-        """Yield each example, of one picture, and its fillings [3,S,S] by their names."""
-        for example, exemplar in zip(self._examples, self.exemplars):
-            found = {"membrane": example.guess[0], "exemplar": exemplar}
-            if net is not None:
-                found["network"] = net(example.seen())[0][0].clamp(0, 1)
-            yield example, found
-
-    @torch.no_grad()
-    def scores(self, net: HiddenNet | None) -> dict[str, float]:
-        """Return the mean PSNR of each filling in the known pixels, dB, and mean errors of log disparity."""
+    def scores(self) -> dict[str, float]:
+        """Return the mean PSNR of each filling in the known pixels, dB."""
         psnr: dict[str, list[float]] = {}
-        depth: dict[str, list[float]] = {"membrane_depth": []}
-        for example, found in self.fillings(net):
+        for example, fillings in self.filled:
             known = example.known[0]
-            for name, colours in found.items():
+            for name, colours in fillings.items():
                 error = (colours - example.truth[0])[:, known].square().mean()
-                psnr.setdefault(f"{name}_db", []).append(float(-10 * error.log10()))
-            guesses = {"membrane_depth": example.guess_disparity.log()}
-            if net is not None:
-                guesses["network_depth"] = net(example.seen())[1]
-            for name, values in guesses.items():
-                depth.setdefault(name, []).append(float((values - example.log_disparity)[example.known].abs().mean()))
-        return {name: float(np.mean(values)) for name, values in (psnr | depth).items()}
+                psnr.setdefault(name, []).append(float(-10 * error.log10()))
+        return {name: float(np.mean(values)) for name, values in psnr.items()}
+
+    def disparity_error(self) -> float:
+        """Return the mean absolute error of the log disparity that find_hidden gives to the known pixels."""
+        errors = (
+            (example.guess_disparity.log() - example.log_disparity)[example.known].abs().mean()
+            for example, _ in self.filled
+        )
+        return float(np.mean([float(error) for error in errors]))
 
 
 def _examples(source: Compositions, count: int) -> Iterator[Example]:
@@ -82,7 +73,7 @@ def _examples(source: Compositions, count: int) -> Iterator[Example]:
 
 
 def _exemplar(example: Example) -> Tensor:
-    """Return today's filling [3,S,S], by patches of the picture itself."""
+    """Return the filling [3,S,S] by patches of the picture itself."""
     depth = example.depth[0]
     found = find_hidden(example.image[0].movedim(0, 2), depth, (example.focal_px,) * 2)
     return fill_hidden(found, depth).movedim(2, 0)

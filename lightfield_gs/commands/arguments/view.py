@@ -16,16 +16,17 @@ def add_arguments(parser: Parser) -> None:
     """Add the arguments of `lightfield-gs view`."""
     parser.description = "Look at a photo or a scene in the browser as the display shows it, and adjust it."
     parser.epilog = (
-        "The page shows the picture that an eye before the panel sees, with sliders for depth, and has the "
-        "panel's own page for the native picture. Ctrl-C ends it."
+        "The page shows the picture that an eye before the display sees; depth, focus, turn, size and background "
+        "are adjusted there, and other photos dropped on it. Ctrl-C ends it."
     )
     parser.text.examples = (
         ("view photo.jpg", "for the connected display"),
         ("view scene.ply --panel 27", "for a Looking Glass 27"),
+        ("view holidays", "all photos and scenes of a folder"),
         ("view photo.jpg --stereo half-sbs", "for a 3D television"),
     )
     add = in_group(parser.add_argument, groups.OWN)
-    add_input(add)
+    add_input(add, "a photo, a scene, or a folder of them", "; or a folder of such, of which the page opens each")
     add_stereo(add)
     add_panel(add, "for framing, and for the eye on the page")
     add_camera(add)

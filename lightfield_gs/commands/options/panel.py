@@ -128,7 +128,8 @@ def add_turn(add: Add) -> None:
         type=_turn_deg,
         metavar="DEG",
         short="go so many degrees round the scene, to the right",
-        help="see a scene from another side: the cameras go so many degrees to the right round it, -180..180",
+        help="see a scene from another side: the cameras go so many degrees to the right round it, -180..180 (default: "
+        "the side that shows most of a scene without cameras; 0: as its file has it)",
     )
     add(
         "--tilt",

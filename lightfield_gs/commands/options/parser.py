@@ -85,6 +85,18 @@ class Parser(argparse.ArgumentParser):
         if fill is not None:
             fill(self)
 
+    def typed(self, words: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
+        """Return the options among the words of a command line: the name of each one's value, and its words."""
+        self.complete()
+        found, rest = [], iter(words)
+        for word in rest:
+            name, equals, _ = word.partition("=")
+            action = self._option_string_actions.get(name)
+            if action is not None:
+                takes_next = action.nargs != 0 and not equals
+                found.append((action.dest, (word, *([next(rest)] if takes_next else []))))
+        return found
+
     def format_help(self) -> str:
         self.complete()
         return self.text.short(self)

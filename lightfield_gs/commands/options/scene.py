@@ -25,14 +25,14 @@ _pixel_aspect = within(0.1, 10)
 _intrinsics = numbers(4)
 
 
-def add_input(add: Add) -> None:
-    """Add the photo or the scene that a command shows."""
+def add_input(add: Add, short: str = "a photo, or a scene", more: str = "") -> None:
+    """Add the photo or the scene that a command shows; more: words of the help on other inputs."""
     add(
         "input",
         type=Path,
         metavar="INPUT",
-        short="a photo, or a scene",
-        help="a photo or a file of Gaussians, as `encode` takes it",
+        short=short,
+        help=f"a photo or a file of Gaussians, as `encode` takes it{more}",
     )
 
 
@@ -190,7 +190,8 @@ def add_depth_model(add: Add) -> None:
     add(
         "--depth-model",
         metavar="NAME|FOLDER",
-        help=f"network of --depth auto: its name on huggingface.co, or a folder with its files (default {DEPTH_MODEL})",
+        help="network of --depth auto: DA3MONO-LARGE, MoGe-2, Video-Depth-Anything, another name on huggingface.co, or "
+        f"a folder with its files (default {DEPTH_MODEL})",
     )
 
 

@@ -9,45 +9,49 @@ import torch
 
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.browser_data import host_tables, rig_numbers
-from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, as_json
+from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, as_json, text
 from lightfield_gs.show.page.stage import Stage
 from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.scripts import joined
 
-_SCRIPT = Path(__file__).parent / "files" / "drawing.js"
+_SCRIPT = Path(__file__).parent / "files" / "view" / "drawing.js"
 _MOST_BYTES = 1 << 28  # of a scene that a browser draws
 _GAUSSIAN_FLOATS = 12
 
 
 def drawing_routes(stage: Stage) -> dict[str, Route]:
     """Return the addresses from which the pages take a scene and what draws it."""
-    floats = stage.gaussians.count * (_GAUSSIAN_FLOATS + 3 * stage.gaussians.sh.shape[1])
 
     def data(query: Query) -> Answer:
         """Return what draws the scene, or null where the server does: on a GPU, of a large scene, for two eyes."""
+        floats = stage.gaussians.count * (_GAUSSIAN_FLOATS + 3 * stage.gaussians.sh.shape[1])
         if stage.is_live or isinstance(stage, StereoStage) or 4 * floats > _MOST_BYTES:
             return as_json(None)
-        panel, drawn = stage.panel, stage.drawn_as
+        panel, scene = stage.panel, stage.scene
         return as_json(
             {
+                "scene": stage.number,
                 "count": stage.gaussians.count,
                 "degree": stage.gaussians.sh_degree,
                 "rig": rig_numbers(stage.base, (panel.width_px, panel.height_px)),
                 "panel": panel.to_dict(),
-                "background": drawn["background"],
-                "antialiased": drawn["antialiased"],
-                "view_filter": drawn["view_filter"],
+                "background": scene.background,
+                "antialiased": scene.antialiased,
+                "view_filter": scene.view_filter,
                 "host": host_tables(),
             }
         )
 
+    def numbers(query: Query) -> Answer:
+        """Return the Gaussians of the scene of this number, as /drawing.json has it."""
+        if query.get("scene", str(stage.number)) != str(stage.number):
+            return text("another picture is shown by now", 410)
+        return Answer(_floats(stage.gaussians), "application/octet-stream")
+
     return {
         "/drawing.js": Route(lambda query: Answer(_script(), "text/javascript; charset=utf-8")),
         "/drawing.json": Route(data),
-        "/drawing.bin": Route(
-            lambda query: Answer(_floats(stage.gaussians), "application/octet-stream"),
-            place=lambda query: Reservation(True, "drawing.bin"),
-        ),
+        "/drawing.bin": Route(numbers, place=lambda query: Reservation(True, ("drawing.bin", stage.number))),
     }
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BufferedIOBase
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
@@ -30,6 +31,7 @@ _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _LONGEST_QUERY, _MOST_VALUES = 4096, 64
 _FILM_TYPES = {".webm": "video/webm", ".mkv": "video/x-matroska"}
 _PART_BYTES = 4 << 20  # of a film, at most: browsers then ask for the next
+_MOST_UPLOADED, _MOST_DRAINED = 2 << 30, 64 << 20  # bytes of a file, and of a refused one that are read on
 _IDLE_S = 60  # after so long without a request a connection is closed
 _BACKLOG = 128  # connections that wait to be taken
 _MOST_LARGE, _MOST_SMALL = 4, 32  # answers at a time: of pictures at rest and files, of coarse pictures
@@ -75,12 +77,15 @@ class Route:
             for GET and HEAD, and make changes nothing.
         place: The place in memory that the answer takes.
         file: Returns a file whose bytes are the answer, in parts as the request asks for them; in place of make.
+        take: With a token, takes a file that is the body, its size in bytes, and the query of the address, before
+            `make` answers that query.
     """
 
     make: Callable[[Query], Answer]
     token: str | None = None
     place: Callable[[Query], Reservation] | None = None
     file: Callable[[Query], Path] | None = None
+    take: Callable[[Query, BufferedIOBase, int], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -151,7 +156,7 @@ def number(query: Mapping[str, str], name: str, low: float, high: float) -> floa
 
 
 def page_file(name: str) -> Route:
-    """Return the route of a file of the page, by its name in the folder `files`."""
+    """Return the route of a file of a page, by its path in the folder `files`."""
     path = _FILES / name
     answer = Answer(path.read_bytes(), f"{_TYPES[path.suffix]}; charset=utf-8")
     return Route(lambda query: answer)
@@ -369,8 +374,8 @@ class _Handler(BaseHTTPRequestHandler):
                 given = self.headers.get(TOKEN_HEADER, "")
                 if not secrets.compare_digest(given.encode(), route.token.encode()):
                     return text("this page is not of this run of the program; load it again", 403)
-                body = self._body()
-            query = address.query if route.token is None else body.decode()
+                body = self._body() if route.take is None else b""
+            query = address.query if route.token is None or route.take is not None else body.decode()
             if len(query) > _LONGEST_QUERY:
                 return text("the query is too long", 414)
             values = dict(parse_qsl(query, max_num_fields=_MOST_VALUES))
@@ -379,6 +384,8 @@ class _Handler(BaseHTTPRequestHandler):
                 held.enter_context(self.server.pending[place.is_large].taken(place.key))
             if route.file is not None:
                 return part_of_file(route.file(values), self.headers.get("Range"))
+            if route.take is not None:
+                self._upload(route.take, values)
             return route.make(values)
         except Superseded:
             return text("a newer request has taken the place of this one", 409)
@@ -409,12 +416,28 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _body(self) -> bytes:
         """Return the body of a request. Raises InputError where its length is missing, or too large."""
-        length = self.headers.get("Content-Length", "")
-        if self.headers.get("Transfer-Encoding") or not length.isdecimal() or int(length) > _LONGEST_QUERY:
-            raise InputError(f"expected a body of 0..{_LONGEST_QUERY} bytes, and its Content-Length")
-        body = self.rfile.read(int(length))
+        body = self.rfile.read(self._length(_LONGEST_QUERY))
         self._is_read = True
         return body
+
+    def _upload(self, take: Callable[[Query, BufferedIOBase, int], None], query: Query) -> None:
+        """Have a file taken. A refused one is read to its end, so that the browser reads the refusal."""
+        size = self._length(_MOST_UPLOADED)
+        try:
+            take(query, self.rfile, size)
+        except InputError:
+            if size <= _MOST_DRAINED:
+                self.rfile.read(size)
+                self._is_read = True
+            raise
+        self._is_read = True
+
+    def _length(self, most: int) -> int:
+        """Return the bytes of the body. Raises InputError where they are missing, or more than these."""
+        length = self.headers.get("Content-Length", "")
+        if self.headers.get("Transfer-Encoding") or not length.isdecimal() or int(length) > most:
+            raise InputError(f"expected a body of 0..{most} bytes, and its Content-Length")
+        return int(length)
 
     def _send(self, answer: Answer) -> None:
         self.close_connection |= not self._is_read

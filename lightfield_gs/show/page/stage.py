@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -20,7 +21,7 @@ from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.panels.cells import PERIOD
-from lightfield_gs.panels.comfort import depth_report
+from lightfield_gs.panels.comfort import DepthReport, depth_report
 from lightfield_gs.panels.look import CONES_DEG, MOST_AMOUNT, MOST_PAN, ZOOMS, Look, orbited
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -30,7 +31,7 @@ from lightfield_gs.show.page.server import number
 from lightfield_gs.show.preview import SHEET_VIEWS, SHEET_WIDTH_PX, contact_sheet, to_integers
 
 # Each number that the page may set, with its range
-_RANGES = {
+RANGES = {
     "yaw_deg": (-180.0, 180.0),
     "pitch_deg": (-89.0, 89.0),
     "focus": (1e-6, 1e12),
@@ -52,6 +53,7 @@ class Controls:
         focus, depth_amount, cone_deg, zoom, pan_x, pan_y: See Look; focus is a depth here. None: as in the rig.
         eye: Position of the eye across the viewing zone, -0.5 (left border) .. 0.5 (right border).
         quality: Largest error allowed for less time.
+        background: A colour, #rrggbb; "": the scene's own.
     """
 
     yaw_deg: float = 0.0
@@ -64,6 +66,7 @@ class Controls:
     pan_y: float = 0.0
     eye: float = 0.0
     quality: QualityName = "exact"
+    background: str = ""
 
     @staticmethod
     def of(query: Mapping[str, str]) -> Controls:
@@ -71,11 +74,15 @@ class Controls:
 
         Raises InputError on a value that is no number, or out of its range.
         """
-        values: dict[str, Any] = {name: number(query, name, *_RANGES[name]) for name in _RANGES if name in query}
+        values: dict[str, Any] = {name: number(query, name, *RANGES[name]) for name in RANGES if name in query}
         if "quality" in query:
             if query["quality"] not in QUALITY_NAMES:
                 raise InputError(f"quality must be {', '.join(QUALITY_NAMES)}, got {query['quality'][:40]!r}")
             values["quality"] = query["quality"]
+        if colour := query.get("background"):
+            if not re.fullmatch("#[0-9a-fA-F]{6}", colour):
+                raise InputError(f"background must be a colour #rrggbb, got {colour[:40]!r}")
+            values["background"] = colour.lower()
         return Controls(**values)
 
     def picture(self) -> Controls:
@@ -86,12 +93,40 @@ class Controls:
         """Return the changes of a rig by these controls, without the turn."""
         return Look(self.focus, self.depth_amount, self.cone_deg, self.zoom, (self.pan_x, self.pan_y))
 
+    def colour(self, own: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return the background, where `own` is the scene's: red, green and blue, 0..1."""
+        if not self.background:
+            return own
+        red, green, blue = bytes.fromhex(self.background[1:])
+        return red / 255, green / 255, blue / 255
+
     def rig(self, base: Rig, panel: Panel) -> Rig:
         """Return the scene's rig as these controls change it."""
         return self.look().applied(orbited(base, self.yaw_deg, self.pitch_deg), panel)
 
 
 STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed
+
+
+@dataclass(frozen=True)
+class StagedScene:
+    """A scene that the page shows.
+
+    Attributes:
+        gaussians: One scene, on the device that draws.
+        rig: Cameras that frame the scene.
+        name: Name of the input, for the title and for metadata.
+        background: Three numbers in 0..1.
+        antialiased: See `encode`.
+        view_filter: Likewise.
+    """
+
+    gaussians: Gaussians
+    rig: Rig
+    name: str = "scene"
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    antialiased: bool = False
+    view_filter: float = 0.0
 
 
 @dataclass
@@ -113,35 +148,52 @@ class Stage:
     """Draws the pictures of the page. One thread at a time may draw moving pictures, and one pictures at rest.
 
     Args:
-        gaussians: One scene, on the device that draws.
-        rig: Cameras that frame the scene.
-        background: Three numbers in 0..1.
-        antialiased: See `encode`.
-        name: Name of the input, for the title and for metadata.
-        view_filter: See `encode`.
-        device: Likewise.
+        scene: The scene to begin with.
+        panel: The panel of all scenes.
+        device: See `encode`.
     """
 
-    def __init__(
-        self,
-        gaussians: Gaussians,
-        panel: Panel,
-        rig: Rig,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        antialiased: bool = False,
-        name: str = "scene",
-        view_filter: float = 0.0,
-        device: str | None = None,
-    ):
-        self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
-        self.drawn_as: dict[str, Any] = dict(
-            background=background, antialiased=antialiased, view_filter=view_filter, device=device
-        )
-        self.is_live = gaussians.device.type == "cuda"
-        self.version = 0  # counts the resting states of the page
+    def __init__(self, scene: StagedScene, panel: Panel, device: str | None = None):
+        self.scene, self.panel, self._device = scene, panel, device
+        self.is_live = scene.gaussians.device.type == "cuda"
+        self.version, self.number = 0, 0  # count the resting states of the page, and its scenes
         self._settled, self._changed = Controls(), threading.Condition()
-        self._native: tuple[Controls, np.ndarray, dict[str, float]] | None = None
-        self._moving: tuple[str, Encoder] | None = None
+        self._native: tuple[Controls, np.ndarray] | None = None
+        self._moving: tuple[tuple[str, str], Encoder] | None = None
+
+    def place(self, scene: StagedScene) -> None:
+        """Show another scene, as it opens. Only the thread of pictures at rest may call this."""
+        with self._changed:
+            self.scene, self._native, self._moving = scene, None, None
+            self._settled = Controls()
+            self.number += 1
+            self.version += 1
+            self._changed.notify_all()
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The scene's Gaussians."""
+        return self.scene.gaussians
+
+    @property
+    def base(self) -> Rig:
+        """The scene's rig, before the controls."""
+        return self.scene.rig
+
+    @property
+    def name(self) -> str:
+        """The scene's name."""
+        return self.scene.name
+
+    def drawn_as(self, controls: Controls) -> dict[str, Any]:
+        """Return the arguments of `encode` by which the scene is drawn, but for its cameras and its quality."""
+        scene = self.scene
+        return dict(
+            background=controls.colour(scene.background),
+            antialiased=scene.antialiased,
+            view_filter=scene.view_filter,
+            device=self._device,
+        )
 
     # What is shown
 
@@ -201,7 +253,7 @@ class Stage:
             return self._native[1], {}
         stats: dict = {}
         image = self._encoded(self.panel, self._rig(controls), controls, stats)
-        self._native = controls.picture(), image, dict(stats["stages_ms"])
+        self._native = controls.picture(), image
         return image, dict(stats["stages_ms"])
 
     def settle(self, controls: Controls) -> None:
@@ -238,10 +290,9 @@ class Stage:
         turned = orbited(self.base, controls.yaw_deg, controls.pitch_deg)
         return look.applied(turned, self.panel, self.gaussians).zero_depth
 
-    def depth(self, controls: Controls) -> tuple[list[str], list[str]]:
-        """Return lines on the depth of the scene on the panel, and warnings (lightfield_gs.panels.comfort)."""
-        report = depth_report(self.gaussians, self.panel, self._rig(controls))
-        return report.lines(), report.warnings()
+    def depth(self, controls: Controls) -> DepthReport:
+        """Return how deep the scene is on the panel. Raises InputError where the centre camera sees nothing."""
+        return depth_report(self.gaussians, self.panel, self._rig(controls))
 
     def eye_mm(self, controls: Controls) -> tuple[float, float, float]:
         """Return the position of the eye before the panel, mm. Raises InputError if the panel lacks measures."""
@@ -261,15 +312,16 @@ class Stage:
 
     def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
         with torch.no_grad():
-            image = encode(self.gaussians, panel, rig, quality=controls.quality, stats=stats, **self.drawn_as)
+            image = encode(self.gaussians, panel, rig, quality=controls.quality, stats=stats, **self.drawn_as(controls))
         return image.cpu().numpy()
 
     def _native_live(self, controls: Controls) -> dict[str, float]:
         """Draw the native picture on the GPU, where it stays; return the time."""
         rig, stages = self._rig(controls), dict[str, float]()
-        if self._moving is None or self._moving[0] != controls.quality:
-            encoder = Encoder(self.panel, rig, quality=controls.quality, versioned=True, **self.drawn_as)
-            self._moving = controls.quality, encoder
+        kind = controls.quality, controls.background
+        if self._moving is None or self._moving[0] != kind:
+            encoder = Encoder(self.panel, rig, quality=controls.quality, versioned=True, **self.drawn_as(controls))
+            self._moving = kind, encoder
         encoder = self._moving[1]
         encoder.rig = rig
         with timed(stages, "native"):
@@ -285,7 +337,8 @@ class Stage:
         panel, rig = self._rig(controls).reduced(self.panel, width_px)
         side = -1 if panel.invert_views else 1
         positions = [panel.views * (0.5 - side * eye) for eye in eyes]
-        return list(to_bytes(render_views(self.gaussians, panel, rig, positions, **self.drawn_as)).cpu().numpy())
+        views = render_views(self.gaussians, panel, rig, positions, **self.drawn_as(controls))
+        return list(to_bytes(views).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
         """Return left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 
@@ -11,8 +9,7 @@ from lightfield_gs.base.options import StereoLayout
 from lightfield_gs.encoding.stereo import join_eyes, render_eyes
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.page.stage import STILL_WIDTH_PX, Controls, Picture, Stage, timed
+from lightfield_gs.show.page.stage import STILL_WIDTH_PX, Controls, Picture, Stage, StagedScene, timed
 
 
 class StereoStage(Stage):
@@ -23,8 +20,8 @@ class StereoStage(Stage):
         layout: One image of both eyes.
     """
 
-    def __init__(self, gaussians: Gaussians, panel: Panel, rig: Rig, layout: StereoLayout, *drawn_as: Any):
-        super().__init__(gaussians, panel, rig, *drawn_as)
+    def __init__(self, scene: StagedScene, panel: Panel, layout: StereoLayout, device: str | None = None):
+        super().__init__(scene, panel, device)
         self.layout = layout
 
     def eye(self, controls: Controls, width_px: int, still: bool) -> Picture:
@@ -47,4 +44,6 @@ class StereoStage(Stage):
     def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
         stages = {} if stats is None else stats.setdefault("stages_ms", {})
         with torch.no_grad(), timed(stages, "eyes"):
-            return join_eyes(render_eyes(self.gaussians, panel, rig, **self.drawn_as), self.layout).cpu().numpy()
+            return (
+                join_eyes(render_eyes(self.gaussians, panel, rig, **self.drawn_as(controls)), self.layout).cpu().numpy()
+            )

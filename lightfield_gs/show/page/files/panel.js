@@ -13,12 +13,15 @@ function check() {
 
 // The picture, and the next one as soon as there is one
 
-let drawing; // what draws here; null: the server does
+let drawing = null, drawnScene; // what draws here, null: the server does; and the number of its scene
 const canvas = Object.assign(document.createElement("canvas"), { id: "picture", role: "img", ariaLabel: find("#picture").alt });
 
 /** Draws the controls of a scene here; false where the server must. */
 async function drawHere(controls) {
-  if (drawing === undefined) drawing = await (await import("./drawing.js")).openDrawing(canvas);
+  if (drawnScene !== controls.scene) {
+    drawing = await (await import("./drawing.js")).openDrawing(canvas);
+    drawnScene = controls.scene;
+  }
   if (!drawing || drawing.isLost) return false;
   await drawing.onPanel(controls);
   place(canvas);

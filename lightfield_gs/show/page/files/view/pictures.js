@@ -1,13 +1,6 @@
 // Pictures of the server: how they come, and how they are laid into their panes.
 
-import { element } from "./controls.js";
-
-/** Reads an answer of the server, or throws its words with the status. */
-export async function answerOf(address, signal, more = {}) {
-  const answer = await fetch(address, { signal, ...more });
-  if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
-  return answer;
-}
+import { answerOf, element } from "./dom.js";
 
 /** A picture with what it is and the times of its stages, [name, milliseconds]. */
 export async function pictureOf(address, signal) {
@@ -23,13 +16,12 @@ function timing(header) {
   });
 }
 
-export function show(pane, { bitmap, said }, still) {
+export function show(pane, { bitmap }) {
   const canvas = pane.querySelector("canvas");
   canvas.width = bitmap.width;
   canvas.height = bitmap.height;
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
   bitmap.close();
-  pane.querySelector(".said").textContent = (still ? "" : "coarse while moving: ") + said;
 }
 
 /** Lays out a pane's picture: native pixels at one pixel of the screen each; others as large as the pane, `shape` times

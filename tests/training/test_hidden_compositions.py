@@ -1,4 +1,4 @@
-"""Training for hidden surfaces: compositions against renders without what is in front, and runs that are stopped."""
+"""Scores of hidden surfaces on compositions, against renders without what is in front."""
 
 from dataclasses import replace
 
@@ -9,9 +9,8 @@ from mesh_packs import cube, write_packs
 from PIL import Image
 
 from training.hidden.compositions import CompositionOptions, Compositions
-from training.hidden.config import HiddenConfig
+from training.hidden.evaluate import main
 from training.hidden.examples import make_examples
-from training.hidden.train import train
 from training.meshes.pack import ResidentMeshes, read_meshes
 
 OPTIONS = CompositionOptions(64, objects=(1.0, 0.0, 0.0), extent=(0.4, 0.6))
@@ -59,23 +58,10 @@ def test_the_truth_in_a_hole_is_the_second_surface(meshes):
     assert torch.equal(examples.truth[outside], examples.image[outside])
 
 
-def test_a_stopped_run_goes_on_to_the_same_weights(folders, tmp_path):
-    config = HiddenConfig(
-        "",
-        str(folders / "meshes"),
-        str(folders / "photographs"),
-        ["held*"],
-        leaves=0,
-        steps=3,
-        batch=1,
-        batches=1,
-        device="cpu",
-        compositions=replace(OPTIONS, focal=(1.0, 1.0)),
-        score_every=3,
-        scored=1,
-    )
-    weights = train(replace(config, output_dir=str(tmp_path / "whole")))
-    parts = replace(config, output_dir=str(tmp_path / "parts"), checkpoint_every=1)
-    assert train(replace(parts, seconds=1e-9)) is not None  # ends after its first step
-    again = train(parts)
-    assert weights.read_bytes() == again.read_bytes()
+def test_the_program_scores_both_fillings(folders, capsys):
+    places = ["--meshes", str(folders / "meshes"), "--photographs", str(folders / "photographs")]
+    assert main([*places, "--names", "held*", "--count", "1", "--size", "96"]) == 0
+    scores, error = capsys.readouterr().out.splitlines()
+    _, membrane, exemplar = scores.replace("membrane", "|").replace("exemplar", "|").split("|")
+    assert 5 < float(membrane) < 60 and 5 < float(exemplar) < 60 and float(error.split()[-1]) < 0.25
+    assert main([*places, "--names", "none*"]) == 2 and "that match none*" in capsys.readouterr().err

@@ -1,0 +1,1 @@
+"""Networks that estimate depth: by transformers, and three that it does not read."""
