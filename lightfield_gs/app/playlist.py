@@ -48,18 +48,16 @@ def find_slides(inputs: Sequence[Path], options: PanelOptions, stereo: StereoLay
         raise InputError("--stereo is for a screen of two eyes, and --panel is another; leave out one of them")
     wanted = None if stereo is None and options.panel is None else stereo is not None
     slides: list[Slide] = []
-    messages: list[str] = []
+    left_out: list[str] = []
     for path in inputs:
         if not path.is_dir() or (path / MANIFEST).is_file():
             slides.append(_slide(path, wanted))
             continue
         found, refused = _in_folder(path, wanted if not slides else slides[0].pair is not None)
         slides += found
-        if refused:
-            some = "; ".join(refused[:_MOST_NAMED]) + ("; ..." if len(refused) > _MOST_NAMED else "")
-            messages.append(f"{path}: {len(refused)} files are left out: {some}")
+        left_out += refused
         if not found:
-            raise InputError(f"{path}: nothing in it can be shown" + (f": {messages.pop()}" if refused else ""))
+            raise InputError(f"{path}: nothing in it can be shown" + "".join(f"; {words}" for words in refused[:1]))
     pairs = [slide for slide in slides if slide.pair is not None]
     if pairs and len(pairs) < len(slides):
         other = next(slide for slide in slides if slide.pair is None)
@@ -69,21 +67,29 @@ def find_slides(inputs: Sequence[Path], options: PanelOptions, stereo: StereoLay
         )
     if pairs:
         panel = replace(StereoScreen().panel(), name="stereo screen")
-        return Playlist(slides, panel, stereo or "sbs", messages)
+        return Playlist(slides, panel, stereo or "sbs", _left_out_words(left_out))
     panel = _panel(slides, options)
     kept = []
     for slide in slides:
         if words := _why_not_on(slide, panel):
             if slide.path in inputs:
                 raise InputError(words)
-            messages.append(f"left out: {words}")
+            left_out.append(words)
             continue
         kept.append(slide)
         if options.panel is None and slide.panel is not None and lens_differs(slide.panel, panel):
             note(f"{slide.path} was made for panel {slide.panel.name}, whose lens is not that of {panel.name}")
     if not kept:
-        raise InputError("; ".join(messages))
-    return Playlist(kept, panel, None, messages)
+        raise InputError(f"nothing in these folders can be shown; {left_out[0]}")
+    return Playlist(kept, panel, None, _left_out_words(left_out))
+
+
+def _left_out_words(reasons: list[str]) -> list[str]:
+    """Return a line on the files of folders that are left out."""
+    if not reasons:
+        return []
+    some = "; ".join(reasons[:_MOST_NAMED]) + ("; ..." if len(reasons) > _MOST_NAMED else "")
+    return [f"{len(reasons)} file{' is' if len(reasons) == 1 else 's are'} left out: {some}"]
 
 
 def _in_folder(folder: Path, wants_pairs: bool | None) -> tuple[list[Slide], list[str]]:
@@ -206,8 +212,13 @@ def _why_not_on(slide: Slide, panel: Panel) -> str:
         height, width, channels = info.height_px, info.width_px, info.channels
     if (height, width) == (panel.height_px, panel.width_px) and channels >= 3:
         return ""
-    if slide.panel is None:
-        way = "encode it first, if it is a photo" if not slide.is_film else "make a film for the panel: `video`"
+    if slide.is_film:
+        way = "make a film for the panel with `video`"
+    elif slide.panel is None:
+        from lightfield_gs.photo.stereo_pair import find_pair
+
+        is_pair = find_pair(slide.path) is not None
+        way = "it is for a screen of two eyes" if is_pair else "encode it first, if it is a photo"
     else:
         way = "name the panel it was encoded for"
     return (

@@ -191,7 +191,7 @@ def test_lines_say_what_is_shown(folder, capsys, monkeypatch):
     monkeypatch.setattr("lightfield_gs.commands.show.serve", lambda *_: None)
     words = run(capsys, f"show {folder} --shuffle --seconds 4")
     assert "3 pictures and 1 film: 96 x 60, for panel small" in words and "4 s each, by chance" in words
-    assert "2 files are left out" in words and "encode it first" in words
+    assert "3 files are left out" in words and "for a screen of two eyes" in words
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="finds processes by /proc")
