@@ -26,6 +26,7 @@ const canvas = Object.assign(document.createElement("canvas"), { id: "picture", 
 /** Draws the controls of a scene here; false where the server must. */
 async function drawHere(controls) {
   if (drawnScene !== controls.scene) {
+    drawing?.close();
     drawing = await (await import("./drawing.js")).openDrawing(canvas);
     drawnScene = controls.scene;
   }

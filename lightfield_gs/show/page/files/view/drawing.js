@@ -27,10 +27,13 @@ export async function openDrawing(canvas = new OffscreenCanvas(1, 1)) {
 
 class Drawing {
   constructor(device, canvas, scene, values) {
-    Object.assign(this, { scene, canvas, isLost: false, last: Promise.resolve() });
+    Object.assign(this, { device, scene, canvas, isLost: false, last: Promise.resolve() });
     Object.assign(this, { frames: new Frames(device, scene.host, values), picture: new Picture(device, canvas) });
     device.lost.then(() => { this.isLost = true; });
   }
+
+  /** Gives its memory back, before another scene is drawn. */
+  close() { this.device.destroy(); }
 
   rig(controls) {
     const { rig, panel } = this.scene;

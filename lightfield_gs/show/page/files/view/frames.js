@@ -55,11 +55,13 @@ export class Frames {
   /** Has this browser draw the scene, once it is ready. */
   async drawHere() {
     const { number } = this.state.scene;
+    this.drawing?.close();
     this.drawing = null;
     try {
       const opened = await openDrawing();
       await opened?.eye(this.state.controls, WIDTHS_PX[0]); // compiles
       if (number === this.state.scene.number && opened?.scene.scene === number) this.drawing = opened;
+      else opened?.close(); // another scene came in between
     } catch (error) {
       console.error(error);
     }
