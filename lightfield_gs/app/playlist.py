@@ -10,6 +10,7 @@ from pathlib import Path
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.panel import found_panel, lens_differs, parse_panel, shown_panel, stored_panel
+from lightfield_gs.app.slide_pixels import native_frames
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.options import StereoLayout
@@ -22,7 +23,7 @@ from lightfield_gs.io.text_files import read_object
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import stated_layout
 from lightfield_gs.panels.stereo_screen import StereoScreen
-from lightfield_gs.show.playlist import Playlist, Slide, native_frames
+from lightfield_gs.show.playlist import Playlist, Slide
 from lightfield_gs.video.frame_folder import MANIFEST, MANIFEST_BYTES
 
 _BROWSER_FILMS = (".mp4", ".m4v", ".mov", ".webm", ".mkv")  # as browsers play them

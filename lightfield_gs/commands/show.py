@@ -69,14 +69,16 @@ def _show(options: ShowOptions) -> None:
 
 
 def _routes(options: ShowOptions, playlist: Playlist, alive: Synchronized[float] | None = None):
-    from lightfield_gs.show.page.slides import SlideOptions, slide_routes
+    from lightfield_gs.app.slide_pixels import native_frames, read_slide
+    from lightfield_gs.show.page.slides import SlideOptions, SlidePixels, slide_routes
 
     def seen() -> None:
         if alive is not None:
             alive.value = time.monotonic()
 
     how = SlideOptions(options.seconds, options.fade, not options.once, options.shuffle)
-    return slide_routes(playlist, how, seen)
+    pixels = SlidePixels(lambda slide: read_slide(slide, playlist), native_frames)
+    return slide_routes(playlist, how, pixels, seen)
 
 
 def _lines(options: ShowOptions, playlist: Playlist) -> list[str]:

@@ -19,12 +19,13 @@ from test_page import get, serving
 
 from lightfield_gs.app.options import PanelOptions
 from lightfield_gs.app.playlist import find_slides
+from lightfield_gs.app.slide_pixels import native_frames, read_slide
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.stereo import join_eyes
 from lightfield_gs.encoding.weave import weave
 from lightfield_gs.io.images import write_image
 from lightfield_gs.show.display_browser import browser_command
-from lightfield_gs.show.page.slides import SlideOptions, slide_routes
+from lightfield_gs.show.page.slides import SlideOptions, SlidePixels, slide_routes
 from lightfield_gs.view_sets.view_set import open_views
 
 WEBGL = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--use-gl=angle")
@@ -33,6 +34,10 @@ NATIVE = {"panel": json.dumps(PANEL.to_dict())}
 
 def plain(*colour: int) -> np.ndarray:
     return np.full((PANEL.height_px, PANEL.width_px, 3), colour, np.uint8)
+
+
+def routes_of(playlist, options=SlideOptions()):
+    return slide_routes(playlist, options, SlidePixels(lambda slide: read_slide(slide, playlist), native_frames))
 
 
 def smooth(height: int, width: int, seed: int) -> np.ndarray:
@@ -94,7 +99,7 @@ def test_files_that_are_named_are_shown_or_refused(folder, capsys):
 def test_films_come_in_parts(folder):
     path = film(folder / "f_qs4x2a1.6.mp4", [smooth(80, 256, 1)] * 2, "libx264", "yuv420p")
     data = path.read_bytes()
-    with serving(slide_routes(find_slides([folder / "9.png", path], PanelOptions(), None), SlideOptions())) as server:
+    with serving(routes_of(find_slides([folder / "9.png", path], PanelOptions(), None))) as server:
         for wanted, start, end in (
             ("bytes=0-", 0, len(data)),
             ("bytes=10-19", 10, 20),
@@ -120,7 +125,7 @@ def test_slides_follow_each_other_with_their_own_pixels(folder):
     inputs = [folder / name for name in ("9.png", "quilt_qs4x2a1.6.png", "native.mkv", moving.name)]
     playlist = find_slides(inputs, PanelOptions(), None)
     find()
-    with serving(slide_routes(playlist, SlideOptions(seconds=0, fade=0))) as server:
+    with serving(routes_of(playlist, SlideOptions(seconds=0, fade=0))) as server:
         page = Browser(folder, 640, 480, gpu=WEBGL)
         try:
             page.open(server.url)
@@ -164,7 +169,7 @@ def test_films_of_two_eyes_fill_the_screen_as_it_takes_them(tmp_path):
     path = film(tmp_path / "film_LRF_Full_SBS.mp4", [np.concatenate(eyes, 1)] * 2, "libx264", "yuv444p", crf="1")
     playlist = find_slides([path], PanelOptions(), "anaglyph")
     find()
-    with serving(slide_routes(playlist, SlideOptions())) as server:
+    with serving(routes_of(playlist)) as server:
         page = Browser(tmp_path, 640, 480, gpu=WEBGL)
         try:
             page.open(server.url)

@@ -28,7 +28,7 @@ from lightfield_gs.show.page.server import (
     page_file,
     text,
 )
-from lightfield_gs.show.playlist import Playlist, Slide, native_frames, read_slide
+from lightfield_gs.show.playlist import Playlist, Slide
 from lightfield_gs.show.preview import image_bytes
 
 _MOST_PACKED = 3  # pictures that are kept: the one that is shown, and its neighbours
@@ -53,17 +53,35 @@ class SlideOptions:
     shuffle: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class SlidePixels:
+    """What reads slides.
+
+    Attributes:
+        picture: Returns the picture of a slide as the screen takes it, uint8 [H, W, 3].
+        frames: Yields those of a film of native frames, likewise.
+    """
+
+    picture: Callable[[Slide], np.ndarray]
+    frames: Callable[[Slide], Iterator[np.ndarray]]
+
+
 def slide_routes(
-    playlist: Playlist, options: SlideOptions, seen: Callable[[], object] = lambda: None
+    playlist: Playlist, options: SlideOptions, pixels: SlidePixels, seen: Callable[[], object] = lambda: None
 ) -> dict[str, Route]:
     """Return the addresses of the page.
 
     Args:
         playlist: The slides and their screen.
         options: How they follow each other.
+        pixels: What reads them.
         seen: Called whenever the page shows that it is alive.
     """
-    packed, readers, run = _PackedSlides(playlist), _Readers(playlist), secrets.token_hex(8)
+    packed, readers, run = (
+        _PackedSlides(playlist, pixels.picture),
+        _Readers(playlist, pixels.frames),
+        secrets.token_hex(8),
+    )
     panel = playlist.panel
 
     def state(query: Query) -> Answer:
@@ -134,8 +152,8 @@ def _view_map(panel: Panel) -> bytes:
 class _PackedSlides:
     """Pictures as PNG: each is packed once, and a few are kept."""
 
-    def __init__(self, playlist: Playlist):
-        self._playlist, self._turn = playlist, threading.Lock()
+    def __init__(self, playlist: Playlist, picture: Callable[[Slide], np.ndarray]):
+        self._playlist, self._picture, self._turn = playlist, picture, threading.Lock()
         self._kept: OrderedDict[int, Answer] = OrderedDict()
 
     def answer(self, index: int) -> Answer:
@@ -144,7 +162,7 @@ class _PackedSlides:
                 slide = self._playlist.slides[index]
                 if slide.is_film:
                     raise InputError("n must be a picture")
-                pixels = read_slide(slide, self._playlist)
+                pixels = self._picture(slide)
                 self._kept[index] = Answer(image_bytes(pixels, "PNG", compress_level=0), "image/png")
             self._kept.move_to_end(index)
             while len(self._kept) > _MOST_PACKED:
@@ -155,8 +173,8 @@ class _PackedSlides:
 class _Reader:
     """The frames of a film one after the other, read by a thread a little before they are asked for."""
 
-    def __init__(self, slide: Slide, panel: Panel):
-        self._slide, self._panel = slide, panel
+    def __init__(self, frames: Iterator[np.ndarray], name: str, panel: Panel):
+        self._given, self._name, self._panel = frames, name, panel
         self._queue: Queue[np.ndarray | InputError | None] = Queue(_AHEAD)
         self._is_closed = threading.Event()
         self.next = 0
@@ -175,9 +193,9 @@ class _Reader:
 
     def _frames(self) -> Iterator[np.ndarray | InputError]:
         try:
-            for frame in native_frames(self._slide):
+            for frame in self._given:
                 if frame.shape[:2] != (self._panel.height_px, self._panel.width_px):
-                    raise InputError(f"{self._slide.path}: its frame has {frame.shape[1]} x {frame.shape[0]} pixels")
+                    raise InputError(f"{self._name}: its frame has {frame.shape[1]} x {frame.shape[0]} pixels")
                 yield frame
         except InputError as error:
             yield error
@@ -197,8 +215,8 @@ class _Reader:
 class _Readers:
     """The readers of the pages: each page reads for itself, and few at a time."""
 
-    def __init__(self, playlist: Playlist):
-        self._playlist, self._turn = playlist, threading.Lock()
+    def __init__(self, playlist: Playlist, frames: Callable[[Slide], Iterator[np.ndarray]]):
+        self._playlist, self._frames, self._turn = playlist, frames, threading.Lock()
         self._readers: OrderedDict[tuple[int, str], _Reader] = OrderedDict()
 
     def answer(self, index: int, query: Query) -> Answer:
@@ -211,7 +229,7 @@ class _Readers:
             if key not in self._readers or self._readers[key].next > at:
                 if key in self._readers:
                     self._readers.pop(key).close()
-                self._readers[key] = _Reader(slide, self._playlist.panel)
+                self._readers[key] = _Reader(self._frames(slide), str(slide.path), self._playlist.panel)
             reader = self._readers[key]
             self._readers.move_to_end(key)
             while len(self._readers) > _MOST_READERS:
