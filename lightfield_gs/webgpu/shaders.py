@@ -30,6 +30,11 @@ BINDINGS = {
     "merged": (14, "storage"),
     "image": (15, "storage"),
     "packed": (16, "storage"),
+    "eye": (17, "uniform"),
+    "borders": (18, "read-only-storage"),
+    "turns": (19, "read-only-storage"),
+    "lit": (20, "storage"),
+    "seen": (21, "storage"),
 }
 
 
@@ -66,6 +71,8 @@ STAGES = {
     ),
     "pack": Stage(("pack",), ("image", "packed")),
     "pattern": Stage(("frame", "lens", "pattern"), ("P", "part", "image")),
+    "see": Stage(("frame", "seen"), ("part", "image", "eye", "borders", "turns", "lit")),
+    "join_seen": Stage(("frame", "seen"), ("eye", "lit", "seen")),
 }
 
 

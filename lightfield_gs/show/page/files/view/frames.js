@@ -35,11 +35,14 @@ export class Frames {
 
   /** A picture of a pane: drawn here where this browser can, else by the server. */
   async draw(pane, still, signal) {
-    const isHere = this.drawing && !this.drawing.isLost && (pane === "native" || (pane === "eye" && !still));
-    if (!isHere) return pictureOf(`frame?${this.query(pane, still)}`, signal);
+    if (!this.drawing || this.drawing.isLost) return pictureOf(`frame?${this.query(pane, still)}`, signal);
     const began = performance.now(), { width, height } = this.size(), { controls } = this.state;
     try {
-      const picture = pane === "eye" ? await this.drawing.eye(controls, this.width) : await this.drawing.native(controls, this.x, this.y, width, height);
+      const { drawing } = this, picture = await {
+        eye: () => drawing.eye(controls, this.width, still),
+        sheet: () => drawing.sheet(controls, still),
+        native: () => drawing.native(controls, this.x, this.y, width, height),
+      }[pane]();
       return { ...picture, stages: [["drawn in the browser", performance.now() - began]] };
     } catch (error) {
       console.error(error); // too large, or lost: the server can
