@@ -8,7 +8,8 @@ import numpy as np
 from PIL import Image
 
 from lightfield_gs.io.images import read_picture
-from lightfield_gs.photo.load import Photo, cut_out_photo
+from lightfield_gs.photo.load import cut_out_photo
+from lightfield_gs.photo.photo import Photo
 from lightfield_gs.show.preview import to_integers
 
 HEIGHT, WIDTH, GREY = 240, 320, 0.92

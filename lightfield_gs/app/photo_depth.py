@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
-    from lightfield_gs.photo.load import Photo
+    from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.steady_depth import PictureEstimate
 
 # Default meaning of a depth map beside its photo: bright is near, as in Looking Glass' files
@@ -195,7 +195,7 @@ def _turn_with(
     Args:
         choice: The value of --map-orientation.
     """
-    from lightfield_gs.photo.load import turn_with_photo
+    from lightfield_gs.photo.map_orientation import turn_with_photo
 
     return lambda numbers: turn_with_photo(
         str(options.depth),
@@ -231,7 +231,7 @@ def _ray_lengths(
 def _resize_to_photo(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     """Return the map at the photo's size. Raises InputError where it has another shape."""
     from lightfield_gs.photo.joint_upsampling import resize_to_photo
-    from lightfield_gs.photo.load import has_same_shape
+    from lightfield_gs.photo.map_orientation import has_same_shape
 
     shape, size = depth.z.shape, photo.pixels.shape[:2]
     if shape == size:

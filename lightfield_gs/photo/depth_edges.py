@@ -5,10 +5,13 @@ All depth maps here are [H, W], view-space z in scene units, NaN where nothing w
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from scipy import sparse
 from torch import Tensor
 from torch.nn import functional
 
@@ -27,6 +30,8 @@ class DepthEdgeConstants:
     """
 
     snap_passes: int = 3  # passes, each of which takes one pixel off both ends of a smoothed edge
+    sliver_px: int = 24  # pixels of a piece between two surfaces that is no surface of its own, at most
+    sliver_window_px: int = 3  # pixels to each side in which these surfaces are looked for
     rim_px: int = 3  # pixels on either side of an edge whose colours may be mixed
     window_px: int = 6  # pixels to each side from which the colours of both surfaces are taken
     window_std: float = 3.0  # standard deviation of the weights in this window, pixels
@@ -90,6 +95,63 @@ def _snap_columns(depth: Tensor, focal_px: float) -> Tensor:
     snapped = depth.clone()
     snapped[:, 1:-1] = torch.where(mixed, neighbour, depth[:, 1:-1])
     return snapped
+
+
+def merge_slivers(depth: Tensor, image: Tensor, focal_px: tuple[float, float]) -> Tensor:
+    """Return the depth map without small pieces between a near and a far surface, which hang in the gap from the sides.
+
+    Each of their pixels takes the depth of the surface close by whose colour is more like its own. Small things that
+    are nearer or farther than all around them stay.
+
+    Args:
+        depth: [H, W].
+        image: [H, W, 3 or more], the photo.
+        focal_px: (fx, fy), pixels.
+    """
+    known = torch.isfinite(depth)
+    small = _small_pieces(depth, focal_px) & known
+    rows, columns = small.nonzero().unbind(1)
+    if not len(rows):
+        return depth
+    disparity = (1 / depth).nan_to_num(0)
+    surfaces = torch.where(small, 0, disparity)  # 0: none
+    reach, width = _C.sliver_window_px, depth.shape[1] + 2 * _C.sliver_window_px
+    maps = torch.cat([image[..., :3].movedim(2, 0), surfaces[None]])
+    values = functional.pad(maps, (reach,) * 4).movedim(0, 2).reshape(-1, 4)
+    steps = torch.arange(-reach, reach + 1, device=depth.device)
+    window = (steps[:, None] * width + steps).flatten()
+    merged = disparity.clone()
+    for start in range(0, len(rows), _CHUNK):
+        row, column = rows[start : start + _CHUNK], columns[start : start + _CHUNK]
+        around = values[((row + reach) * width + column + reach)[:, None] + window]
+        own, there = disparity[row, column][:, None], around[..., 3]
+        groups = torch.stack([(there > 0) & (there < own), there > own], 1).to(around)
+        counts = groups.sum(2, keepdim=True)
+        means = groups @ around / counts.clamp_min(1)
+        apart = (means[..., :3] - image[row, column, None, :3]).square().sum(2)
+        chosen = means[..., 3].gather(1, apart.argmin(1, keepdim=True))[:, 0]
+        merged[row, column] = torch.where((counts > 0).all(1)[:, 0], chosen, own[:, 0])
+    return torch.where(small, 1 / merged, depth)
+
+
+def _small_pieces(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
+    """Return the pixels of pieces of joined pixels that are too small for a surface, bool [H, W]."""
+    # All pixels of a small piece are close to an edge; those of other pieces in this band are joined to the rest
+    band = max_filter(edges(depth, focal_px), math.isqrt(_C.sliver_px)).cpu().numpy()
+    numbers = np.cumsum(band.ravel()).reshape(band.shape) * band  # 0: the rest
+    ends = []
+    for places, whole in (
+        (numbers, joined(depth, focal_px[0]).cpu().numpy()),
+        (numbers.T, joined(depth.T, focal_px[1]).cpu().numpy()),
+    ):
+        ends.append(np.stack([places[:, :-1][whole], places[:, 1:][whole]]))
+    one, other = np.concatenate(ends, 1)
+    count = 1 + int(band.sum())
+    links = sparse.coo_matrix((np.ones(len(one), bool), (one, other)), (count, count))
+    _, piece = sparse.csgraph.connected_components(links, directed=False)
+    is_small = np.bincount(piece) <= _C.sliver_px
+    is_small[piece[0]] = False
+    return torch.from_numpy(is_small[piece][numbers] & band).to(depth.device)
 
 
 _CHUNK = 1 << 12  # pixels whose windows are gathered at a time: 16 MB

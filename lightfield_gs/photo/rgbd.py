@@ -16,7 +16,15 @@ from lightfield_gs.base.checks import expect, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.depth_edges import STEEPEST, coverage_to_opacity, edges, find_matte, slopes, snap_mixed
+from lightfield_gs.photo.depth_edges import (
+    STEEPEST,
+    coverage_to_opacity,
+    edges,
+    find_matte,
+    merge_slivers,
+    slopes,
+    snap_mixed,
+)
 from lightfield_gs.photo.hidden import Hidden, fill_hidden, find_hidden
 from lightfield_gs.photo.image_filters import max_filter
 from lightfield_gs.photo.margin import Margin, extend_with_margin
@@ -127,7 +135,7 @@ def from_depth(
     if not bool(measured.any()):
         raise InputError("depth: expected distances > 0, no opaque pixel of the photo has one")
     focal, centre = known_camera(focal_px, principal_point_px, height, width)
-    depth = snap_mixed(depth, focal)
+    depth = merge_slivers(snap_mixed(depth, focal), image, focal)
     found = find_hidden(image[..., :3], depth, focal)
     behind = fill_hidden(found, depth)
     if second is not None:

@@ -16,7 +16,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io import images
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.photo.load import load_photo, plain_background_mask
+from lightfield_gs.photo.load import load_photo
+from lightfield_gs.photo.plain import plain_background_mask
 from lightfield_gs.show.preview import to_integers
 
 RNG = np.random.default_rng(3)

@@ -7,7 +7,7 @@ from command_line import run
 import lightfield_gs as lf
 from lightfield_gs.app import photo as app_photo
 from lightfield_gs.io.images import write_image
-from lightfield_gs.photo.load import Photo, reduce_photo
+from lightfield_gs.photo.photo import Photo, reduce_photo
 
 LINE = "encode a.png --depth z.npy -o o.png --panel p.yaml --device cpu --fit cover"
 

@@ -14,7 +14,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import write_image
 from lightfield_gs.models.crop import Square, object_square
 from lightfield_gs.photo import load as photos
-from lightfield_gs.photo.load import NoCutOut, load_photo
+from lightfield_gs.photo.cut_out import NoCutOut
+from lightfield_gs.photo.load import load_photo
 from lightfield_gs.photo.plain import Components
 from lightfield_gs.show.preview import to_integers
 
@@ -141,6 +142,21 @@ def test_a_page_is_no_object(tmp_path, what):
         page[10 + offset[0] :: 20, 10 + offset[1] :: 15] = 0  # letters beside a picture
     with pytest.raises(NoCutOut, match="many things on a plain background"):
         load_photo(save(tmp_path / "letters.png", page))
+
+
+def test_a_window_with_its_shadow_is_a_page(tmp_path):
+    window = np.zeros((300, 400, 4))
+    window[20:270, 20:380] = 1
+    window[270:280, 20:380, 3] = 0.3
+    for row, column in np.ndindex(10, 8):
+        window[40 + 22 * row : 48 + 22 * row, 40 + 42 * column : 70 + 42 * column, :3] = 0.2
+    with pytest.raises(NoCutOut, match="many things on a plain background"):
+        load_photo(save(tmp_path / "window.png", window))
+    window[..., :3] *= window[..., 3:] > 0.5
+    with pytest.raises(NoCutOut, match="many things on a plain background"):
+        load_photo(save(tmp_path / "before-black.png", window[..., :3]))
+    window[30:260, 30:370, :3] = 0.9, 0.2, 0.1  # a box
+    assert load_photo(save(tmp_path / "box.png", window))[150, 200, 3] == 1
 
 
 def test_soft_shadows_are_no_part_of_the_object(tmp_path):

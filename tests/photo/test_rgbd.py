@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rgbd_scene import WALL_NORMAL, camera, view
 
 import lightfield_gs as lf
-from lightfield_gs.photo.depth_edges import joined, slopes, snap_mixed
+from lightfield_gs.photo.depth_edges import joined, merge_slivers, slopes, snap_mixed
 from lightfield_gs.photo.rgbd import focal_length_px, from_depth
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
@@ -125,6 +125,19 @@ def test_smoothed_edges_are_made_sharp_and_thin_things_stay():
     sharp = snap_mixed(row.repeat(5, 1), (80.0, 80.0))
     assert sharp[2].tolist() == [1, 1, 1, 1, 3, 3, 3, 1, 3, 3, 4, 3, 3]
     assert torch.equal(snap_mixed(row.repeat(5, 1).T.contiguous(), (80.0, 80.0)), sharp.T)
+
+
+def test_pieces_between_two_surfaces_join_the_one_of_their_colour():
+    depth, image = torch.full((40, 40), 4.0), torch.full((40, 40, 3), 0.9)
+    depth[10:30, 10:30], image[10:30, 10:30] = 2.0, 0.1
+    truth = depth.clone()
+    depth[12:17, 30:32], image[12:17, 30:32] = 2.6, 0.15  # of the square
+    truth[12:17, 30:32] = 2.0
+    depth[20:24, 30:32] = 2.6  # of the wall
+    depth[5, 5] = truth[5, 5] = 1.5  # a bead, nearer than all around it
+    merged = merge_slivers(depth, image, (80.0, 80.0))
+    assert torch.allclose(merged, truth, rtol=0.01)
+    assert torch.equal(merge_slivers(truth, image, (80.0, 80.0)), truth)
 
 
 # Input of all sorts
