@@ -139,7 +139,7 @@ def write_stereo(options: EncodeOptions, watch: Stopwatch) -> tuple[Path, ...]:
         look = replace(options.look, depth_report=False)
         framed = load_framed(options.scene, choice, options.render, look, panel, device, watch)
         gaussians, rig = framed.scene.gaussians, framed.rig
-        eyes = render_eyes(gaussians, panel, rig, **vars(framed.scene.render), device=webgpu).cpu()
+        eyes = render_eyes(gaussians, panel, rig, **framed.scene.render.arguments(), device=webgpu).cpu()
         comfort = comfort_line(gaussians, panel, rig)
         watch.lap("eyes")
         _write(paths, eyes, target.layout, _metadata(options, target, panel, rig), options)
