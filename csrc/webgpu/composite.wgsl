@@ -80,9 +80,25 @@ fn cubic_through(f: vec4f) -> vec4f {
   return vec4f(0.25 * (f.x + f.y + f.z + f.w) - t2, t1 - 3.0 * t3, 2.0 * t2, 4.0 * t3);
 }
 
-// Store the colour of a splat as a cubic in x for each channel, through Chebyshev's nodes; return whether it is near, which
-// the middle and both ends show. All these colours at once, for each of their powers is read once then.
+// Store the colour of a splat as a cubic in x for each channel; return whether it is near. In narrow cones colours are
+// stored as cubics at most, and are exact then.
 fn stage_colour(mine: u32, place: u32, offsets: vec2f) -> bool {
+  let stored = colours[place].w;
+  if (stored == CIRCLE_ORDER || stored > 3.0) { return stage_fitted_colour(mine, place, offsets); }
+  let order = u32(stored); let s = offsets.x; let h = offsets.y;
+  let c0 = colours[place].xyz;  // four loads at once, for each takes long
+  let c1 = select(vec3f(0.0), colours[place + 1u].xyz, order > 0u);
+  let c2 = select(vec3f(0.0), colours[place + 2u].xyz, order > 1u);
+  let c3 = select(vec3f(0.0), colours[place + 3u].xyz, order > 2u);
+  let cubics = transpose(mat4x3f(c0 + s * (c1 + s * (c2 + s * c3)), h * (c1 + s * (2.0 * c2 + 3.0 * s * c3)),
+                                 h * h * (c2 + 3.0 * s * c3), h * h * h * c3));
+  for (var k = 0u; k < 3u; k++) { lights[3u * mine + k] = cubics[k]; }
+  return true;
+}
+
+// stage_colour through Chebyshev's nodes; the middle and both ends show whether the cubic is near. All these colours at
+// once, for each of their powers is read once then.
+fn stage_fitted_colour(mine: u32, place: u32, offsets: vec2f) -> bool {
   let far = 0.92387953 * offsets.y; let near = 0.38268343 * offsets.y;
   let at = vec4f(offsets.x + far, offsets.x + near, offsets.x - near, offsets.x - far);
   let ends = vec3f(offsets.x, offsets.x + offsets.y, offsets.x - offsets.y);
@@ -168,7 +184,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
   }
   m_end = select(min(m_end, 3 * i32(P.size.x)), m0, row >= i32(P.size.y));
   let py = f32(row) + 0.5;
-  let offsets = offsets_of(box.z); let origin = origin_of(box);
+  let offsets = offsets_of(box.z); let origin = origin_of(box); let cut = P.cuts.w;
   let per_offset = select(0.0, 1.0 / offsets.y, offsets.y > 0.0);
   let place0 = select(0u, u32(m0 - 3 * ((m0 + 3000) / 3 - 1000)), BY_LENS);
   let channels = vec3u(stripe_channel(place0), stripe_channel((place0 + 1u) % 3u), stripe_channel((place0 + 2u) % 3u));
@@ -226,7 +242,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         let a = staged[h].a; let b = staged[h].b; let c = staged[h].c;
         let dy = py - a.z;
         let top = a.w - abs(b.x) * dy * dy;
-        if (top < LOG2_MIN_ALPHA) { continue; }
+        if (top < cut) { continue; }
         let middle = a.x + c.x * dy; let sweep = a.y + c.y * dy;
         //{q
         var root[q] = b.y + x[q] * (b.z + x[q] * select(b.w, b.w + x[q] * c.w, BY_LENS));
@@ -247,7 +263,7 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
         }
         highest = max(highest, p[q]);
         //q}
-        if (highest < LOG2_MIN_ALPHA) { continue; }
+        if (highest < cut) { continue; }
         var constant = vec4f(0.0);
         if (!HARMONICS) { constant = lights[h]; }
         let by_place = vec3f(pick(constant, channels.x), pick(constant, channels.y), pick(constant, channels.z));
@@ -275,12 +291,12 @@ fn composite(@builtin(workgroup_id) at: vec3u, @builtin(local_invocation_index) 
           }
         }
         //{q
-        let alpha[q] = select(0.0, min(exp2(p[q]), MAX_ALPHA), p[q] >= LOG2_MIN_ALPHA);
+        let alpha[q] = select(0.0, min(exp2(p[q]), MAX_ALPHA), p[q] >= cut);
         let w[q] = alpha[q] * T[q];
         let after[q] = T[q] - w[q];
-        let ends[q] = after[q] < MIN_TRANSMITTANCE;
-        C[q] += select(w[q], 0.0, ends[q]) * light[q];
-        T[q] = select(after[q], -abs(T[q]), ends[q]);
+        let ends[q] = after[q] < P.cuts.z;
+        C[q] += select(w[q], select(0.0, T[q], ENDS_EARLY), ends[q]) * light[q];
+        T[q] = select(after[q], select(-abs(T[q]), 0.0, ENDS_EARLY), ends[q]);
         //q}
       }
     }

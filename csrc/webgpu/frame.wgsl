@@ -8,6 +8,7 @@
 //   HARMONICS    colours vary over the rig
 //   COMPENSATED  opacities are lowered where footprints are widened
 //   FLOATS       the image has floats, else bytes
+//   ENDS_EARLY   the splat at which a sample ends takes the light that is left, else the background
 // It repeats lines between //{q and //q} for each sample of a thread: q becomes 0, 1, .., and x[q] x_0, x_1, .. So
 // samples stay in registers.
 
@@ -20,6 +21,9 @@ struct Params {
   background: vec4f,
   lens: vec4f,        // width along a row in sub-pixels, tan(slant), D_0, number of the first lens of the boxes
   filters: vec4f,     // aperture in scene units; 1 in anti-aliased scenes; error of colours; offset of the limits
+  // Of the quality, csrc/math/quality.h: log2 of the alpha that a splat must have in a patch; the least sum of its alphas
+  // over the pixels; the least transmittance of a sample; log2 of the least alpha at a sample
+  cuts: vec4f,
   size: vec4u,        // width, height, views, Gaussians
   phase0: vec4u,      // s0 low, high; sx low, high
   phase1: vec4u,      // sy low, high; 1 for continuous views; degree of the harmonics
@@ -46,6 +50,7 @@ const CHUNKS = 3u;      // of long lists
 const LARGE = 4u;       // splats that touch many boxes
 const DRAWN = 5u;       // splats
 const ERROR = 6u;       // of the colours, bits of a float
+const PRUNED = 7u;      // splats of too little light
 const COSTS = 16u;      // where the sums of cost_of_splat begin, four for each workgroup
 
 @group(0) @binding(0) var<uniform> P: Params;
@@ -59,7 +64,8 @@ const COSTS = 16u;      // where the sums of cost_of_splat begin, four for each 
 // csrc/math/constants.h
 const BLUR = 0.3;
 const MAX_ALPHA = 0.99;
-const MIN_TRANSMITTANCE = 1e-4;
+const LOG2_MAX_ALPHA = -0.014499569695115;
+const MIN_ALPHA = 1.0 / 255.0;
 const NEAR_DEPTH = 0.01;
 const LOG2_MIN_ALPHA = -7.994353436858858;
 const HALF_LOG2E = 0.7213475204444817;

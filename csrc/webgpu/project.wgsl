@@ -24,7 +24,7 @@ fn largest_ratio(S: vec3f, D: vec3f) -> f32 {
 }
 
 // A splat with what its colour is stored behind: D(s) of the compensation. Not drawn: a negative reach.
-struct Projected { splat: Splat, t: vec3f, D: vec3f };
+struct Projected { splat: Splat, t: vec3f, D: vec3f, pruned: bool };
 
 fn projected(g: Gaussian) -> Projected {
   var out: Projected;
@@ -82,12 +82,30 @@ fn projected(g: Gaussian) -> Projected {
     log2_opacity += 0.5 * log2(most);
     if (!(log2_opacity >= LOG2_MIN_ALPHA)) { return out; }
   }
-  let reach = sqrt((log2_opacity - LOG2_MIN_ALPHA) / tau);
   out.splat.a = vec4f(P.optics.x * t.x * iz + P.optics.z, P.rig.x * P.optics.x * (P.rig.y - iz),
                       P.optics.y * t.y * iz + P.optics.w, log2_opacity);
   out.splat.b = vec4f(S, tau);
-  out.splat.c = vec4f(xy0 * iy, xy1 * iy, reach, 0.0);
+  out.pruned = alpha_integral(out.splat) < P.cuts.y;
+  out.splat.a.w = raised(out.splat);
+  if (!(out.splat.a.w >= P.cuts.x)) { return out; }
+  out.splat.c = vec4f(xy0 * iy, xy1 * iy, sqrt((out.splat.a.w - P.cuts.x) / tau), 0.0);
   return out;
+}
+
+// The sum of a splat's alphas over the pixels for the camera that sees it widest: alpha_integral in csrc/math/footprint.h.
+fn alpha_integral(s: Splat) -> f32 { return exp2(s.a.w) * 4.532360 * sqrt(widest(s) / s.b.w); }
+
+// Log2 of a splat's opacity, raised for the ring that the opacity cut leaves out: raise_cut and fraction_left_out there.
+const PATCH_MARGIN = 6.0;
+fn raised(s: Splat) -> f32 {
+  let opacity = s.a.w;
+  if (P.cuts.x <= LOG2_MIN_ALPHA) { return opacity; }
+  var fraction = 1.0;
+  if (P.cuts.w < P.cuts.x) {
+    let ring = sqrt(sqrt(s.b.x / s.b.w)) * (sqrt(opacity - LOG2_MIN_ALPHA) - sqrt(max(opacity - P.cuts.x, 0.0)));
+    fraction = select(1.0, ring / (ring + PATCH_MARGIN), ring > 0.0);
+  }
+  return min(log2(exp2(opacity) + fraction * (exp2(P.cuts.x) - MIN_ALPHA)), max(LOG2_MAX_ALPHA, opacity));
 }
 
 // Whether a splat touches no pixel from any camera, or its numbers overflowed.
@@ -102,10 +120,15 @@ fn is_outside(s: Splat) -> bool {
 }
 
 // What a splat costs in each tiling, in instructions of a thread: tiles of pixels, and boxes of 2, 3 and 6 ordinals. A
-// patch is what 32 threads draw. The weights are counted instructions of the composite, and of sort for a pair. Colours
-// that no cubic draws, for cameras of a box see the splat from angles that differ too much, cost more.
-const PATCH_COST = 640.0; const SAMPLE_COST = 512.0; const PAIR_COST = 4000.0; const FAR_COST = 2500.0;
-const CUBIC_ANGLE = 0.15;  // half of the range: from here on a tenth of the colours of degree 3 are not cubic
+// patch is what 32 threads draw. A sample's weight is counted; the others are fitted to the times of an H100 (sheet:128,
+// sheet:512, cloud:262144, SH 0 and 3, narrow and 40 degrees, every tiling). The choice is within 2 % of the best there,
+// and the best for guitar.ply, which was not fitted. Colours that no cubic draws, for cameras of a box see the splat from
+// angles that differ too much, cost more.
+const PATCH_COST = 1500.0;
+const SAMPLE_COST = 512.0 + select(0.0, 410.0, HARMONICS);
+const PAIR_COST = 10000.0 + select(0.0, 9500.0, HARMONICS);
+const FAR_COST = 4700.0;
+const CUBIC_ANGLE = 0.2;  // half of the range
 fn sample_cost(angle: f32) -> f32 { return SAMPLE_COST + select(0.0, FAR_COST, HARMONICS && angle > CUBIC_ANGLE); }
 
 fn cost_of_splat(s: Splat, depth: f32) -> vec4f {
@@ -138,6 +161,10 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
     var found = projected(gaussians[i]);
     let id = part.first + i;
     if (found.splat.c.z >= 0.0 && is_outside(found.splat)) { found.splat.c.z = -1.0; }
+    if (found.splat.c.z >= 0.0 && found.pruned) {
+      found.splat.c.z = -1.0;
+      atomicAdd(&counters[PRUNED], 1u);
+    }
     if (found.splat.c.z >= 0.0) {
       cost = cost_of_splat(found.splat, found.t.z);
       atomicAdd(&counters[DRAWN], 1u);

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass, replace
+import webbrowser
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -18,9 +19,11 @@ from lightfield_gs.app.options import (
     PhotoOptions,
     RenderOptions,
     SceneOptions,
+    StereoOptions,
 )
-from lightfield_gs.app.panel import load_panel
+from lightfield_gs.app.panel import connected_position
 from lightfield_gs.app.scene import check_scene_options, load_framed
+from lightfield_gs.app.stereo import panel_of, refuse_files
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.arguments.view import add_arguments
@@ -30,11 +33,13 @@ from lightfield_gs.commands.view_command import ShownPicture
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.scenes.files import is_scene_path
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
 from lightfield_gs.show.page.exports import exports
 from lightfield_gs.show.page.gallery import Gallery
 from lightfield_gs.show.page.looks import LookStore, looks_path
 from lightfield_gs.show.page.stage import Controls, Stage, StagedScene
 from lightfield_gs.show.page.steering import steering_routes
+from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
@@ -49,6 +54,7 @@ class ViewOptions:
 
     Attributes:
         device: Device that draws the scene.
+        stereo: for a screen of two eyes, in place of a panel.
         stats: whether to print the times of the stages.
         words: the words of the command line after `view`.
     """
@@ -60,6 +66,7 @@ class ViewOptions:
     render: RenderOptions
     serving: ServingOptions
     device: str = "auto"
+    stereo: StereoOptions = field(default_factory=StereoOptions)
     stats: bool = False
     words: tuple[str, ...] = ()
 
@@ -94,20 +101,62 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
         raise InputError(f"{given} is a folder without photos and scenes; give one that has them, or a file")
     if not is_folder:
         check_scene_options(options.scene, options.camera)
-    panel = load_panel(options.panel)
+    refuse_files(options.stereo.stereo, "a screen")
+    panel, screen = panel_of(options.stereo, options.panel)
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     watch.lap("start")
     reader = _Reader(options, panel, device.torch)
     shown, scene = _first(reader, paths)
-    stage = Stage(scene, panel, device.webgpu)
+    if (layout := options.stereo.stereo) is None:
+        stage, where = Stage(scene, panel, device.webgpu), f"panel {panel.name}"
+    else:
+        stage, where = StereoStage(scene, panel, layout, device.webgpu), f"a screen of two eyes, {layout}"
     drawn_on = device.webgpu or device.torch
-    print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {drawn_on}")
+    print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on {where}, drawn on {drawn_on}")
     watch.say_if(options.stats)
-    say(*device.messages, *reader.messages)
+    say(*device.messages, *screen, *reader.messages)
     with scratch_folder() as dropped:
         gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_scene_path, OPENED_SUFFIXES, dropped)
-        routes = steering_routes(stage, exports(stage), gallery, LookStore(looks_path()), reader.command)
-        serve(options.serving, routes, "/")
+        on_display = _OnDisplay.found(panel, options)
+        looks, display = LookStore(looks_path()), None if on_display is None else on_display.show
+        routes = steering_routes(stage, exports(stage), gallery, looks, reader.command, display)
+        try:
+            serve(options.serving, routes, "/", None if on_display is None else on_display.open_page)
+        finally:
+            if on_display is not None:
+                on_display.browser.close()
+
+
+@dataclass
+class _OnDisplay:
+    """The panel's page, which the page of the scene has opened on the display.
+
+    Attributes:
+        browser: Of the display.
+        url: Address of the page of the scene, as soon as it is served.
+    """
+
+    browser: DisplayBrowser
+    url: str = ""
+
+    @staticmethod
+    def found(panel: Panel, options: ViewOptions) -> _OnDisplay | None:
+        """Return the connected display; None where its place is not known, or no browser can be told to open there."""
+        is_asked_for = options.stereo.stereo is None and not options.serving.no_open
+        position = connected_position() if is_asked_for else None
+        if position is None or find_browser() is None:
+            return None
+        return _OnDisplay(DisplayBrowser(position, (panel.width_px, panel.height_px)))
+
+    def open_page(self, url: str) -> None:
+        """Open the page of the scene in the usual browser."""
+        self.url = url
+        webbrowser.open(url)
+
+    def show(self) -> None:
+        """Open the panel's page on the display, unless it is there."""
+        if not self.browser.is_open():
+            self.browser.open(f"{self.url}panel")
 
 
 def _first(reader: _Reader, paths: list[Path]) -> tuple[int, StagedScene]:
@@ -150,4 +199,6 @@ class _Reader:
 
     def command(self, controls: Controls) -> list[str]:
         """Return the command line of the picture that was read last."""
+        if self._options.stereo.stereo is not None:
+            controls = replace(controls, quality="exact")  # which pictures of eyes always are
         return self._shown.command(controls)

@@ -95,8 +95,9 @@ def encode(
             stays sharp (Zwicker et al., "Antialiasing for automultiscopic 3D displays", 2006). Each splat is widened by
             the variance of the box, and its opacity is lowered by the compensation. Takes as long as antialiased.
         device: of "direct": "webgpu" or "webgpu:N" draws by WebGPU on adapter N of `lightfield-gs info --devices`.
-            Gaussians and image then lie on the CPU. Bytes are those of the CPU to 1/255, at every quality. It draws
-            neither gradients nor "float64". None: where the Gaussians are.
+            Gaussians and image then lie on the CPU. Bytes are those of the CPU to 1/255. Of a quality it heeds
+            opacity_cut, transmittance_stop, colour_error and contribution_cut; lattices and arithmetic stay exact. It
+            draws neither gradients nor "float64". None: where the Gaussians are.
 
     Returns:
         The image, of the type of `output`.

@@ -11,6 +11,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QualityName
 
 OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
+_APPROXIMATE = 0.02  # kApproximateError in csrc/math/quality.h
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,11 @@ class Quality:
     def is_exact(self) -> bool:
         """Whether nothing is given up."""
         return self == EXACT
+
+    @property
+    def is_approximate(self) -> bool:
+        """Whether samples may be evaluated approximately: approximate() in csrc/math/quality.h."""
+        return self.evaluation_error >= _APPROXIMATE
 
     def __getstate__(self) -> dict[str, object]:
         """Return what copies and pickles take: all but the core's own, which is made again."""

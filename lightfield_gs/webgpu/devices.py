@@ -108,7 +108,7 @@ def draw_direct(
         device: webgpu or webgpu:N.
         job: The render, its tensors on the CPU in float32.
         as_bytes: Whether the image is uint8 = round(255 clamp(c, 0, 1)), else float32.
-        quality: Error allowed in colours; the rest is exact.
+        quality: See Frames.draw.
         stats: Filled with times and counts.
         out: An image of that size and type.
         kept: See Frames.draw.

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.direct import DirectRender
-from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.quality import TRANSMITTANCE_STOP, Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.webgpu.buffers import Buffers, Limits
 from lightfield_gs.webgpu.parameters import BOX_ROWS, Boxes, pack_params
@@ -71,7 +71,7 @@ class Frames:
         Args:
             job: The render, on the CPU, in float32.
             as_bytes: Whether the image is uint8.
-            quality: Its colour_error alone is given up.
+            quality: Its cuts, its stop and its error of colours; the rest stays exact.
             stats: Filled with times and counts.
             out: An image of that size and type to write to.
             kept: What the scene's values are, so that they are copied to the device once; None: they are copied.
@@ -114,15 +114,16 @@ class _Frame:
         self.parts: list[Part] = []
         self.is_in_run = False  # of frames; else boxes do not depend on the frame before, nor does rounding
         self.buffers, self.limits = frames.buffers, frames.limits
-        self.lens, self.tolerance = job.camera.lens, quality.colour_error
+        self.lens, self.quality = job.camera.lens, quality
         self.degree, self.count = job.scene.degree, job.scene.count
         self.background = job.background.detach().cpu().numpy()
         self.pixel_bytes, self.result_bytes = (4, 3) if as_bytes else (12, 12)
         self.groups = -(-self.count // _THREADS)
         self.head_bytes = HEAD_BYTES + _VECTOR_BYTES * max(self.groups, 1)
         self.most_pairs = min(self.limits.most_bytes // 4, MOST_PAIRS)
+        ends_early = quality.transmittance_stop > TRANSMITTANCE_STOP
         self.variant = Variant(
-            0, bool(self.lens.cell_phases), self.lens.bgr, self.degree > 0, job.compensated, not as_bytes
+            0, bool(self.lens.cell_phases), self.lens.bgr, self.degree > 0, job.compensated, not as_bytes, ends_early
         )
         self.written = 0  # structs Part of this submission
 
@@ -141,6 +142,7 @@ class _Frame:
             ordinals = cheapest
             found = self._draw_boxes(ordinals, True, image, stats)
         stats.images, stats.gaussians_drawn, stats.colour_error = 1, found.drawn, found.error
+        stats.pruned = found.pruned
         stats.kernel = f"webgpu-{'pixel' if not ordinals else f'lens-{ordinals}'}"
 
     def _draw_boxes(self, ordinals: int, is_projected: bool, image: Tensor, stats: Stats) -> Counters:
@@ -322,9 +324,9 @@ class _Frame:
 
     def _write_params(self, boxes: Boxes, rows: Pass, room: Room) -> None:
         sizes = room.pairs or 0, self.plan.colours, self.count, room.chunks
-        job, tolerance = self.job, self.tolerance
+        job = self.job
         data = pack_params(
-            job.camera, job.antialiased, self.degree, self.count, self.background, tolerance, boxes, rows, sizes
+            job.camera, job.antialiased, self.degree, self.count, self.background, self.quality, boxes, rows, sizes
         )
         self.buffers.parameters("P", data)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lightfield_gs import _core
 from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
+from lightfield_gs.rasterizer.quality import OPACITY_CUT, Quality
 
 BOX_ROWS, TILE_WIDTH, BOX_LENSES = 16, 32, 16  # as in csrc/webgpu/footprint.wgsl
 ORDINALS = (0, 2, 3, 6)  # tilings in the order of cost_of_splat in csrc/webgpu/project.wgsl; 0: tiles of pixels
@@ -76,7 +77,7 @@ def pack_params(
     degree: int,
     count: int,
     background: np.ndarray,
-    tolerance: float,
+    quality: Quality,
     boxes: Boxes,
     rows: tuple[int, int],
     room: tuple[int, int, int, int],
@@ -89,7 +90,7 @@ def pack_params(
         degree: Of the harmonics.
         count: Of the Gaussians.
         background: [3], 0..1.
-        tolerance: Error allowed in colours.
+        quality: Its cuts and its error of colours; the rest is exact.
         boxes: Of the panel.
         rows: First row of boxes of this pass, and one behind the last.
         room: For pairs, colours, large splats and chunks of long lists.
@@ -100,6 +101,9 @@ def pack_params(
     turn[:, :3] = pose[:3, :3]
     reach = lens.native().reach()
     start, step = (value / reach if reach > 0 else 0.0 for value in (lens.offset_start, lens.offset_step))
+    least_light = quality.contribution_cut * lens.width_px * lens.height_px / max(count, 1)
+    # The cut chooses patches alone where evaluation may be approximate, as on the CPU
+    least_alpha = OPACITY_CUT if quality.is_approximate else quality.opacity_cut
     floats = [
         *turn.ravel(),
         *camera.intrinsics,
@@ -107,7 +111,8 @@ def pack_params(
         *(reach, 1 / camera.zero_depth, start, step),
         *(*background, 0.0),
         *(lens.line_number, lens.slant_tan, lens.phase, boxes.first_lens),
-        *(camera.aperture, float(antialiased), tolerance, camera.limits[4]),
+        *(camera.aperture, float(antialiased), quality.colour_error, camera.limits[4]),
+        *(math.log2(quality.opacity_cut), least_light, quality.transmittance_stop, math.log2(least_alpha)),
     ]
     phases = [word for phase in lens.phases for word in _words(phase)]
     words = [

@@ -30,6 +30,7 @@ class Counters(NamedTuple):
     large: int
     drawn: int
     error: float
+    pruned: int
     costs: tuple[float, ...]
 
     @staticmethod
@@ -37,10 +38,8 @@ class Counters(NamedTuple):
         """Read the buffer of counters."""
         words = np.frombuffer(data, np.uint32, HEAD)
         costs = np.frombuffer(data, np.float32, offset=HEAD_BYTES).reshape(-1, len(ORDINALS)).sum(0, dtype=np.float64)
-        pairs, longest, colours, chunks, large, drawn = (int(word) for word in words[:6])
-        return Counters(
-            pairs, longest, colours, chunks, large, drawn, float(words[6:7].view(np.float32)[0]), tuple(costs.tolist())
-        )
+        error = float(words[6:7].view(np.float32)[0])
+        return Counters(*(int(word) for word in words[:6]), error, int(words[7]), tuple(costs.tolist()))
 
 
 class Pass(NamedTuple):

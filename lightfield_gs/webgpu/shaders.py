@@ -30,6 +30,11 @@ BINDINGS = {
     "merged": (14, "storage"),
     "image": (15, "storage"),
     "packed": (16, "storage"),
+    "eye": (17, "uniform"),
+    "borders": (18, "read-only-storage"),
+    "turns": (19, "read-only-storage"),
+    "lit": (20, "storage"),
+    "seen": (21, "storage"),
 }
 
 
@@ -66,6 +71,8 @@ STAGES = {
     ),
     "pack": Stage(("pack",), ("image", "packed")),
     "pattern": Stage(("frame", "lens", "pattern"), ("P", "part", "image")),
+    "see": Stage(("frame", "seen"), ("part", "image", "eye", "borders", "turns", "lit")),
+    "join_seen": Stage(("frame", "seen"), ("eye", "lit", "seen")),
 }
 
 
@@ -80,6 +87,7 @@ class Variant:
         harmonics: Whether colours vary over the rig.
         compensated: Whether opacities are lowered where footprints are widened.
         floats: Whether the image has floats.
+        ends_early: Whether the last splat of a sample takes the light that is left.
     """
 
     ordinals: int = 0
@@ -88,6 +96,7 @@ class Variant:
     harmonics: bool = False
     compensated: bool = False
     floats: bool = False
+    ends_early: bool = False
 
     @property
     def samples(self) -> int:
@@ -97,7 +106,7 @@ class Variant:
     def of_stage(self, name: str) -> Variant:
         """Return the variant without what a stage does not depend on, so that more frames share its pipeline."""
         if name == "project":
-            return replace(self, ordinals=0, cells=False, bgr=False, floats=False)
+            return replace(self, ordinals=0, cells=False, bgr=False, floats=False, ends_early=False)
         if name == "composite":
             return self
         return Variant(0 if name == "pack" else self.ordinals)
@@ -111,6 +120,7 @@ class Variant:
             "HARMONICS": self.harmonics,
             "COMPENSATED": self.compensated,
             "FLOATS": self.floats,
+            "ENDS_EARLY": self.ends_early,
         }
         lines = [f"const {name} = {str(value).lower()};" for name, value in words.items()]
         return "\n".join([*lines, f"const ORDINALS = {max(self.ordinals, 1)};", ""])

@@ -1,6 +1,8 @@
 """Pictures of two eyes: which eye sees what from where, their layouts, and the files that players read."""
 
+import io
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +85,15 @@ def test_a_wide_screen_far_away_strains_less_than_a_near_one():
         ("a half-ou.mkv", "half-tab", False),
         ("a_half_ou.mkv", "half-tab", False),
         ("a.jps", "sbs", True),
+        ("Film.3D.Half-OU.1080p.mkv", "half-tab", False),
+        ("Film 3D Full SBS 4k.mkv", "sbs", False),
+        ("a [HSBS].mp4", "half-sbs", False),
+        ("a_180_3dh.mp4", "sbs", False),
+        ("a_SBS_RL.jpg", "sbs", True),
+        ("a_crosseyed.jpg", "sbs", True),
+        ("a_sbs_4k.mp4", "sbs", False),
+        ("Show.SBS.S01E02.mkv", None, False),
+        ("red_cross.jpg", None, False),
         ("stab.png", None, False),
         ("chat_ou_chien.jpg", None, False),
         ("photo.mpo", None, False),
@@ -91,6 +102,17 @@ def test_a_wide_screen_far_away_strains_less_than_a_near_one():
 def test_names_state_layouts(name, kind, is_swapped):
     found = layout_in_name(Path(name))
     assert (found and found.kind, bool(found and found.is_swapped)) == (kind, is_swapped)
+
+
+def test_halves_of_unstated_size_are_squeezed_where_both_make_a_films_picture():
+    for name, height, width, kind in (
+        ("a_sbs.mp4", 1080, 1920, "half-sbs"),
+        ("a_sbs.mp4", 1080, 3840, "sbs"),
+        ("a_ou.mp4", 1080, 1920, "half-tab"),
+        ("a_full_sbs.mp4", 1080, 1920, "sbs"),
+        ("a_2x1.png", 1080, 1920, "sbs"),
+    ):
+        assert layout_in_name(Path(name)).resolved(height, width).kind == kind
 
 
 def test_what_is_written_is_what_names_state():
@@ -132,6 +154,26 @@ def test_encode_writes_pairs(tmp_path, monkeypatch, capsys):
         ("-o a.png --eye-distance 60", "--eye-distance is for --stereo"),
     ):
         assert words in complaint(capsys, f"encode s.ply {line}")
+
+
+def test_eyes_and_screen_are_asked_for_once(tmp_path, monkeypatch, capsys):
+    """At a terminal; the answers hold from then on, and an option goes before them."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+    monkeypatch.setenv("APPDATA", str(tmp_path / "settings"))
+    monkeypatch.chdir(tmp_path)
+    balls((-0.3, 0, 1.5), (0.3, 0, 2.0)).save("s.ply")
+    line = "encode s.ply -o a.png --stereo tab --eye-size 96x54"
+
+    def said(more: str = "") -> str:
+        assert cli.main(f"{line}{more}".split()) == 0
+        return capsys.readouterr().out
+
+    assert "eyes 63 mm apart" in said() and not (tmp_path / "settings").exists()
+    monkeypatch.setattr(sys, "stdin", io.StringIO("wide\n65\n\n"))
+    monkeypatch.setattr("lightfield_gs.app.own_eyes.can_ask", lambda: True)
+    assert "eyes 65 mm apart, 600 mm before a screen of 27 inches (as kept in" in said()
+    assert "eyes 65 mm apart" in said()  # without a question, for nothing is left to read
+    assert "eyes 60 mm apart" in said(" --eye-distance 60")
 
 
 def test_videos_say_where_the_eyes_are(tmp_path, monkeypatch, capsys):

@@ -86,17 +86,24 @@ def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):
         assert page.run("document.querySelector('#trouble').hidden")
 
 
-EYE = """(async (controls) => {
-  const drawing = await (await import("/drawing.js")).openDrawing(), {bitmap} = await drawing.eye(controls, 64);
+DRAWN = """(async (controls, pane, ...how) => {
+  const drawing = await (await import("/drawing.js")).openDrawing(), {bitmap} = await drawing[pane](controls, ...how);
   const canvas = Object.assign(document.createElement("canvas"), {width: bitmap.width, height: bitmap.height});
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
-  return Array.from(canvas.getContext("2d").getImageData(0, 0, bitmap.width, bitmap.height).data);
+  const {data} = canvas.getContext("2d").getImageData(0, 0, bitmap.width, bitmap.height);
+  return [bitmap.width, Array.from(data)];
 })"""
+
+
+def drawn(page: Browser, controls: Controls, *how) -> np.ndarray:
+    """What the browser draws for a pane."""
+    width, data = page.run(f"{DRAWN}({', '.join(map(json.dumps, (asdict(controls), *how)))})")
+    return np.array(data, np.uint8).reshape(-1, width, 4)[..., :3].astype(int)
 
 
 @pytest.mark.slow
 def test_a_browser_with_webgpu_draws_the_bytes_of_the_server(tmp_path, stage):
-    """What an eye sees while it moves, native pixels, and the panel's page."""
+    """What an eye sees while it moves and at rest, the sheet of views, native pixels, and the panel's page."""
     controls = Controls(yaw_deg=7.0, zoom=1.2, focus=stage.base.zero_depth * 1.1, depth_amount=0.7, eye=0.3)
     controls = replace(controls, background="#3060a0")
     with serving(steering_routes(stage, exports(stage))) as server, browser(tmp_path, gpu=SWIFTSHADER_CANVAS) as page:
@@ -111,8 +118,12 @@ def test_a_browser_with_webgpu_draws_the_bytes_of_the_server(tmp_path, stage):
         expected = encode(stage.gaussians, PANEL, stage.base).numpy()
         assert np.abs(pixels(page, "native").astype(int) - expected).max() <= 1
 
-        drawn = np.array(page.run(f"{EYE}({json.dumps(asdict(controls))})"), np.uint8).reshape(-1, 64, 4)[..., :3]
-        assert np.abs(drawn.astype(int) - stage.eye(controls, 64, still=False).pixels).max() <= 1
+        assert np.abs(drawn(page, controls, "eye", 64, False) - stage.eye(controls, 64, still=False).pixels).max() <= 1
+        through_lenses = stage.eye(controls, 64, still=True)
+        assert through_lenses.description.startswith("through the lenses")
+        assert np.abs(drawn(page, controls, "eye", 64, True) - through_lenses.pixels).max() <= 1
+        for still in (False, True):
+            assert np.abs(drawn(page, controls, "sheet", still) - stage.sheet(controls, still).pixels).max() <= 1
 
         stage.settle(controls)
         page.resize(PANEL.width_px, PANEL.height_px)

@@ -12,6 +12,7 @@ from chromium import SWIFTSHADER_CANVAS, Browser, find
 from rasterizer_cases import CELLS, panel, random_scene, rig
 
 from lightfield_gs import encode, panels, webgpu
+from lightfield_gs.panels import simulate
 from lightfield_gs.panels.look import Look, orbited
 from lightfield_gs.panels.panel import Panel, panel_lens
 from lightfield_gs.panels.rig import Rig
@@ -165,18 +166,47 @@ def test_pictures_are_shown_where_there_is_no_webgpu(tmp_path):
         browser.close()
 
 
+def open_modules(page: Browser, folder: Path, files: dict[str, Path]) -> None:
+    """Let an empty page have what modules export, by its names."""
+    lines = [
+        f'import {{ {name} }} from "./{os.path.relpath(file, folder)}";\nwindow.{name} = {name};\n'
+        for name, file in files.items()
+    ]
+    (folder / "entry.js").write_text("".join(sorted(lines, reverse=True)))
+    page.open("about:blank")
+    page.run(joined(folder / "entry.js"))
+
+
+def test_eyes_of_the_page_look_through_the_lenses_as_those_of_the_package(tmp_path, page, monkeypatch):
+    """Where they meet the lens of each sub-pixel, on panels of cells and lenses behind the pixels too."""
+    open_modules(page, tmp_path, {"eyeBefore": Path(panels.__file__).parent / "browser" / "simulate.js"})
+    found, turns_along = [], simulate._turns_along
+    monkeypatch.setattr(simulate, "_turns_along", lambda *of: found.append((turns_along(*of), of[-2])) or found[-1][0])
+    measures = dict(viewing_distance_mm=650.0, pixel_pitch_mm=0.18)
+    assert page.run(f"eyeBefore({json.dumps(panel().to_dict())}, 0.2)") is None
+    behind = panel(invert_views=True, subpixel_order="BGR", **measures)
+    for one in (panel("cells", **measures), panel("cells of four rows", **measures), behind):
+        found.clear()
+        width, height = one.width_px, one.height_px
+        eye_mm = 0.2 * simulate.zone_width_mm(one), 0.0, one.viewing_distance_mm
+        seen = simulate.simulate(np.zeros((height, width, 3), np.uint8), one, eye_mm, threads=1)
+        plain = "(eye) => ({...eye, turns: [...eye.turns], borders: [...eye.borders]})"
+        eye = page.run(f"({plain})(eyeBefore({json.dumps(one.to_dict())}, 0.2))")
+        along = np.stack([turns for turns, _ in found], 1).ravel()
+        down = found[0][1] * 3 * one.slant_tan * np.arange(height)
+        apart = np.array(eye["turns"]) - np.concatenate([along, down])
+        assert np.abs(apart - apart.round()).max() < 1e-6
+        assert eye["samples"] == [seen.shape[1], seen.shape[0]]
+        cells = [simulate._cells(size, one.line_number) for size in (width, height)]
+        assert eye["borders"] == np.concatenate(cells).tolist()
+
+
 def test_lenses_of_the_page_are_those_of_the_package(tmp_path, page):
     """Phases of 64 bits, cells, and what a visual.json becomes."""
     of_panels, of_webgpu = (Path(room.__file__).parent / "browser" for room in (panels, webgpu))
     files = {"lensOf": of_panels / "lens.js", "panelOfCalibration": of_panels / "calibration.js"}
     files |= dict.fromkeys(("boxesOf", "tilings"), of_webgpu / "parameters.js")
-    lines = [
-        f'import {{ {name} }} from "./{os.path.relpath(file, tmp_path)}";\nwindow.{name} = {name};\n'
-        for name, file in files.items()
-    ]
-    (tmp_path / "entry.js").write_text("".join(sorted(lines, reverse=True)))
-    page.open("about:blank")
-    page.run(joined(tmp_path / "entry.js"))
+    open_modules(page, tmp_path, files)
     shown = [panel(name) for name in ("cells", "cells of four rows", "cells far aside", "cells of narrow lenses")]
     shown += [panel(), panel(line_number=9.0, slant_tan=-0.25, phase=1e6 / 3), Panel.load("65in-8k-96v")]
     words = "(_, value) => typeof value === 'bigint' ? String(value) : value"

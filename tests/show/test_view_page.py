@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from chromium import SWIFTSHADER_CANVAS
 from command_line import PANEL, scene
 from test_page import serving
 from test_page_in_browser import REST, browser, pixels
 
+from lightfield_gs import encode
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.show.page.exports import exports
 from lightfield_gs.show.page.gallery import Gallery
@@ -32,8 +34,8 @@ def read(path: Path, is_dropped: bool = False) -> StagedScene:
 
 
 @contextmanager
-def page_of(folder: Path, *names: str, size=(1440, 900), panel=PANEL):
-    """The page of `view` with these pictures in its strip, and the stage behind it."""
+def page_of(folder: Path, *names: str, size=(1440, 900), panel=PANEL, gpu=(), fragment=""):
+    """The page of `view` with these pictures in its strip, and the stage behind it; fragment: of its address."""
     pictures, dropped = folder / "pictures", folder / "dropped"
     for made in (pictures, dropped):
         made.mkdir(exist_ok=True)
@@ -48,9 +50,9 @@ def page_of(folder: Path, *names: str, size=(1440, 900), panel=PANEL):
     gallery = Gallery(paths, 0, read, find, lambda path: True, (".ply",), dropped)
     looks = LookStore(folder / "looks.json")
     routes = steering_routes(stage, exports(stage), gallery, looks, lambda controls: ["lightfield-gs", "encode"])
-    with serving(routes) as server, browser(folder, *size) as page:
+    with serving(routes) as server, browser(folder, *size, gpu=gpu) as page:
         page.resize(*size)
-        page.open(server.url)
+        page.open(f"{server.url}/{fragment}")
         page.wait(REST)
         yield page, stage
 
@@ -181,6 +183,26 @@ def test_pictures_of_the_strip_and_dropped_folders_open(tmp_path):
         assert "1 of the files is neither" in page.run("document.querySelector('#message').innerText")
         drop(page, album / "notes.txt")
         page.wait("document.querySelector('#message').innerText.includes('None of these files')")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gpu", [(), SWIFTSHADER_CANVAS], ids=["server", "webgpu"])
+def test_the_display_follows_to_another_picture(tmp_path, gpu):
+    """Its page is open on the display while the picture is chosen in another window."""
+    with page_of(tmp_path, "a.ply", "b.ply", gpu=gpu, fragment="#software") as (page, stage):
+        page.wait("document.body.dataset.draws")
+        address, token = page.run("location.origin"), page.run("fetch('scene.json').then(a => a.json())")["token"]
+        draws = page.run("document.body.dataset.draws")
+        page.resize(PANEL.width_px, PANEL.height_px)
+        page.open(f"{address}/panel#software")
+        page.wait(f"document.body?.dataset.draws === '{draws}' && document.body.dataset.exact === 'true'", 60)
+        before = page.run("document.body.dataset.version")
+        page.run(
+            f"fetch('open', {{method: 'POST', headers: {{'X-Token': '{token}'}}, body: 'item=1'}}).then(a => a.status)"
+        )
+        page.wait(f"document.body.dataset.version !== '{before}'", 60)
+        other = read(tmp_path / "pictures" / "b.ply")
+        assert np.abs(page.screenshot().astype(int) - encode(other.gaussians, PANEL, other.rig).numpy()).max() <= 1
 
 
 LAYOUT_SHIFTS = """new PerformanceObserver(list => {

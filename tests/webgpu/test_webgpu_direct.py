@@ -10,6 +10,7 @@ from rasterizer_cases import all_subpixels, hard_scene, panel, random_scene, rig
 from lightfield_gs import encode, reference
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import panel_lens
+from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.webgpu import devices
 from lightfield_gs.webgpu.buffers import Buffers, Limits
 from lightfield_gs.webgpu.frames import Frames
@@ -37,6 +38,12 @@ FEATURES = {
     "view filter": ({}, {}, dict(view_filter=3.0)),
     "anti-aliased, harmonics, view filter": ({}, dict(degree=2), dict(antialiased=True, view_filter=2.0)),
     "floats": ({}, dict(degree=1), dict(output="float32")),
+}
+QUALITIES = {
+    "opacity cut": Quality(opacity_cut=1 / 20),
+    "stop": Quality(transmittance_stop=0.2),
+    "contribution": Quality(contribution_cut=0.2),
+    "cut, compensated": Quality(opacity_cut=1 / 32),
 }
 CELLS = ("cells", "cells of four rows", "cells that exchange colours", "cells far aside", "cells of narrow lenses")
 
@@ -70,6 +77,22 @@ def test_bytes_are_those_of_the_cpu(frames, name, tiling):
     assert (drawn.shape, drawn.dtype) == (expected.shape, expected.dtype)
     assert expected.double().std() > 0.05  # there is something to see
     assert most_apart(drawn, expected) <= (1 if drawn.dtype == torch.uint8 else 1 / 255)
+
+
+@pytest.mark.parametrize("tiling", [0, 3])
+@pytest.mark.parametrize("name", QUALITIES)
+def test_qualities_skip_as_on_the_cpu(frames, name, tiling):
+    shown, gaussians, frames.tiling = panel(), random_scene(60, seed=3, dtype=torch.float32), tiling
+    options = dict(antialiased="compensated" in name, background=BACKGROUND)
+    drawn, expected = both(gaussians, shown, rig(shown), quality=QUALITIES[name], **options)
+    assert most_apart(drawn, expected) <= 1
+    assert not torch.equal(expected, encode(gaussians, shown, rig(shown), **options))
+    pruned = []
+    for where in ("webgpu", None):
+        stats: dict = {}
+        encode(gaussians, shown, rig(shown), quality=QUALITIES[name], device=where, stats=stats, **options)
+        pruned.append(stats["skipped"]["gaussians"]["pruned"])
+    assert pruned[0] == pruned[1] and (pruned[0] > 0) == (name == "contribution")
 
 
 @pytest.mark.parametrize("tiling", [0, 2, 3])

@@ -1,7 +1,4 @@
-"""The sources of csrc/webgpu, fitted to kinds of frames: limits of WebGPU, and Chromium's compiler, Tint.
-
-The other tests of this folder compile them with naga, the compiler of wgpu.
-"""
+"""The sources of csrc/webgpu, fitted to kinds of frames: limits of WebGPU, and the compilers, naga and Tint."""
 
 import json
 import re
@@ -9,12 +6,13 @@ import re
 import chromium
 import pytest
 
+from lightfield_gs.webgpu.pipelines import Pipelines
 from lightfield_gs.webgpu.shaders import BINDINGS, STAGES, Variant, source
 
 VARIANTS = (
     Variant(),
     Variant(3, bgr=True, harmonics=True, compensated=True, floats=True),
-    Variant(6),
+    Variant(6, ends_early=True),
     Variant(cells=True, harmonics=True, compensated=True),
 )
 OPEN = """(async () => {
@@ -45,6 +43,14 @@ def test_samples_of_a_thread_are_variables_of_their_own():
     text = source("composite", Variant(2))
     assert "let px_1 = f32(column_1 - origin) + 0.5;" in text and "px_2" not in text
     assert "px_5" in source("composite", Variant())
+
+
+@pytest.mark.not_sanitized
+def test_naga_compiles_every_stage(frames):
+    pipelines = Pipelines(frames.device)
+    for variant in VARIANTS:
+        for stage in STAGES:
+            assert pipelines.stage(stage, variant)  # errors are raised
 
 
 @pytest.mark.slow

@@ -1,7 +1,8 @@
 // Which view every sub-pixel of a panel shows, exactly: twin of lightfield_gs/panels/panel.py and cells.py. A panel has
 // the fields of Panel.to_dict. Numbers of two whole numbers, BigInts, keep every bit; phases are 2^-64 lens widths.
 
-const LENS_WIDTH = 1n << 64n, PERIOD = 4;
+const LENS_WIDTH = 1n << 64n;
+export const PERIOD = 4; // of cells, in rows and columns
 
 /** The lens before a row of cameras, of which that of view 0 is at `start`, each next one `step` to the right. */
 export function lensOf(panel, start, step) {
@@ -23,9 +24,20 @@ export function plainLens(width_px, height_px) {
   };
 }
 
+/** How far sub-pixels are beyond the first stripe of their pixel, in sub-pixels: [row mod PERIOD][column mod PERIOD][channel]. */
+export function subpixelOffsets(panel) {
+  const stripes = panel.subpixel_order === "BGR" ? [2, 1, 0] : [0, 1, 2], places = [...Array(PERIOD).keys()];
+  const cells = panel.subpixel_cells?.length ? cellOffsets(panel, fraction(panel.slant_tan)) : null;
+  const numbers = cells?.map((cell) => cell.map(({ over, under }) => Number(over) / Number(under)));
+  return places.map((row) => places.map((column) => (numbers ? numbers[cellNumber(panel, column, row)] : stripes)));
+}
+
+/** The same of each cell, by channel, as fractions. */
+const cellOffsets = (panel, slant) => panel.subpixel_cells.map((cell) => cell.map(([x, y]) =>
+  minus(times(fraction(x), 3n), times(product(slant, fraction(y)), 3n))));
+
 function withCells(lens, panel, width, slant) {
-  const offsets = panel.subpixel_cells.map((cell) => cell.map(([x, y]) =>
-    minus(times(fraction(x), 3n), times(product(slant, fraction(y)), 3n))));
+  const offsets = cellOffsets(panel, slant);
   const pixels = [];
   for (let row = 0; row < PERIOD; row++)
     for (let column = 0; column < PERIOD; column++) pixels.push(inOrder(offsets[cellNumber(panel, column, row)]));

@@ -32,7 +32,7 @@ export class Frames {
   }
 
   /** Draws a job {camera, antialiased, background}. Of each pass `show(first, rows)` takes the rows of the panel, in the
-   *  buffer "image" from its beginning on. */
+   *  buffer "image" from its beginning on, before the next pass. */
   async draw(job, show) {
     this.begin(job);
     const { plan } = this, { lens } = job.camera;
@@ -52,7 +52,7 @@ export class Frames {
       const rows = waiting.pop();
       found = await this.drawPass(boxes, rows, room, isProjected);
       isProjected = found.colours <= plan.colours;
-      if (isProjected && room.holds(found)) show(rows[0] * BOX_ROWS, this.rowsOf(rows));
+      if (isProjected && room.holds(found)) await show(rows[0] * BOX_ROWS, this.rowsOf(rows));
       else if (isProjected && found.pairs > this.mostPairs && rows[1] - rows[0] > 1) waiting.push(...room.split(rows).reverse());
       else waiting.push(rows);
       this.enlarge(found, room, rows);
@@ -70,7 +70,7 @@ export class Frames {
       this.writeParams(boxes, rows, new Room([]));
       await work.run("pattern", [Math.ceil(camera.lens.width_px / THREADS), count], this.part("pattern", 0, 0, top));
       work.submit();
-      show(top, count);
+      await show(top, count);
     }
   }
 

@@ -7,7 +7,8 @@ export const ORDINALS = [0, 2, 3, 6]; // tilings in the order of cost_of_splat i
 const LENS_WIDTHS = [6, 200]; // sub-pixels, of lenses that boxes are made of
 // In sub-pixels: from a cell's shift to the next one's, and between the least and the most, for boxes of lenses
 const LEAST_STEP = -0.9, MOST_SPREAD = 1.5;
-const CELLS_IN_ROW = 12, CELLS = 48, POSE_NUMBERS = 12, FLOATS = 36, WORDS = 20;
+const LOG2_MIN_ALPHA = Math.log2(1 / 255), MIN_TRANSMITTANCE = 1e-4; // of an exact picture
+const CELLS_IN_ROW = 12, CELLS = 48, POSE_NUMBERS = 12, FLOATS = 40, WORDS = 20;
 
 /** The boxes of a panel: {ordinals, across, down, groups, firstLens}. */
 export function boxesOf(lens, ordinals) {
@@ -54,6 +55,7 @@ export function packParams({ camera, antialiased, background, tolerance }, { deg
     reach, 1 / camera.zero_depth, start, step, ...background, 0,
     lens.line_number, lens.slant_tan, lens.phase, boxes.firstLens,
     camera.aperture, antialiased ? 1 : 0, tolerance, camera.limits[4],
+    LOG2_MIN_ALPHA, 0, MIN_TRANSMITTANCE, LOG2_MIN_ALPHA,
   ]);
   words.set([
     lens.width_px, lens.height_px, lens.views, count, ...lens.phases.flatMap(halves), lens.continuous ? 1 : 0, degree,

@@ -25,7 +25,7 @@ export function variantOf(stage, variant) {
 const block = (name) => new RegExp(`[ ]*//\\{${name}\\n([^]*?)[ ]*//${name}\\}\\n`, "g");
 
 function constants({ ordinals, cells, bgr, harmonics, compensated }) {
-  const words = { BY_LENS: ordinals > 0, CELLS: cells, BGR: bgr, HARMONICS: harmonics, COMPENSATED: compensated, FLOATS: false };
+  const words = { BY_LENS: ordinals > 0, CELLS: cells, BGR: bgr, HARMONICS: harmonics, COMPENSATED: compensated, FLOATS: false, ENDS_EARLY: false };
   const lines = Object.entries(words).map(([name, value]) => `const ${name} = ${value};`);
   return [...lines, `const ORDINALS = ${Math.max(ordinals, 1)};`, ""].join("\n");
 }

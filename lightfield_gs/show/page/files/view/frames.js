@@ -35,11 +35,14 @@ export class Frames {
 
   /** A picture of a pane: drawn here where this browser can, else by the server. */
   async draw(pane, still, signal) {
-    const isHere = this.drawing && !this.drawing.isLost && (pane === "native" || (pane === "eye" && !still));
-    if (!isHere) return pictureOf(`frame?${this.query(pane, still)}`, signal);
+    if (!this.drawing || this.drawing.isLost) return pictureOf(`frame?${this.query(pane, still)}`, signal);
     const began = performance.now(), { width, height } = this.size(), { controls } = this.state;
     try {
-      const picture = pane === "eye" ? await this.drawing.eye(controls, this.width) : await this.drawing.native(controls, this.x, this.y, width, height);
+      const { drawing } = this, picture = await {
+        eye: () => drawing.eye(controls, this.width, still),
+        sheet: () => drawing.sheet(controls, still),
+        native: () => drawing.native(controls, this.x, this.y, width, height),
+      }[pane]();
       return { ...picture, stages: [["drawn in the browser", performance.now() - began]] };
     } catch (error) {
       console.error(error); // too large, or lost: the server can
@@ -52,11 +55,13 @@ export class Frames {
   /** Has this browser draw the scene, once it is ready. */
   async drawHere() {
     const { number } = this.state.scene;
+    this.drawing?.close();
     this.drawing = null;
     try {
       const opened = await openDrawing();
       await opened?.eye(this.state.controls, WIDTHS_PX[0]); // compiles
       if (number === this.state.scene.number && opened?.scene.scene === number) this.drawing = opened;
+      else opened?.close(); // another scene came in between
     } catch (error) {
       console.error(error);
     }
