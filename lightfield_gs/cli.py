@@ -43,7 +43,7 @@ COMMAND_GROUPS = {
     "looking": {
         "view": "look at a photo or a scene in the browser, and adjust it",
         "page": "make one file to send, which shows a scene in any browser",
-        "show": "show a picture on the 3D display, full screen",
+        "show": "show pictures and films on the 3D display, full screen",
         "simulate": "see what an eye before the display sees of a picture",
     },
     "displays": {

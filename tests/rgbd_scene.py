@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import torch
 
@@ -41,3 +43,15 @@ def _wall_colour(points: np.ndarray) -> np.ndarray:
 def _ball_colour(points: np.ndarray) -> np.ndarray:
     normal = (points - BALL) / RADIUS
     return 0.5 + 0.35 * normal * [1, 1, -1]
+
+
+TEXTURED = 256, 192, 224.0  # width, height and focal length of `textured`, pixels
+
+
+@functools.cache
+def textured(offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The scene with texture that can be matched, from a camera so far to the right, and its depths; to be read."""
+    colours, depth, points = view(*TEXTURED, offset)
+    x, y = points[..., :1], points[..., 1:2]
+    waves = np.sin(40 * x + 3 * np.sin(13 * y)) * np.sin(36 * y + 2 * np.sin(11 * x))
+    return (colours + 0.25 * waves).clip(0, 1).astype(np.float32), depth.astype(np.float32)

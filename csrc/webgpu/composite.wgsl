@@ -80,9 +80,25 @@ fn cubic_through(f: vec4f) -> vec4f {
   return vec4f(0.25 * (f.x + f.y + f.z + f.w) - t2, t1 - 3.0 * t3, 2.0 * t2, 4.0 * t3);
 }
 
-// Store the colour of a splat as a cubic in x for each channel, through Chebyshev's nodes; return whether it is near, which
-// the middle and both ends show. All these colours at once, for each of their powers is read once then.
+// Store the colour of a splat as a cubic in x for each channel; return whether it is near. In narrow cones colours are
+// stored as cubics at most, and are exact then.
 fn stage_colour(mine: u32, place: u32, offsets: vec2f) -> bool {
+  let stored = colours[place].w;
+  if (stored == CIRCLE_ORDER || stored > 3.0) { return stage_fitted_colour(mine, place, offsets); }
+  let order = u32(stored); let s = offsets.x; let h = offsets.y;
+  let c0 = colours[place].xyz;  // four loads at once, for each takes long
+  let c1 = select(vec3f(0.0), colours[place + 1u].xyz, order > 0u);
+  let c2 = select(vec3f(0.0), colours[place + 2u].xyz, order > 1u);
+  let c3 = select(vec3f(0.0), colours[place + 3u].xyz, order > 2u);
+  let cubics = transpose(mat4x3f(c0 + s * (c1 + s * (c2 + s * c3)), h * (c1 + s * (2.0 * c2 + 3.0 * s * c3)),
+                                 h * h * (c2 + 3.0 * s * c3), h * h * h * c3));
+  for (var k = 0u; k < 3u; k++) { lights[3u * mine + k] = cubics[k]; }
+  return true;
+}
+
+// stage_colour through Chebyshev's nodes; the middle and both ends show whether the cubic is near. All these colours at
+// once, for each of their powers is read once then.
+fn stage_fitted_colour(mine: u32, place: u32, offsets: vec2f) -> bool {
   let far = 0.92387953 * offsets.y; let near = 0.38268343 * offsets.y;
   let at = vec4f(offsets.x + far, offsets.x + near, offsets.x - near, offsets.x - far);
   let ends = vec3f(offsets.x, offsets.x + offsets.y, offsets.x - offsets.y);

@@ -21,6 +21,7 @@ from lightfield_gs.base.options import (
     StereoLayout,
     Views,
 )
+from lightfield_gs.io.stereo_names import PairLayout
 
 # In place of the file of --depth: a network estimates the depths, or the photo is a plane
 AUTO, FLAT = Path("auto"), Path("flat")
@@ -122,6 +123,9 @@ class PhotoOptions:
         fit: how the photo fills a panel of another shape.
         stereo_in: where the two eyes' pictures of a stereo pair are. None: as its file says; "none": it is one photo.
         swap_eyes: whether the right eye's picture comes first, or not first where the file says so.
+        pair: where the two eyes' pictures of a video are, as its metadata states.
+        film_parallax: x_left - x_right of the farthest and the nearest things of a film of pairs, by the width. Frames
+            whose pictures do not match are then flat. None: each picture has ends of its own.
         is_in_row: whether pictures that follow are fitted as this one: about their middle, not about its subject.
     """
 
@@ -145,6 +149,8 @@ class PhotoOptions:
     fit: Fit | None = None
     stereo_in: StereoInput | None = None
     swap_eyes: bool = False
+    pair: PairLayout | None = None
+    film_parallax: tuple[float, float] | None = None
     is_in_row: bool = False
 
     @property

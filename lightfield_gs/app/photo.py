@@ -24,7 +24,7 @@ from lightfield_gs.app.photo_depth import (
     has_depth,
     is_depth_inside,
 )
-from lightfield_gs.app.photo_pair import guessed_pair, pair_of, read_pair_photo
+from lightfield_gs.app.photo_pair import MatchedPair, guessed_pair, pair_depth, pair_of, read_pair_photo
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Fit
@@ -65,7 +65,8 @@ class ReadPhoto:
         is_whole: whether the whole photo is shown, not an object in it.
         depth: the depth map of a whole photo. None: a network estimates it.
         estimate: the network's numbers, where they were computed before.
-        second: the other eye of a stereo pair.
+        matched: of a stereo pair, both eyes' pictures.
+        second: of a stereo pair, the other eye.
         refused: why no object was cut out, where the whole photo is shown instead.
         notes: lines for the user.
     """
@@ -76,6 +77,7 @@ class ReadPhoto:
     is_whole: bool = False
     depth: DepthMap | None = None
     estimate: PictureEstimate | None = None
+    matched: MatchedPair | None = None
     second: SecondEye | None = None
     refused: NoCutOut | None = None
     notes: list[str] = field(default_factory=list)
@@ -302,8 +304,9 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
 
 def _read_pair(path: Path, options: PhotoOptions, pair: PairLayout) -> ReadPhoto:
     """Read a stereo pair, which is shown whole, with the depths of both eyes."""
-    options, photo, depth, second = read_pair_photo(path, options, pair, _MOST_WHOLE_PX)
-    return ReadPhoto(path, options, photo, is_whole=True, depth=depth, second=second)
+    options, photo, matched = read_pair_photo(path, options, pair, _MOST_WHOLE_PX)
+    depth, second = pair_depth(options, photo, matched)
+    return ReadPhoto(path, options, photo, is_whole=True, depth=depth, matched=matched, second=second)
 
 
 def _scene_of_whole(

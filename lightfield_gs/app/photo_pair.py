@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
 
 from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import StereoInput
 from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.stereo_names import PairLayout, layout_in_name
 
@@ -27,7 +26,18 @@ if TYPE_CHECKING:
 _OTHER_WAYS = ("depth", "rgbd", "mask", "checkpoint", "detail", "detail_budget")
 
 
-_SQUEEZED = (0.85, 0.93)  # width by height of half a picture of 16:9: such halves are squeezed ones of that shape
+class MatchedPair(NamedTuple):
+    """The eyes' pictures, matched.
+
+    Attributes:
+        layout: Where they were in the file.
+        camera: Their cameras, where the file has them.
+        found: Their parallax.
+    """
+
+    layout: PairLayout
+    camera: PairCamera | None
+    found: Parallax
 
 
 class PairPhoto(NamedTuple):
@@ -36,14 +46,12 @@ class PairPhoto(NamedTuple):
     Attributes:
         options: With the intrinsics of the left camera, where they are known.
         photo: The picture.
-        depth: Its depths.
-        second: What the right eye sees.
+        matched: It and the right eye's.
     """
 
     options: PhotoOptions
     photo: Photo
-    depth: DepthMap
-    second: SecondEye
+    matched: MatchedPair
 
 
 def pair_of(path: Path, options: PhotoOptions) -> PairLayout | None:
@@ -59,7 +67,7 @@ def pair_of(path: Path, options: PhotoOptions) -> PairLayout | None:
         return PairLayout(options.stereo_in, options.swap_eyes, "--stereo-in")
     if not path.is_file() or not can_match():
         return None
-    found = find_pair(path)
+    found = options.pair or find_pair(path)
     if found is None or not options.swap_eyes:
         return found
     return replace(found, is_swapped=not found.is_swapped, source=f"{found.source} and --swap-eyes")
@@ -75,11 +83,8 @@ def guessed_pair(options: PhotoOptions, picture: Picture) -> PairLayout | None:
     words = stereo_layout(picture.pixels)
     if words is None:
         return None
-    height, width = picture.pixels.shape[:2]
-    low, high = _SQUEEZED
-    is_squeezed = words == "side by side" and low < width / 2 / height < high
-    kind = "half-sbs" if is_squeezed else "sbs" if words == "side by side" else "tab"
-    return PairLayout(kind, options.swap_eyes, "its two like halves (a guess; else: --stereo-in none)")
+    kind = "sbs" if words == "side by side" else "tab"
+    return PairLayout(kind, options.swap_eyes, "its two like halves (a guess; else: --stereo-in none)", None)
 
 
 def with_video_pair(options: PhotoOptions, pictures: ImageSequence) -> PhotoOptions:
@@ -93,8 +98,9 @@ def with_video_pair(options: PhotoOptions, pictures: ImageSequence) -> PhotoOpti
     if pair is None or options.stereo_in is not None or has_other_way(options) or not can_match():
         return options
     named = layout_in_name(pictures.path)
-    kind = named.kind if named is not None and named.kind == f"half-{pair.kind}" else pair.kind
-    return replace(options, stereo_in=cast(StereoInput, kind), swap_eyes=options.swap_eyes != pair.is_swapped)
+    if named is not None and named.is_squeezed is not None and pair.kind.removeprefix("half-") in named.kind:
+        pair = replace(pair, kind=named.kind)
+    return replace(options, pair=pair)
 
 
 def has_other_way(options: PhotoOptions) -> bool:
@@ -114,7 +120,7 @@ def check_pair_options(options: PhotoOptions) -> None:
 
 
 def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_pixels: int) -> PairPhoto:
-    """Read a stereo pair, and find the depths of its left picture.
+    """Read a stereo pair, and match its pictures.
 
     Args:
         path: The file.
@@ -128,8 +134,7 @@ def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_
     from lightfield_gs.photo.load import cut_out_photo
     from lightfield_gs.photo.photo import reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
-    from lightfield_gs.photo.second_eye import second_eye
-    from lightfield_gs.photo.stereo_matching import match_eyes
+    from lightfield_gs.photo.stereo_matching import PairMismatch, Parallax, match_eyes
     from lightfield_gs.photo.stereo_pair import read_pair
 
     refuse_unsupported(path)
@@ -138,14 +143,25 @@ def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_
     photo, right = (cut_out_photo(path, eye, whole=True) for eye in (pair.left, pair.right))
     for eye in (photo, right):
         reduce_photo(eye, most_pixels)
-    found = match_eyes(str(path), _bytes(photo), _bytes(right))
+    try:
+        found = match_eyes(str(path), _bytes(photo), _bytes(right))
+    except PairMismatch:
+        if options.film_parallax is None:
+            raise
+        found = Parallax.unmatched(_bytes(right))
     if pair.camera is not None and options.intrinsics is None and options.fov is None:
         options = _with_camera(options, pair.camera, photo.size[1])
-    depth = _pair_depth(options, found, pair.camera, photo)
+    return PairPhoto(options, photo, MatchedPair(pair.layout, pair.camera, found))
+
+
+def pair_depth(options: PhotoOptions, photo: Photo, matched: MatchedPair) -> tuple[DepthMap, SecondEye]:
+    """Return the depths of a left picture by its parallaxes, and what the right eye sees. Raises InputError."""
+    from lightfield_gs.photo.second_eye import second_eye
+
+    found = matched.found
+    depth = _pair_depth(options, found, matched.camera, photo)
     second = second_eye(_bytes(photo), found.right, depth.z, found.shifts, found.right_shifts)
-    return PairPhoto(
-        options, photo, replace(depth, description=f"{_words(layout, found)}: {depth.description}"), second
-    )
+    return replace(depth, description=f"{_words(matched.layout, found)}: {depth.description}"), second
 
 
 def _bytes(photo: Photo) -> np.ndarray:
@@ -186,8 +202,11 @@ def _pair_depth(options: PhotoOptions, found: Parallax, camera: PairCamera | Non
     if camera is not None and options.depth_range is None:
         z = pair_to_z(found.shifts, camera, photo.pixels.shape[1] / camera.width_px)
         return DepthMap(z, None, f"distances by {camera.words}", [])
-    made = disparities_to_z(torch.from_numpy(found.shifts), options.depth_range)
-    return DepthMap(made.z(made.disparities).numpy(), None, made.description, made.notes)
+    width, ends = photo.pixels.shape[1], options.film_parallax
+    of_film = None if ends is None else (ends[0] * width, ends[1] * width)
+    made = disparities_to_z(torch.from_numpy(found.shifts), options.depth_range, of_film)
+    words = made.description if ends is None else f"{made.description}, the same in all frames"
+    return DepthMap(made.z(made.disparities).numpy(), None, words, made.notes)
 
 
 def _words(layout: PairLayout, found: Parallax) -> str:

@@ -9,8 +9,8 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from contextlib import ExitStack, suppress
+from dataclasses import astuple, dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,8 @@ from lightfield_gs.app.scene import (
     load_scene,
     read_source,
 )
+from lightfield_gs.app.stereo_film import REACH as PAIRS_REACH
+from lightfield_gs.app.stereo_film import film_parallax, layout_of_film, sample_numbers, steady_pairs
 from lightfield_gs.app.video import DEFAULT_FPS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch
 from lightfield_gs.base.errors import InputError, named
@@ -41,7 +43,6 @@ from lightfield_gs.io.images import read_picture
 from lightfield_gs.io.scenes.files import SceneFile
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.photo.photo import Photo
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.photo.steady_depth import REACH
 from lightfield_gs.scene.axes import find_up, upright_rotation
@@ -80,6 +81,7 @@ class Shots:
         render: how frames are drawn.
         job: further values, for JSON, that the frames depend on beside the options of drawing.
         messages: lines on decisions.
+        closing: returns lines on the frames that were taken, once all were.
     """
 
     count: int
@@ -90,6 +92,7 @@ class Shots:
     render: RenderSettings
     job: dict[str, Any]
     messages: list[str] = field(default_factory=list)
+    closing: Callable[[], list[str]] = list
 
 
 def still_shots(options: VideoOptions, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
@@ -173,8 +176,9 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     count = min(pictures.count, motion.frames or pictures.count)
     photo, shown, halved = _find_half(photo, pictures, count, folder)
     choice = read_camera(options.camera, panel)
-
-    photo = replace(photo, is_in_row=not motion.reframe)
+    if not motion.reframe:
+        photo, shown = _film_of_pairs(replace(scene, photo=photo), parts, count, shown, folder)
+        photo = replace(photo, is_in_row=True)
     _, own = next(_pictures(replace(scene, photo=photo), parts, [shown], folder))
     check_scene_options(own, options.camera)
     first = load_scene(own, options.render, look, panel, device, watch)
@@ -187,14 +191,17 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
     messages = [*paired, *halved, *(note for part in parts.values() for note in part.notes)]
     rig, how = frame_scene(choice, look, first, panel)
 
+    flat = _FlatFrames()
+
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
         every = replace(scene, photo=photo)
-        if photo.is_estimated and numbers:
-            near = list(range(max(0, numbers[0] - REACH), min(pictures.count, numbers[-1] + REACH + 1)))
-            each = _with_estimates(_sources(every, parts, near, folder), photo, device, set(numbers))
-        else:
-            each = _sources(every, parts, numbers, folder)
+        reach = REACH if photo.is_estimated else PAIRS_REACH if photo.film_parallax is not None else 0
+        near = range(max(0, numbers[0] - reach), min(pictures.count, numbers[-1] + reach + 1)) if numbers else ()
+        each = _sources(every, parts, list(near) if reach else numbers, folder)
+        if reach:
+            each = _with_neighbours(each, photo, device, set(numbers))
         for number, own, source in each:
+            flat.look_at(number, source)
             with _unheard(), named(f"frame {number}"):
                 loaded = build_scene(own, source, options.render, look, panel, device, Stopwatch(0.0))
                 framed = rig
@@ -216,6 +223,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
         **{name: getattr(look, name) for name in _LOOK_OF_JOB},
         **({"depth_model": photo.depth_network} if photo.is_estimated else {}),
         "checkpoint": photo.checkpoint and sha256(photo.checkpoint),
+        **({"pair": astuple(photo.pair), "parallax": photo.film_parallax} if photo.pair is not None else {}),
     }
     name = first.path.name if pictures.files else source.name
     example = f"{name}, {f'frame {shown}' if shown else 'the first'}"
@@ -230,6 +238,7 @@ def sequence_shots(options: VideoOptions, panel: Panel, device: str, watch: Stop
         first.render,
         job,
         [*messages, *how, f"framing: {words}"],
+        flat.words,
     )
 
 
@@ -268,7 +277,7 @@ def _unheard() -> Iterator[None]:
         yield
 
 
-def _with_estimates(
+def _with_neighbours(
     sources: Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]],
     photo: PhotoOptions,
     device: str,
@@ -277,16 +286,68 @@ def _with_estimates(
     """Yield the wanted ones of pictures in a row, each with depths that are averaged with its neighbours'."""
     pending: dict[int, tuple[SceneOptions, ReadPhoto]] = {}
 
-    def photos() -> Iterator[tuple[int, Photo]]:
+    def photos() -> Iterator[tuple[int, ReadPhoto]]:
         for number, own, source in sources:
             assert isinstance(source, ReadPhoto)
             pending[number] = own, source
-            yield number, source.photo
+            yield number, source
 
-    for number, estimate in steady_estimates(photos(), photo, device):
-        own, source = pending.pop(number)
+    steady: Iterator[tuple[int, ReadPhoto]]
+    if photo.is_estimated:
+        pictures = ((number, source.photo) for number, source in photos())
+        estimates = steady_estimates(pictures, photo, device)
+        steady = ((number, replace(pending[number][1], estimate=estimate)) for number, estimate in estimates)
+    else:
+        steady = steady_pairs(photos())
+    for number, source in steady:
+        own, _ = pending.pop(number)
         if number in wanted:
-            yield number, own, replace(source, estimate=estimate)
+            yield number, own, source
+
+
+def _film_of_pairs(
+    scene: SceneOptions, parts: dict[str, ImageSequence], count: int, shown: int, folder: Path
+) -> tuple[PhotoOptions, int]:
+    """Return the options of a film of stereo pairs, with one scale of depth for all frames; others as they are.
+
+    Also returns the number of a frame that shows the film: the given one, unless its eyes' pictures do not match.
+    """
+    from lightfield_gs.photo.stereo_matching import PairMismatch
+
+    photo, pictures = scene.photo, parts["input"]
+    path = next(_pictures(scene, {"input": pictures}, [shown], folder))[1].input
+    layout = None if len(parts) > 1 or photo.stereo_in == "none" else layout_of_film(path, photo)
+    if layout is None:
+        return photo, shown
+    if not pictures.files and photo.stereo_in is None:
+        photo = replace(photo, pair=layout, swap_eyes=False)
+    samples = {}
+    for number, own in _pictures(replace(scene, photo=photo), parts, sample_numbers(count), folder):
+        with _unheard(), named(f"frame {number}"), suppress(PairMismatch):
+            if isinstance(source := read_source(own), ReadPhoto) and source.matched is not None:
+                samples[number] = source
+    if not samples:
+        return photo, shown
+    return replace(photo, film_parallax=film_parallax(samples.values())), shown if shown in samples else min(samples)
+
+
+class _FlatFrames:
+    """Frames of a film of pairs whose eyes' pictures do not match, as of black ones: they are shown flat."""
+
+    def __init__(self) -> None:
+        self.numbers: list[int] = []
+
+    def look_at(self, number: int, source: SceneFile | ReadPhoto) -> None:
+        """Note a frame that did not match."""
+        if isinstance(source, ReadPhoto) and source.matched is not None and not source.matched.found.matched:
+            self.numbers.append(number)
+
+    def words(self) -> list[str]:
+        """Return a line on these frames."""
+        if not self.numbers:
+            return []
+        some = ", ".join(map(str, self.numbers[:5])) + (", ..." if len(self.numbers) > 5 else "")
+        return [f"{len(self.numbers)} frames whose eyes' pictures do not match are shown flat: {some}"]
 
 
 class _Renaming:

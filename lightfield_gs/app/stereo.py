@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
-from lightfield_gs.app.options import EncodeOptions, StereoOptions
-from lightfield_gs.app.panel import software
+from lightfield_gs.app.options import EncodeOptions, PanelOptions, StereoOptions
+from lightfield_gs.app.panel import load_panel, software
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
@@ -93,6 +93,26 @@ def refuse_panel(panel: str | None) -> None:
     """Raise InputError for a panel beside --stereo."""
     if panel not in (None, DEFAULT_PANEL):
         raise InputError("--panel is one of many views, and this picture is for another screen; leave it out")
+
+
+def panel_of(stereo: StereoOptions, panel: PanelOptions) -> tuple[Panel, list[str]]:
+    """Return the panel of a screen of two eyes where --stereo asks for one, else that of --panel; and a line on it.
+
+    Raises:
+        InputError: Options exclude each other, or the panel cannot be used.
+    """
+    refuse_stereo(stereo)
+    if stereo.stereo is None:
+        return load_panel(panel), []
+    refuse_panel(panel.panel)
+    target = StereoTarget.of(stereo, panel.viewing_distance)
+    return target.screen.panel(), [target.line(stereo, panel.viewing_distance)]
+
+
+def refuse_files(layout: StereoLayout | None, words: str) -> None:
+    """Raise InputError for a layout of several pictures, which no screen takes; words: of the purpose."""
+    if layout in ("mpo", "left-right"):
+        raise InputError(f"--stereo {layout} is for pictures; {words} takes sbs, half-sbs, tab or anaglyph")
 
 
 def write_stereo(options: EncodeOptions, watch: Stopwatch) -> tuple[Path, ...]:

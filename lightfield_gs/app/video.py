@@ -19,6 +19,7 @@ from lightfield_gs.app.options import (
     files_read,
 )
 from lightfield_gs.app.panel import software
+from lightfield_gs.app.stereo import refuse_files
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CodecName, Compression, QualityName, VideoKind, Views
 from lightfield_gs.io.atomic import check_folder, check_output_path
@@ -163,10 +164,7 @@ def video_target(options: VideoOptions, panel: Panel) -> VideoTarget:
     if options.stereo.stereo is not None:
         if options.kind not in (None, "stereo"):
             raise InputError(f"--stereo is for --kind stereo, not {options.kind}; leave out one of them")
-        if options.stereo.stereo in ("mpo", "left-right"):
-            raise InputError(
-                f"--stereo {options.stereo.stereo} is for pictures; a video takes sbs, half-sbs, tab or anaglyph"
-            )
+        refuse_files(options.stereo.stereo, "a video")
         kind = "stereo"
     elif kind == "stereo":
         raise InputError("--kind stereo needs --stereo sbs, half-sbs, tab or anaglyph")

@@ -6,10 +6,10 @@ import argparse
 from contextlib import ExitStack
 from dataclasses import replace
 
-from lightfield_gs.app.panel import load_panel, panel_of_views
-from lightfield_gs.app.stereo import StereoTarget, refuse_panel, refuse_stereo
+from lightfield_gs.app.panel import panel_of_views
+from lightfield_gs.app.stereo import panel_of, refuse_panel, refuse_stereo
 from lightfield_gs.app.video import VideoOptions, for_preset, frame_drawer, frame_sink, video_target
-from lightfield_gs.base.cli_messages import Stopwatch, say
+from lightfield_gs.base.cli_messages import Stopwatch, say, say_next
 from lightfield_gs.base.options import PRESET_SIZES
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
@@ -27,14 +27,10 @@ def run(args: argparse.Namespace) -> None:
 
 def _panel(options: VideoOptions) -> tuple[Panel, list[str]]:
     """Return the panel that frames the scene, the display's or that of a screen of two eyes or of one; and a line."""
-    if options.stereo.stereo is not None:
-        refuse_panel(options.panel.panel)
-        target = StereoTarget.of(options.stereo, options.panel.viewing_distance)
-        return target.screen.panel(), [target.line(options.stereo, options.panel.viewing_distance)]
     if options.preset is not None:
         refuse_panel(options.panel.panel)
         return StereoScreen(*PRESET_SIZES[options.preset]).panel(), []
-    return load_panel(options.panel), []
+    return panel_of(options.stereo, options.panel)
 
 
 def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
@@ -76,8 +72,10 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
     if options.stats:
         print(made.words())
     watch.say_if(options.stats)
-    say(*decisions, *screen, *shots.messages)
+    say(*decisions, *screen, *shots.messages, *shots.closing())
     if options.bridge is not None and target.layout is not None:
         layout = target.layout
         cast(target.path, layout.columns, layout.rows, layout.aspect, url=options.bridge)
         print(f"{target.path}: shown by Looking Glass Bridge")
+    elif target.kind != "2d":
+        say_next("show", target.path)

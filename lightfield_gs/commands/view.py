@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -18,9 +18,10 @@ from lightfield_gs.app.options import (
     PhotoOptions,
     RenderOptions,
     SceneOptions,
+    StereoOptions,
 )
-from lightfield_gs.app.panel import load_panel
 from lightfield_gs.app.scene import check_scene_options, load_framed
+from lightfield_gs.app.stereo import panel_of, refuse_files
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.arguments.view import add_arguments
@@ -35,6 +36,7 @@ from lightfield_gs.show.page.gallery import Gallery
 from lightfield_gs.show.page.looks import LookStore, looks_path
 from lightfield_gs.show.page.stage import Controls, Stage, StagedScene
 from lightfield_gs.show.page.steering import steering_routes
+from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
@@ -49,6 +51,7 @@ class ViewOptions:
 
     Attributes:
         device: Device that draws the scene.
+        stereo: for a screen of two eyes, in place of a panel.
         stats: whether to print the times of the stages.
         words: the words of the command line after `view`.
     """
@@ -60,6 +63,7 @@ class ViewOptions:
     render: RenderOptions
     serving: ServingOptions
     device: str = "auto"
+    stereo: StereoOptions = field(default_factory=StereoOptions)
     stats: bool = False
     words: tuple[str, ...] = ()
 
@@ -94,16 +98,20 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
         raise InputError(f"{given} is a folder without photos and scenes; give one that has them, or a file")
     if not is_folder:
         check_scene_options(options.scene, options.camera)
-    panel = load_panel(options.panel)
+    refuse_files(options.stereo.stereo, "a screen")
+    panel, screen = panel_of(options.stereo, options.panel)
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     watch.lap("start")
     reader = _Reader(options, panel, device.torch)
     shown, scene = _first(reader, paths)
-    stage = Stage(scene, panel, device.webgpu)
+    if (layout := options.stereo.stereo) is None:
+        stage, where = Stage(scene, panel, device.webgpu), f"panel {panel.name}"
+    else:
+        stage, where = StereoStage(scene, panel, layout, device.webgpu), f"a screen of two eyes, {layout}"
     drawn_on = device.webgpu or device.torch
-    print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on panel {panel.name}, drawn on {drawn_on}")
+    print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on {where}, drawn on {drawn_on}")
     watch.say_if(options.stats)
-    say(*device.messages, *reader.messages)
+    say(*device.messages, *screen, *reader.messages)
     with scratch_folder() as dropped:
         gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_scene_path, OPENED_SUFFIXES, dropped)
         routes = steering_routes(stage, exports(stage), gallery, LookStore(looks_path()), reader.command)
@@ -150,4 +158,6 @@ class _Reader:
 
     def command(self, controls: Controls) -> list[str]:
         """Return the command line of the picture that was read last."""
+        if self._options.stereo.stereo is not None:
+            controls = replace(controls, quality="exact")  # which pictures of eyes always are
         return self._shown.command(controls)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import struct
 import warnings
 from collections.abc import Callable, Iterator
@@ -48,6 +49,8 @@ _MOST_BYTES = 1 << 28
 _META_BYTES = 1 << 16  # where the properties of a HEIC stand
 _BRAND_BYTES = 128  # read for the brands: they hold a dozen and more
 _ORIENTATION_TAG = 0x0112
+_JPEG_START = b"\xff\xd8\xff"
+_BETWEEN_JPEGS = re.compile(rb"(?<=\xff\xd9)\x00*" + _JPEG_START)
 
 
 @contextlib.contextmanager
@@ -84,27 +87,57 @@ def count_pictures(path: Path) -> tuple[int, bool]:
     with open(path, "rb") as file:
         if not file.read(4).startswith(_STARTS):
             return 1, False
+    if second_eye_number(path) is not None:
+        return 2, True
     with contextlib.suppress(InputError), _open(path, str(path)) as image:
         count = getattr(image, "n_frames", 1)
-        if count < 2:
+        if count < 2 or image.format == "MPO":
             return 1, False
-        if image.format == "MPO":
-            return (2, True) if _has_second_eye(path, image) else (1, False)
         size = image.size
         image.seek(1)
         return (count, False) if image.size == size else (1, False)
     return 1, False
 
 
-def _has_second_eye(path: Path, image: Image.Image) -> bool:
-    """Tell whether the second picture of an MPO is another eye's, not a preview, gain map or depth map of a phone."""
-    entries = getattr(image, "mpinfo", {}).get(_MP_ENTRIES, ())
-    kinds = [entry.get("Attribute", {}).get("MPType") for entry in entries]
-    if any(str(kind).endswith(_SECOND_EYES) for kind in kinds):
-        return True
-    size, mode = image.size, image.mode
-    image.seek(1)
-    return path.suffix.lower() == ".mpo" and image.size == size and image.mode == mode
+def second_eye_number(path: Path) -> int | None:
+    """Return the number, from 0, of the other eye's picture among those of a JPEG; None where there is none.
+
+    Others are previews, gain maps or depth maps of phones. An .mpo may have lost its list of pictures.
+    """
+    with contextlib.suppress(InputError), _open(path, str(path)) as image:
+        if image.format not in ("MPO", "JPEG"):
+            return None
+        entries = getattr(image, "mpinfo", {}).get(_MP_ENTRIES, ())
+        kinds = [str(entry.get("Attribute", {}).get("MPType")) for entry in entries]
+        if eyes := [number for number, kind in enumerate(kinds) if number and kind.endswith(_SECOND_EYES)]:
+            return eyes[0]
+        if path.suffix.lower() != ".mpo":
+            return None
+        size, mode = image.size, image.mode
+        for number in range(1, max(len(kinds), len(_jpegs_in(path)))):
+            with contextlib.suppress(InputError, *_RAISED), _open(_further(path, number), str(path)) as other:
+                if other.size == size and other.mode == mode:
+                    return number
+    return None
+
+
+def _jpegs_in(path: Path) -> list[bytes]:
+    """Return the pictures of a file of JPEGs one after the other, by their markers."""
+    return [_JPEG_START + part for part in _BETWEEN_JPEGS.split(path.read_bytes()[len(_JPEG_START) :])]
+
+
+def _further(path: Path, number: int) -> io.BytesIO:
+    """Return picture `number` of an MPO as a file of its own: by the list of pictures, or else by its markers."""
+    from PIL import Image
+
+    with contextlib.suppress(*_RAISED), Image.open(path, formats=_FORMATS) as image, path.open("rb") as file:
+        image.seek(number)
+        file.seek(getattr(image, "offset", 0))
+        return io.BytesIO(file.read())
+    parts = _jpegs_in(path)
+    if number >= len(parts):
+        raise InputError(f"{path}: its picture {number + 1} is missing; give stereo_in=none to take the first alone")
+    return io.BytesIO(parts[number])
 
 
 def decode_picture(name: str, data: bytes) -> np.ndarray:
@@ -238,10 +271,11 @@ def read_further_picture(path: Path, number: int) -> np.ndarray:
     with contextlib.ExitStack() as stack:
         if is_heif(path):
             image = stack.enter_context(open_heif(path, lambda width, height: None))
+            image.seek(number)
         else:
-            image = stack.enter_context(_open(path, str(path)))
-        stack.enter_context(pillow_errors(f"{path}: its picture {number + 1} is damaged"))
-        image.seek(number)
+            image = stack.enter_context(_open(_further(path, number), f"{path}: its picture {number + 1}"))
+        alone = f"{path}: its picture {number + 1} is damaged (stereo_in=none takes the first alone)"
+        stack.enter_context(pillow_errors(alone))
         if image.width * image.height > _MOST_PIXELS:
             raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {_MOST_PIXELS}")
         return np.array(image.convert("RGB"))

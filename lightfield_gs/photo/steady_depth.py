@@ -1,8 +1,9 @@
-"""Estimated depths of pictures in a row that do not flicker.
+"""Depths of pictures in a row that do not flicker.
 
 A network estimates each picture by itself: noise in the pictures moves its numbers, their scale and their range. Here
 each map is averaged with those before and after it, up to the next cut. The numbers of the others are first fitted to
-its own by a scale and an offset. A pixel counts less where its colour changes, so that moving things do not smear.
+its own by a scale and an offset; parallaxes of two eyes are measured, and need no fit. A pixel counts less where its
+colour changes, so that moving things do not smear.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class PictureEstimate:
 
 
 def steadied(
-    estimates: Iterable[tuple[int, PictureEstimate]], has_scale: bool, reach: int = REACH
+    estimates: Iterable[tuple[int, PictureEstimate]], has_scale: bool, reach: int = REACH, is_measured: bool = False
 ) -> Iterator[tuple[int, PictureEstimate]]:
     """Yield each estimate averaged with up to `reach` before and after it.
 
@@ -70,6 +71,7 @@ def steadied(
         estimates: Numbers and estimates, in order. Estimates of one shape are averaged.
         has_scale: Whether the disparities are of distances: then they are fitted by their scale alone.
         reach: Pictures to either side.
+        is_measured: Whether all disparities are in one unit already; then nothing is fitted.
     """
     window: deque[tuple[int, PictureEstimate, bool]] = deque()  # and whether a shot begins with it
     at, incoming, last = 0, iter(estimates), None
@@ -81,7 +83,7 @@ def steadied(
         if at >= len(window):
             return
         number, estimate, _ = window[at]
-        yield number, _averaged([part[1] for part in _shot(list(window), at, reach)], estimate, has_scale)
+        yield number, _averaged([part[1] for part in _shot(list(window), at, reach)], estimate, has_scale, is_measured)
         at += 1
         if at > reach:
             window.popleft()
@@ -119,7 +121,7 @@ def _shot(
     return window[first:last]
 
 
-def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool) -> PictureEstimate:
+def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool, is_measured: bool) -> PictureEstimate:
     """Return one estimate of a shot, averaged with the others in its own scale and offset."""
     smooth = _blurred(own.colours)
     total, weights = own.disparities.double(), torch.ones_like(own.disparities, dtype=torch.float64)
@@ -131,7 +133,8 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
         weight = torch.exp(change.double() / (-2 * _C.colour_std**2))
         if float(weight.mean()) < _C.least_weight:
             continue
-        scale, offset = fit_scale(other.disparities.double(), own.disparities.double(), weight, has_scale)
+        values = other.disparities.double()
+        scale, offset = (1.0, 0.0) if is_measured else fit_scale(values, own.disparities.double(), weight, has_scale)
         if not scale > 0:
             continue
         total += weight * (scale * other.disparities + offset)

@@ -63,6 +63,12 @@ class Parallax:
     matched: float
     raised_px: float
 
+    @classmethod
+    def unmatched(cls, right: np.ndarray) -> Parallax:
+        """Return no parallax, of pictures that do not match; right: uint8 [H, W, 3]."""
+        none = np.zeros(right.shape[:2], np.float32)
+        return cls(none, none, right, 0.0, 0.0)
+
 
 def cv_library() -> Any:
     """Return OpenCV; raise InputError where it is not installed."""

@@ -23,17 +23,18 @@ from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.images import Picture, apply_orientation, read_info, read_picture
 from lightfield_gs.io.jpeg_pairs import JPS_LEFT_FIRST, JPS_NAME
 from lightfield_gs.io.pillow_images import (
-    count_pictures,
     decode_picture,
     heif_pair_cameras,
     is_heif,
     read_further_picture,
+    second_eye_number,
 )
 from lightfield_gs.io.stereo_names import PairLayout, layout_in_name
 from lightfield_gs.io.xmp import jpeg_xmp
 
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
 _HEAD_BYTES = 1 << 16
+_NO_PAIR = PairLayout("one", False, "its segment of JPS")  # one picture, whatever the name
 _RECORD = {"layout", "focal_px", "principal_point_px", "width_px", "baseline", "zero_depth"}
 
 
@@ -66,11 +67,13 @@ class Pair:
         left: With pixels [H, W, C], upright.
         right: Of the same size.
         camera: Their cameras, where the file has them.
+        layout: Where they were found.
     """
 
     left: Picture
     right: Picture
     camera: PairCamera | None
+    layout: PairLayout
 
 
 def can_match() -> bool:
@@ -98,7 +101,7 @@ def _find_pair(path: Path, changed: int, size: int) -> PairLayout | None:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     if (found := _by_segments(path, head)) is not None:
-        return found
+        return None if found is _NO_PAIR else found
     if not head.startswith((b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"BM")) and not is_heif(path):
         return None
     named = layout_in_name(path)
@@ -106,7 +109,7 @@ def _find_pair(path: Path, changed: int, size: int) -> PairLayout | None:
         if heif_pair_cameras(path) is not None:
             return PairLayout("two", False, "its group of two eyes")
         return named
-    if count_pictures(path)[1]:
+    if second_eye_number(path) is not None:
         return PairLayout("two", False, "its two pictures")
     if (stated := _own_record(path)) is not None and stated["layout"] in ("sbs", "half-sbs", "tab"):
         return PairLayout(stated["layout"], False, "its metadata")
@@ -120,8 +123,18 @@ def _by_segments(path: Path, head: bytes) -> PairLayout | None:
         return PairLayout("sbs", head[at + 4] == 0, "its chunk sTER")
     at = head.find(JPS_NAME)
     if head.startswith(b"\xff\xd8") and at > 0 and len(head) > at + 14:
-        _, separation, flags, layout, kind = struct.unpack_from(">HBBBB", head, at + len(JPS_NAME))
-        if kind == 1 and layout in (2, 3):
+        words = struct.unpack_from(">4B", head, at + len(JPS_NAME) + 2)
+        # The other order of bytes has the kind first, and the separation, usually 0, last
+        _, flags, layout, kind = words if words[3] == 1 or words[0] != 1 else words[::-1]
+        if kind == 1 and layout not in (2, 3):
+            ways = {1: "rows of both eyes in turn", 4: "an anaglyph"}.get(layout, f"layout {layout}")
+            raise InputError(
+                f"{path}: its segment of JPS states {ways}; expected two pictures side by side or one above the "
+                "other: save it so, or give stereo_in=none to take it as one photo"
+            )
+        if kind == 0:
+            return _NO_PAIR
+        if kind == 1:
             name = {2: "sbs", 3: "tab"}[layout]
             if flags & (2 if layout == 2 else 1):
                 name = f"half-{name}"
@@ -153,6 +166,7 @@ def _second_in_xmp(path: Path) -> bytes:
 def read_pair(path: Path, layout: PairLayout) -> Pair:
     """Read the pictures of both eyes, upright; raise InputError."""
     picture = read_picture(path)
+    layout = layout.resolved(*picture.pixels.shape[:2])
     if layout.kind == "two":
         left, right = picture.pixels, _second_picture(path, picture)
     else:
@@ -164,7 +178,7 @@ def read_pair(path: Path, layout: PairLayout) -> Pair:
         raise InputError(
             f"{path}: expected two pictures of one size, got {sizes}; give stereo_in=none to take the first"
         )
-    return Pair(replace(picture, pixels=left), replace(picture, pixels=right), _camera(path))
+    return Pair(replace(picture, pixels=left), replace(picture, pixels=right), _camera(path), layout)
 
 
 def split_eyes(path: Path, pixels: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray]:
@@ -190,7 +204,7 @@ def _second_picture(path: Path, picture: Picture) -> np.ndarray:
     if data := _second_in_xmp(path):
         second = decode_picture(f"{path}: the second picture inside it", data)
     else:
-        second = read_further_picture(path, 1)
+        second = read_further_picture(path, 1 if is_heif(path) else second_eye_number(path) or 1)
     return np.ascontiguousarray(second if is_heif(path) else apply_orientation(second, picture.orientation))
 
 

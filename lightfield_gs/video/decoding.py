@@ -31,6 +31,8 @@ _PAUSE = 1.5  # typical steps between two frames, from which on the first is rep
 _MOST_REPEATS = 100  # of a frame on average: more means that the times are wrong
 _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own decoders drop alpha
 _PAIRS = {1: "sbs", 2: "tab"}  # by AVStereo3DType
+_OTHER_PAIRS = {3: "frames of both eyes in turn", 4: "a checkerboard of both eyes", 5: "a checkerboard of both eyes"}
+_OTHER_PAIRS |= {6: "rows of both eyes in turn", 7: "columns of both eyes in turn", 8: "two eyes as in MV-HEVC"}
 
 
 def av_library(purpose: str) -> ModuleType:
@@ -74,7 +76,7 @@ def _open(path: Path) -> Iterator[tuple[Any, Any]]:
         path.open("rb").close()
     av = av_library(f"{path}: a video")
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             if not container.streams.video:
                 raise InputError(f"{path}: expected a video, got a file without pictures")
             stream = container.streams.video[0]
@@ -131,8 +133,22 @@ def _pair_layout(frame: Any) -> PairLayout | None:
         if data.type.name == "STEREO3D" and len(bytes(data)) >= 8:
             layout, flags = np.frombuffer(bytes(data)[:8], np.int32)
             if layout in _PAIRS:
-                return PairLayout(_PAIRS[int(layout)], bool(flags & 1), "the video's metadata")
+                return PairLayout(_PAIRS[int(layout)], bool(flags & 1), "the video's metadata", None)
     return None
+
+
+def _notes_on_eyes(frame: Any) -> Iterator[str]:
+    """Yield lines on stereo that a frame has in a way that is not read, and on films all round."""
+    for data in frame.side_data:
+        if data.type.name == "SPHERICAL":
+            yield "its pictures are panoramas; they are taken as flat ones, and distances far from the middle are off"
+        if data.type.name == "STEREO3D" and len(bytes(data)) >= 8:
+            layout = int(np.frombuffer(bytes(data)[:4], np.int32)[0])
+            if layout in _OTHER_PAIRS:
+                yield (
+                    f"its metadata states {_OTHER_PAIRS[layout]}; expected both eyes side by side or one above the "
+                    f"other, so one film is taken: convert it, as with ffmpeg's filter stereo3d"
+                )
 
 
 def decode(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
@@ -197,6 +213,7 @@ def _pull(graph: Any) -> Iterator[Any]:
 
 def _conversions(stream: Any, frame: Any) -> Iterator[str]:
     """Yield lines about the conversions of a video, by its first frame."""
+    yield from _notes_on_eyes(frame)
     aspect = _pixel_aspect(stream)
     if aspect != 1:
         yield f"pixels of {aspect.numerator}:{aspect.denominator} are made square"

@@ -22,7 +22,7 @@ from lightfield_gs.io.png import CompressedImage, fetch_image
 from lightfield_gs.io.text_files import read_object, write_json
 
 MANIFEST = "frames.json"
-_LIMIT_BYTES = 16 << 20
+MANIFEST_BYTES = 16 << 20
 _MOST_WRITERS = 16
 
 
@@ -124,7 +124,7 @@ class FrameFolder:
         if self._overwrite:
             return list(range(count))
         if manifest.is_file():
-            other = read_object(manifest, _LIMIT_BYTES)
+            other = read_object(manifest, MANIFEST_BYTES)
             if other.get("job") != self._manifest["job"]:
                 raise InputError(
                     f"{self.path} holds frames of another job: {_difference(other.get('made'), self._manifest['made'])}"

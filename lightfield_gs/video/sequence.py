@@ -19,7 +19,8 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.video.decoding import decode, timeline
 
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
+PICTURES: tuple[str, ...] = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif")
+PICTURES += (".bmp", ".mpo", ".jps", ".pns")
 _MAPS = (*PICTURES, ".npy", ".npz")
 
 

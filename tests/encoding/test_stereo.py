@@ -83,6 +83,15 @@ def test_a_wide_screen_far_away_strains_less_than_a_near_one():
         ("a half-ou.mkv", "half-tab", False),
         ("a_half_ou.mkv", "half-tab", False),
         ("a.jps", "sbs", True),
+        ("Film.3D.Half-OU.1080p.mkv", "half-tab", False),
+        ("Film 3D Full SBS 4k.mkv", "sbs", False),
+        ("a [HSBS].mp4", "half-sbs", False),
+        ("a_180_3dh.mp4", "sbs", False),
+        ("a_SBS_RL.jpg", "sbs", True),
+        ("a_crosseyed.jpg", "sbs", True),
+        ("a_sbs_4k.mp4", "sbs", False),
+        ("Show.SBS.S01E02.mkv", None, False),
+        ("red_cross.jpg", None, False),
         ("stab.png", None, False),
         ("chat_ou_chien.jpg", None, False),
         ("photo.mpo", None, False),
@@ -91,6 +100,17 @@ def test_a_wide_screen_far_away_strains_less_than_a_near_one():
 def test_names_state_layouts(name, kind, is_swapped):
     found = layout_in_name(Path(name))
     assert (found and found.kind, bool(found and found.is_swapped)) == (kind, is_swapped)
+
+
+def test_halves_of_unstated_size_are_squeezed_where_both_make_a_films_picture():
+    for name, height, width, kind in (
+        ("a_sbs.mp4", 1080, 1920, "half-sbs"),
+        ("a_sbs.mp4", 1080, 3840, "sbs"),
+        ("a_ou.mp4", 1080, 1920, "half-tab"),
+        ("a_full_sbs.mp4", 1080, 1920, "sbs"),
+        ("a_2x1.png", 1080, 1920, "sbs"),
+    ):
+        assert layout_in_name(Path(name)).resolved(height, width).kind == kind
 
 
 def test_what_is_written_is_what_names_state():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from heic_maker import heic
 from PIL import Image
-from rgbd_scene import camera, view
+from rgbd_scene import TEXTURED, camera, textured
 
 import lightfield_gs as lf
 from lightfield_gs.app.options import PhotoOptions
@@ -24,17 +24,9 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.panels.stereo_screen import LEFT_RIGHT, StereoScreen, eye_geometry
 from lightfield_gs.photo.rgbd import from_depth
-from lightfield_gs.photo.stereo_pair import find_pair
+from lightfield_gs.photo.stereo_pair import find_pair, read_pair
 
-WIDTH, HEIGHT, FOCAL = 256, 192, 224.0
-
-
-def textured(offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """The scene with texture that can be matched, and its depths."""
-    colours, depth, points = view(WIDTH, HEIGHT, FOCAL, offset)
-    x, y = points[..., :1], points[..., 1:2]
-    waves = np.sin(40 * x + 3 * np.sin(13 * y)) * np.sin(36 * y + 2 * np.sin(11 * x))
-    return (colours + 0.25 * waves).clip(0, 1).astype(np.float32), depth.astype(np.float32)
+WIDTH, HEIGHT, FOCAL = TEXTURED
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +142,91 @@ def test_files_say_where_the_eyes_are(tmp_path, drawn):
     assert find_pair(tmp_path / "photo.png") is None
     assert pair_of(tmp_path / "photo.png", PhotoOptions(stereo_in="tab")).kind == "tab"
     assert pair_of(Path("a_2x1.png"), PhotoOptions(stereo_in="none")) is None
+
+
+def jpeg(pixels: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", quality=95)
+    return file.getvalue()
+
+
+def mpo(parts: list[bytes], kinds: list[int], order: str = "<", off: int = 0) -> bytes:
+    """JPEGs one after the other, the first with a list of all of these kinds (CIPA DC-007).
+
+    Args:
+        parts: The JPEGs.
+        kinds: The attribute of each.
+        order: Of the bytes.
+        off: What the offsets are wrong by.
+    """
+    at = 4 + int.from_bytes(parts[0][4:6], "big")
+    count = len(parts)
+    head = struct.pack(f"{order}2sHIH", b"II" if order == "<" else b"MM", 42, 8, 3)
+    head += struct.pack(f"{order}HHI4s", 0xB000, 7, 4, b"0100") + struct.pack(f"{order}HHII", 0xB001, 4, 1, count)
+    head += struct.pack(f"{order}HHIII", 0xB002, 7, 16 * count, 50, 0)
+    added = 8 + len(head) + 16 * count
+    starts = np.cumsum([0, *(len(part) for part in parts)]) + added - (at + 8)
+    rows = b"".join(
+        struct.pack(f"{order}IIIHH", kind, len(part), starts[index] + off if index else 0, 0, 0)
+        for index, (part, kind) in enumerate(zip(parts, kinds))
+    )
+    listed = b"\xff\xe2" + struct.pack(">H", added - 2) + b"MPF\0" + head + rows
+    return parts[0][:at] + listed + b"".join([parts[0][at:], *parts[1:]])
+
+
+DISPARITY, FLAGS, VGA, PRIMARY = 0x020002, 1 << 29 | 1 << 31, 0x010001, 0x030000
+
+
+@pytest.mark.parametrize(
+    "between, kinds, order, off",
+    [
+        (0, (DISPARITY | FLAGS, DISPARITY), "<", 0),
+        (0, (DISPARITY | FLAGS, DISPARITY), ">", 0),
+        (1, (DISPARITY | FLAGS, VGA, DISPARITY), "<", 0),  # a camera's preview before the right eye's picture
+        (0, (PRIMARY | FLAGS, 0), "<", 0),
+        (1, (0, 0, 0), "<", 0),
+        (0, (DISPARITY, DISPARITY), "<", 7),
+        (0, None, "<", 0),  # joined by hand, without a list
+    ],
+)
+def test_the_right_eyes_picture_of_an_mpo_is_found(tmp_path, drawn, between, kinds, order, off):
+    left, right = (eye.numpy() for eye in drawn[0])
+    parts = [jpeg(left), *[jpeg(left[::2, ::2])] * between, jpeg(right)]
+    (tmp_path / "a.mpo").write_bytes(b"".join(parts) if kinds is None else mpo(parts, kinds, order, off))
+    layout = find_pair(tmp_path / "a.mpo")
+    assert layout.kind == "two" and not layout.is_swapped
+    pair = read_pair(tmp_path / "a.mpo", layout)
+    for eye, own in ((pair.left, left), (pair.right, right)):
+        assert np.abs(eye.pixels.astype(int) - own).mean() < 3
+
+
+def test_previews_of_phones_are_no_second_eye(tmp_path, drawn):
+    left = drawn[0][0].numpy()
+    (tmp_path / "a.jpg").write_bytes(mpo([jpeg(left), jpeg(left[::2, ::2])], [PRIMARY | FLAGS, VGA]))
+    assert find_pair(tmp_path / "a.jpg") is None
+
+
+def test_segments_of_jps_in_either_order_of_bytes(tmp_path, drawn):
+    """Separation, flags, layout and kind from high to low, or the other way round; others than pairs are told."""
+    left = jpeg(join_eyes(drawn[0], "sbs").numpy())
+    for words, found in (
+        ((0, 4, 2, 1), ("sbs", False)),
+        ((1, 2, 4, 0), ("sbs", False)),
+        ((0, 0, 2, 1), ("sbs", True)),
+        ((0, 4 | 2, 2, 1), ("half-sbs", False)),
+        ((0, 4 | 1, 3, 1), ("half-tab", False)),
+        ((0, 0, 0, 0), None),
+        ((0, 4, 4, 1), "an anaglyph"),
+    ):
+        segment = b"_JPSJPS_" + struct.pack(">H4BH", 4, *words, 0)
+        data = left[:20] + b"\xff\xe3" + struct.pack(">H", 2 + len(segment)) + segment + left[20:]
+        (tmp_path / f"{words}.jps").write_bytes(data)
+        if isinstance(found, str):
+            with pytest.raises(InputError, match=f"states {found}; .* stereo_in=none"):
+                find_pair(tmp_path / f"{words}.jps")
+            continue
+        layout = find_pair(tmp_path / f"{words}.jps")
+        assert (layout and (layout.kind, layout.is_swapped)) == found
 
 
 def test_what_the_right_eye_sees_behind_edges_is_taken_from_it():

@@ -16,17 +16,20 @@ from PIL import Image
 
 from lightfield_gs import encode, render
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.stereo import join_eyes, render_eyes
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import panel_quilt
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.panels.stereo_screen import StereoScreen
 from lightfield_gs.show.page import routes
 from lightfield_gs.show.page.exports import exports
 from lightfield_gs.show.page.routes import shown_routes
 from lightfield_gs.show.page.server import Server
 from lightfield_gs.show.page.stage import Controls, Stage, StagedScene, cut_out, orbited
 from lightfield_gs.show.page.steering import steering_routes
+from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.preview import to_integers
 
 CELLS = replace(
@@ -342,3 +345,22 @@ def test_a_name_that_leads_a_machine_to_itself_is_known(monkeypatch):
 def test_a_port_that_is_taken_is_a_complaint():
     with serving({}) as server, pytest.raises(InputError, match="give another port="):
         Server({}, server.server_address[1])
+
+
+def test_a_screen_of_two_eyes_gets_both_pictures(tmp_path):
+    """What `view --stereo` shows and saves is what `encode --stereo` draws, and moves as the controls do."""
+    gaussians, screen = scene(), StereoScreen(96, 54).panel()
+    shown = StereoStage(StagedScene(gaussians, Rig.frame(gaussians, screen), "s.ply"), screen, "half-sbs")
+    with serving(steering_routes(shown, exports(shown))) as server:
+        state = json.loads(get(server, "/panel.json?after=-1")[1])
+        assert state["fills"] and json.loads(get(server, "/drawing.json")[1]) is None
+        body = get(server, "/export/eyes_half_2x1.png?zoom=1.2")[1]
+        rig = Controls(zoom=1.2).rig(shown.base, screen)
+        drawn = join_eyes(render_eyes(gaussians, screen, rig), "half-sbs").numpy()
+        np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(body))), drawn)
+        eye = get(server, "/frame?show=eye&still=0&width=96&eye=-0.25")[1]
+        left = np.asarray(Image.open(io.BytesIO(eye))).astype(int)
+        apart = [np.abs(left - each.numpy()).mean() for each in render_eyes(gaussians, screen, shown.base)]
+        assert apart[0] < 0.6 * apart[1]
+        for query in ("show=native&still=1&width=40&height=30&x=1&y=0.5", "show=sheet&still=0&width=64"):
+            assert get(server, f"/frame?{query}")[0] == 200

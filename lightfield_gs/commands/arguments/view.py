@@ -9,6 +9,7 @@ from lightfield_gs.commands.options.panel import add_camera, add_drawing_device,
 from lightfield_gs.commands.options.parser import Parser
 from lightfield_gs.commands.options.scene import add_input, add_scene
 from lightfield_gs.commands.options.serving import add_serving
+from lightfield_gs.commands.options.stereo import add_stereo
 
 
 def add_arguments(parser: Parser) -> None:
@@ -22,9 +23,11 @@ def add_arguments(parser: Parser) -> None:
         ("view photo.jpg", "for the connected display"),
         ("view scene.ply --panel 27", "for a Looking Glass 27"),
         ("view holidays", "all photos and scenes of a folder"),
+        ("view photo.jpg --stereo half-sbs", "for a 3D television"),
     )
     add = in_group(parser.add_argument, groups.OWN)
     add_input(add, "a photo, a scene, or a folder of them", "; or a folder of such, of which the page opens each")
+    add_stereo(add)
     add_panel(add, "for framing, and for the eye on the page")
     add_camera(add)
     add_look(add)

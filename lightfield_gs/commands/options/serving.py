@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -58,8 +58,17 @@ def add_serving(add: Add) -> None:
     )
 
 
-def serve(options: ServingOptions, routes: Mapping[str, Route], start: str) -> None:
-    """Serve the routes until Ctrl-C, and open the one named `start` in the browser. Raises InputError."""
+def serve(
+    options: ServingOptions, routes: Mapping[str, Route], start: str, opened: Callable[[str], object] | None = None
+) -> None:
+    """Serve the routes until Ctrl-C, and open the one named `start` in the browser. Raises InputError.
+
+    Args:
+        options: The address.
+        routes: By their paths.
+        start: A path among them.
+        opened: Opens a browser at an address; None: the usual one is opened.
+    """
     from lightfield_gs.show.page.server import Server
 
     server = Server(routes, options.port, options.host)
@@ -75,4 +84,4 @@ def serve(options: ServingOptions, routes: Mapping[str, Route], start: str) -> N
         urls = [url + start for url in server.other_urls]
         print(f"from other machines: {', '.join(urls) or 'by an address of this one, which is not known'}")
     sys.stdout.flush()
-    server.run(None if options.no_open else start)
+    server.run(None if options.no_open else start, *([] if opened is None else [opened]))

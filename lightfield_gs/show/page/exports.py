@@ -13,20 +13,26 @@ from urllib.parse import quote
 from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.images import write_image
+from lightfield_gs.io.stereo_names import stereo_paths
 from lightfield_gs.panels.quilt import QuiltLayout, panel_quilt
+from lightfield_gs.panels.stereo_screen import eye_geometry
 from lightfield_gs.show.page.lines import Lines
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route
 from lightfield_gs.show.page.stage import Controls, Stage
+from lightfield_gs.show.page.stereo_stage import StereoStage
 
 Exports = dict[str, Callable[[Controls, Path], None]]
 
 
 def exports(stage: Stage) -> Exports:
     """Return functions that write a file to a path, by the file's name."""
-    layout = panel_quilt(stage.panel)
+    if isinstance(stage, StereoStage):
+        pictures = {stereo_paths(Path("eyes.png"), stage.layout)[0].name: partial(_eyes, stage)}
+    else:
+        layout = panel_quilt(stage.panel)
+        pictures = {"native.png": partial(_native, stage), f"quilt{layout.suffix}.png": partial(_quilt, stage, layout)}
     return {
-        "native.png": partial(_native, stage),
-        f"quilt{layout.suffix}.png": partial(_quilt, stage, layout),
+        **pictures,
         # In the axes of the scene's file
         "rig.yaml": lambda controls, path: stage.rig_of_file(controls).to_yaml(path, stage.panel),
     }
@@ -52,7 +58,8 @@ def saved_name(scene: str, name: str) -> str:
     stem = Path(scene).stem
     if name == "native.png":
         return f"{stem}-3d.png"
-    return f"{stem}{name.removeprefix('quilt')}" if name.startswith("quilt") else f"{stem}.{name}"
+    own = name.removeprefix("quilt").removeprefix("eyes")
+    return f"{stem}{own}" if own != name else f"{stem}.{name}"
 
 
 def _native(stage: Stage, controls: Controls, path: Path) -> None:
@@ -64,6 +71,12 @@ def _native(stage: Stage, controls: Controls, path: Path) -> None:
     encoding |= {"view_filter": drawn["view_filter"]} if drawn["view_filter"] else {}
     made_by = {"panel": stage.panel.to_dict(), "rig": stage.rig_of_file(controls).to_dict(), "encoding": encoding}
     write_image(path, image, {**_origin(stage), **{name: json.dumps(value) for name, value in made_by.items()}})
+
+
+def _eyes(stage: StereoStage, controls: Controls, path: Path) -> None:
+    """Write the picture of both eyes, as `encode --stereo` does."""
+    stereo = {"layout": stage.layout, **eye_geometry(stage.panel, stage.rig_of_file(controls))}
+    write_image(path, stage.native(controls)[0], {**_origin(stage), "stereo": json.dumps(stereo)})
 
 
 def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:

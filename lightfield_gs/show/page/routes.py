@@ -44,6 +44,7 @@ def panel_routes(
         "/panel.css": page_file("panel.css"),
         "/panel.js": page_file("panel.js"),
         "/display.js": page_file("display.js"),
+        "/pixel_word.js": page_file("pixel_word.js"),
         "/panel.json": Route(state),
         "/panel.png": Route(
             lambda query: packed.answer(version(-1)), place=lambda query: Reservation(True, version(-1))

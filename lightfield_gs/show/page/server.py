@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import ipaddress
 import json
+import re
 import secrets
 import socket
 import sys
@@ -28,6 +29,8 @@ DEFAULT_HOST = "127.0.0.1"
 _FILES = Path(__file__).parent / "files"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _LONGEST_QUERY, _MOST_VALUES = 4096, 64
+_FILM_TYPES = {".webm": "video/webm", ".mkv": "video/x-matroska"}
+_PART_BYTES = 4 << 20  # of a film, at most: browsers then ask for the next
 _MOST_UPLOADED, _MOST_DRAINED = 2 << 30, 64 << 20  # bytes of a file, and of a refused one that are read on
 _IDLE_S = 60  # after so long without a request a connection is closed
 _BACKLOG = 128  # connections that wait to be taken
@@ -73,6 +76,7 @@ class Route:
         token: If given, the address is for POST alone, with the query as body and this token in a header. Else it is
             for GET and HEAD, and make changes nothing.
         place: The place in memory that the answer takes.
+        file: Returns a file whose bytes are the answer, in parts as the request asks for them; in place of make.
         take: With a token, takes a file that is the body, its size in bytes, and the query of the address, before
             `make` answers that query.
     """
@@ -80,6 +84,7 @@ class Route:
     make: Callable[[Query], Answer]
     token: str | None = None
     place: Callable[[Query], Reservation] | None = None
+    file: Callable[[Query], Path] | None = None
     take: Callable[[Query, BufferedIOBase, int], None] | None = None
 
 
@@ -155,6 +160,36 @@ def page_file(name: str) -> Route:
     path = _FILES / name
     answer = Answer(path.read_bytes(), f"{_TYPES[path.suffix]}; charset=utf-8")
     return Route(lambda query: answer)
+
+
+def file_route(path: Callable[[Query], Path]) -> Route:
+    """Return the route of a film, which browsers read in parts."""
+    return Route(lambda query: text("", 404), place=lambda query: Reservation(True), file=path)
+
+
+def part_of_file(path: Path, wanted: str | None) -> Answer:
+    """Return the part of a file that a header Range asks for (RFC 9110, 14.2), or its beginning if it is long.
+
+    Args:
+        path: The file.
+        wanted: The header; None: not given. Of several parts the first counts.
+    """
+    size = path.stat().st_size
+    found = re.fullmatch(r"bytes=(\d*)-(\d*)(?:,.*)?", (wanted or "bytes=0-").replace(" ", ""))
+    if found is None or not (found[1] or found[2]):
+        start, end = size, size  # not understood
+    elif found[1]:
+        start, end = int(found[1]), int(found[2] or size - 1)
+    else:
+        start, end = max(0, size - int(found[2])), size - 1
+    if not start <= end or start >= size:
+        return Answer(b"", "text/plain", 416, {"Content-Range": f"bytes */{size}"})
+    end = min(end, size - 1, start + _PART_BYTES - 1)
+    with path.open("rb") as file:
+        file.seek(start)
+        body = file.read(end + 1 - start)
+    headers = {"Accept-Ranges": "bytes", "Content-Range": f"bytes {start}-{end}/{size}"}
+    return Answer(body, _FILM_TYPES.get(path.suffix.lower(), "video/mp4"), 206, headers)
 
 
 class Server(ThreadingHTTPServer):
@@ -249,14 +284,15 @@ class Server(ThreadingHTTPServer):
         if not isinstance(error, (ConnectionError, TimeoutError)):
             traceback.print_exc()
 
-    def run(self, open_path: str | None = None) -> None:
+    def run(self, open_path: str | None = None, opened: Callable[[str], object] = webbrowser.open) -> None:
         """Serve until Ctrl-C.
 
         Args:
             open_path: The page that the browser is told to open.
+            opened: Opens a browser at an address.
         """
         if open_path is not None:
-            webbrowser.open(self.url + open_path)
+            opened(self.url + open_path)
         try:
             self.serve_forever(poll_interval=0.2)
         except KeyboardInterrupt:
@@ -346,6 +382,8 @@ class _Handler(BaseHTTPRequestHandler):
             if route.place is not None:
                 place = route.place(values)
                 held.enter_context(self.server.pending[place.is_large].taken(place.key))
+            if route.file is not None:
+                return part_of_file(route.file(values), self.headers.get("Range"))
             if route.take is not None:
                 self._upload(route.take, values)
             return route.make(values)

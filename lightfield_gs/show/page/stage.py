@@ -105,7 +105,7 @@ class Controls:
         return self.look().applied(orbited(base, self.yaw_deg, self.pitch_deg), panel)
 
 
-_STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed
+STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed
 
 
 @dataclass(frozen=True)
@@ -206,13 +206,13 @@ class Stage:
         """
         if still and not missing_geometry(self.panel):
             native, stages = self.native(controls)
-            with _timed(stages, "simulate"):
+            with timed(stages, "simulate"):
                 seen = to_integers(simulate(native, self.panel, self.eye_mm(controls)), 8)
             return Picture(seen, f"through the lenses, {seen.shape[1]} x {seen.shape[0]} samples", stages)
         if still:
-            width_px = _STILL_WIDTH_PX
+            width_px = STILL_WIDTH_PX
         stages = {} if still or not self.is_live else self._native_live(controls)
-        with _timed(stages, "view"):
+        with timed(stages, "view"):
             view = self._views(controls, [controls.eye], width_px)[0]
         return Picture(view, f"one view, {view.shape[1]} x {view.shape[0]}", stages)
 
@@ -221,7 +221,7 @@ class Stage:
         upright = self.panel.height_px > self.panel.width_px
         width_px = SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
         stages: dict[str, float] = {}
-        with _timed(stages, "views"):
+        with timed(stages, "views"):
             inner = 0.5 - 0.5 / self.panel.views  # the outermost integer views
             views = self._views(controls, np.linspace(-inner, inner, SHEET_VIEWS).tolist(), width_px)
         return Picture(contact_sheet(views), f"{SHEET_VIEWS} views from left to right", stages)
@@ -240,7 +240,7 @@ class Stage:
             native, stages = self.native(controls)
             return Picture(native[top : top + height, left : left + width], description, stages)
         stages = {}
-        with _timed(stages, "pixels"):
+        with timed(stages, "pixels"):
             pixels = self._encoded(*cut_out(self.panel, self._rig(controls), left, top, width, height), controls)
         return Picture(pixels, description, stages)
 
@@ -324,7 +324,7 @@ class Stage:
             self._moving = kind, encoder
         encoder = self._moving[1]
         encoder.rig = rig
-        with _timed(stages, "native"):
+        with timed(stages, "native"):
             encoder(self.gaussians)
             torch.cuda.synchronize(self.gaussians.device)
         return stages
@@ -362,7 +362,8 @@ def cut_out(panel: Panel, rig: Rig, left: int, top: int, width: int, height: int
 
 
 @contextmanager
-def _timed(stages_ms: dict[str, float], name: str) -> Iterator[None]:
+def timed(stages_ms: dict[str, float], name: str) -> Iterator[None]:
+    """Store the time of the block in ms under its name."""
     began = time.perf_counter()
     yield
     stages_ms[name] = 1000 * (time.perf_counter() - began)

@@ -22,6 +22,7 @@ from lightfield_gs.show.page.looks import LookStore, look_routes
 from lightfield_gs.show.page.routes import WAIT_S, panel_routes
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, as_json, number, page_file, text
 from lightfield_gs.show.page.stage import RANGES, Controls, Picture, Stage
+from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.preview import image_bytes
 
 _JPEG_QUALITY = 85
@@ -64,6 +65,7 @@ def steering_routes(
             stage.panel,
             steering.native,
             lambda after: stage.wait_for(after, WAIT_S),
+            fills=isinstance(stage, StereoStage),
             controls=lambda: {**asdict(stage.resting()), "scene": stage.number},
         ),
     }

@@ -5,7 +5,8 @@ export function reasons(panel, measures) {
   const found = [], { ratio, pinch, screen, window, place } = measures;
   const near = (a, b) => Math.abs(a - b) < 1;
   const isPanel = near(screen.width * ratio, panel.width_px) && near(screen.height * ratio, panel.height_px);
-  const covers = near(window.width * ratio, screen.width * ratio) && near(window.height * ratio, screen.height * ratio) &&
+  const atLeast = (a, b) => a > b - 1;
+  const covers = atLeast(window.width * ratio, screen.width * ratio) && atLeast(window.height * ratio, screen.height * ratio) &&
     place.x === 0 && place.y === 0;
   if (panel.fills) return covers ? [] : ["The window does not cover the screen: press the button below, or F11."];
   const size = `${panel.width_px} × ${panel.height_px}`;

@@ -1,21 +1,14 @@
 // The native picture at one pixel of the panel each, from the panel's first pixel on; and a loud word where it is not.
 
-import { fullScreen, measured, measuresInWords, reasons } from "./display.js";
+import { checkPixels, lay, watchPixels } from "./pixel_word.js";
 
 const find = (query) => document.querySelector(query);
-let panel = null, isHidden = false;
+let panel = null;
 
 function check() {
   if (panel === null) return;
-  const picture = find("#picture");
-  // The halves of a stereo picture fill the screen, whatever its pixels
-  picture.style.width = panel.fills ? "100vw" : `${panel.width_px / devicePixelRatio}px`;
-  picture.style.height = panel.fills ? "100vh" : `${panel.height_px / devicePixelRatio}px`;
-  const now = measured(), found = reasons(panel, now);
-  find("#word").hidden = isHidden || found.length === 0;
-  document.body.dataset.exact = found.length === 0;
-  find("#reasons").replaceChildren(...found.map((words) => Object.assign(document.createElement("li"), { textContent: words })));
-  find("#measures").textContent = measuresInWords(now);
+  lay(find("#picture"), panel);
+  checkPixels(panel);
 }
 
 // The picture, and the next one as soon as there is one
@@ -84,10 +77,5 @@ new BroadcastChannel("lightfield-gs view").addEventListener("message", async ({ 
   }
 });
 
-for (const event of ["resize", "fullscreenchange", "focus"]) addEventListener(event, check);
-visualViewport?.addEventListener("resize", check);
-setInterval(check, 1000); // a window moved to another screen tells nothing
-find("#full").addEventListener("click", () => fullScreen(panel));
-find("#hide").addEventListener("click", () => { isHidden = true; check(); });
-document.addEventListener("dblclick", () => fullScreen(panel));
+watchPixels(check, () => panel);
 follow();

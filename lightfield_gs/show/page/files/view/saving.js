@@ -2,7 +2,8 @@
 
 import { answerOf, element, find } from "./dom.js";
 
-const words = (name) => name === "native.png" ? "Picture for the display" : name.startsWith("quilt") ? "Quilt, for Looking Glass programs" : "Camera positions";
+const words = (name) => name === "native.png" ? "Picture for the display" : name.startsWith("eyes") ? "Picture of both eyes" :
+  name.startsWith("quilt") ? "Quilt, for Looking Glass programs" : "Camera positions";
 
 export function buildSaving(state, told) {
   const { exports, commands } = state.scene;
