@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightfield_gs.app.options import CameraOptions, LookOptions
+from lightfield_gs.app.trainer_cameras import central_camera, trainer_cameras
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.scenes.comments import antialiasing_source, find_fit_record, render_comments
@@ -26,6 +27,7 @@ from lightfield_gs.panels.stored_rigs import (
 from lightfield_gs.scene.axes import DEFAULT_UP, Up, find_up
 
 if TYPE_CHECKING:
+    from lightfield_gs.io.captures.camera_files import FileCamera
     from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
@@ -196,14 +198,18 @@ def file_rig(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) ->
     Raises:
         InputError: the framing in the file cannot be read.
     """
-    return _rig_inside(path, file, panel, gaussians) or _rig_beside(path, panel, gaussians)
+    return (
+        _rig_inside(path, file, panel, gaussians)
+        or _rig_beside(path, panel, gaussians)
+        or _rig_of_trainer(path, panel, gaussians)
+    )
 
 
 def has_own_camera(path: Path, file: SceneFile) -> bool:
     """Return whether a scene's file brings a framing or a camera along, in it or beside it. Raises InputError."""
     with named(path):
         inside = stored_framing(file.comments) is not None or photo_camera(file.elements) is not None
-    return inside or path_beside(path) is not None
+    return inside or path_beside(path) is not None or trainer_cameras(path) is not None
 
 
 def _rig_inside(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> ChosenRig | None:
@@ -220,10 +226,27 @@ def _rig_inside(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians)
             )
         if (camera := photo_camera(file.elements)) is None:
             return None
+    words = f"camera: that of the photo, {camera.width_px:g} x {camera.height_px:g}, which the file brings along"
+    return ChosenRig(_photo_rig(camera, panel, gaussians), [f"{words} ({_OTHERS})"])
+
+
+def _photo_rig(camera: FileCamera, panel: Panel, gaussians: Gaussians) -> Rig:
+    """Return the rig of a photo's camera, whose picture fills the panel as far as its subject lets."""
     photo = Rig(camera.world_to_camera, camera.focal_px, camera.principal_point_px, 1.0)
     rig = _on_panel(photo, (round(camera.width_px), round(camera.height_px)), panel, gaussians)
-    words = f"camera: that of the photo, {camera.width_px:g} x {camera.height_px:g}, which the file brings along"
-    return ChosenRig(_focused(rig, panel, gaussians), [f"{words} ({_OTHERS})"])
+    return _focused(rig, panel, gaussians)
+
+
+def _rig_of_trainer(path: Path, panel: Panel, gaussians: Gaussians) -> ChosenRig | None:
+    """Return the rig of the photograph in the middle of those that a trainer made the scene of; None without them."""
+    if (cameras := trainer_cameras(path)) is None or (found := central_camera(cameras, panel.cone_deg)) is None:
+        return None
+    camera, index = found
+    words = f"camera: {cameras}, {index} ({camera.name}), which most others are near ({_OTHERS})"
+    try:
+        return ChosenRig(_photo_rig(camera, panel, gaussians), [words])
+    except InputError:  # it sees nothing: the file belongs to another scene
+        return None
 
 
 def path_beside(path: Path) -> Path | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lightfield_gs.app.cameras import (
     CameraChoice,
@@ -35,12 +35,14 @@ from lightfield_gs.panels.stored_rigs import RigFile, read_rig_file, rig_path
 if TYPE_CHECKING:
     from lightfield_gs.io.scenes.files import SceneFile
     from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.photo.background import Rgb
     from lightfield_gs.scene.gaussians import Gaussians
 
 # A cone by which most programs draw (the default of Looking Glass' Unity plug-in), and a step between views that is
 # seen; the step is chosen by hand
 _NARROWER_DEG = 35.0
 _WIDE_STEP_PX = 5.0
+_PALE = 0.5  # fraction of an outline that is like white from which on a scene is not drawn before white
 _DEPTH_OPTIONS: tuple[str, ...] = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "pixel_aspect", "fov")
 _DEPTH_OPTIONS += ("intrinsics", "fit", "swap_eyes")
 _NETWORK_OPTIONS = ("checkpoint", "detail", "detail_budget")
@@ -50,11 +52,23 @@ _PHOTO_OPTIONS += ("stereo_in", "map_orientation", "detail", "detail_budget", "c
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Anti-aliasing and background of a picture, by the options or else by the scene's file."""
+    """Anti-aliasing and background of a picture, by the options or else by the scene's file.
+
+    Attributes:
+        background: red, green and blue, 0..1.
+        antialiased: see render.
+        view_filter: see encode.
+        is_assumed: whether neither the options nor the file give a background.
+    """
 
     background: tuple[float, float, float]
     antialiased: bool
     view_filter: float
+    is_assumed: bool = False
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the settings as the functions that draw take them."""
+        return {"background": self.background, "antialiased": self.antialiased, "view_filter": self.view_filter}
 
 
 @dataclass
@@ -254,15 +268,18 @@ def settle_render(options: RenderOptions, path: Path, file: SceneFile | None) ->
             messages.append(
                 f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)"
             )
+    is_assumed = background is None
     if background is None:
         background = (fitted and fitted.background) or (beside and beside.background) or WHITE
         if beside is not None and beside.background == background:
+            is_assumed = False
             messages.append(f"background: {format_rgb(background)}, as {rig_path(path)} says (--background)")
         elif fitted is not None and fitted.background is not None:
+            is_assumed = False
             messages.append(
                 f"background: {format_rgb(fitted.background)}, which the scene was fitted before (--background)"
             )
-    return RenderSettings(background, antialiased, options.view_filter), messages
+    return RenderSettings(background, antialiased, options.view_filter, is_assumed), messages
 
 
 def _drawn_beside(path: Path) -> RigFile | None:
@@ -279,9 +296,31 @@ def _photo_background(settings: RenderSettings, source: ReadPhoto) -> tuple[Rend
         return settings, []
     background, alike = found
     kind = "light" if background == LIGHT else "dark"
+    return replace(settings, background=background), [_background_words(kind, background, alike)]
+
+
+def _background_words(kind: str, background: Rgb, alike: dict[Rgb, float]) -> str:
+    """Return a line on a background that was chosen by an outline."""
     fractions = ", ".join(f"{alike[one]:.0%} of its outline is like {format_rgb(one)}" for one in alike)
-    words = f"background: {kind}, {format_rgb(background)}; {fractions} (another: --background)"
-    return replace(settings, background=background), [words]
+    return f"background: {kind}, {format_rgb(background)}; {fractions} (another: --background)"
+
+
+def _darken_behind(scene: LoadedScene, rig: Rig, panel: Panel) -> list[str]:
+    """Draw a pale scene before a dark background, where none was given and white would hide most of its outline.
+
+    Returns:
+        A line on it, if so.
+    """
+    if scene.file is None or not scene.render.is_assumed:
+        return []
+    from lightfield_gs.panels.visibility import centre_colours
+    from lightfield_gs.photo.background import DARK, LIGHT, choose_background
+
+    found = choose_background(centre_colours(scene.gaussians, panel, rig))
+    if found is None or found[0] != DARK or found[1][LIGHT] <= _PALE:
+        return []
+    scene.render = replace(scene.render, background=DARK)
+    return [_background_words("dark", *found)]
 
 
 def choose_rig(choice: CameraChoice, scene: LoadedScene, panel: Panel) -> ChosenRig:
@@ -365,6 +404,7 @@ def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, pan
     if scene.photo is not None and scene.photo.is_whole and choice.rig is None and look.focus is None:
         how = [*how, f"focus: the subject, at depth {rig.zero_depth:.4g}, lies in the panel (another: --focus)"]
     may_fill = scene.photo is None or choice.rig is not None or scene.photo.is_whole
+    looks += _darken_behind(scene, rig, panel)
     looks += _wide_cone(look, rig, panel, scene)
     return rig, [*how, *looks, *report_depth(look, rig, panel, scene.gaussians, may_fill)]
 

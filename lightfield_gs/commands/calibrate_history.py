@@ -6,6 +6,7 @@ import argparse
 
 from lightfield_gs.base.cli_messages import say, say_next
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.unknown import check_input
 from lightfield_gs.panels.lens_history import LensState, read_history
 
 
@@ -13,6 +14,7 @@ def run(args: argparse.Namespace) -> None:
     """List the states of args.profile. Raises InputError."""
     history = read_history(args.profile)
     if not history.states:
+        check_input(args.profile)
         raise InputError(f"{args.profile}: no history; it begins with the first change by `calibrate`")
     for state in history.states:
         say(f"{'*' if state.number == history.current else ' '} {state_line(state)}")

@@ -33,6 +33,7 @@ class PageOptions:
         output: The page.
         title: Of the page; None: the input's name.
         device: Where the network runs, and where views for browsers without WebGPU are drawn.
+        stats: Whether to print the times of the stages.
     """
 
     output: Path
@@ -43,6 +44,7 @@ class PageOptions:
     render: RenderOptions
     title: str | None = None
     device: Device = "auto"
+    stats: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -84,10 +86,10 @@ def _write(options: PageOptions, watch: Stopwatch) -> None:
     watch.lap("page")
     size, each = page.size / 1e6, len(page.packed.data) / page.packed.count
     print(f"{options.output}: {size:.1f} MB, {page.packed.count} Gaussians of {each:.1f} bytes, panel {panel.name}")
-    print(watch.line())
+    watch.say_if(options.stats)
     if page.size > _LARGE_BYTES:
         note(f"{options.output} is large for mail; `lightfield-gs prune` leaves out what the panel does not show")
-    say(*framed.messages)
+    say(*framed.messages, f"{options.output}: open it in a browser, or send it")
 
 
 def _upright(look: LookOptions, choice: CameraChoice, framed: FramedScene, panel: Panel) -> Rig | None:

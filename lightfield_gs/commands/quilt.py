@@ -110,7 +110,7 @@ def _quilt(options: QuiltOptions, watch: Stopwatch) -> None:
         framed = load_framed(options.scene, choice, options.render, options.look, frame, device, watch)
         gaussians, render = framed.scene.gaussians, framed.scene.render
         tile, fan_rig = layout.fitted(frame, framed.rig)
-        image = quilt(gaussians, layout, fan_rig, tile, **vars(render), device=webgpu).cpu()
+        image = quilt(gaussians, layout, fan_rig, tile, **render.arguments(), device=webgpu).cpu()
         watch.lap("views")
         of_file = framed.scene.in_file(fan_rig)
         metadata = _metadata(options, framed.scene, layout, tile, of_file)

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.suggestions import did_you_mean
+from lightfield_gs.base.suggestions import did_you_mean, nearest
 from lightfield_gs.base.system import quoted
 
 _SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
@@ -24,6 +24,10 @@ def unknown_command(words: Sequence[str], commands: Collection[str]) -> InputErr
     if meant := _for_file(Path(word)):
         hint = f"; did you mean `{quoted('lightfield-gs', *meant, *words[1:])}`?"
         return InputError(f"invalid choice: '{word}' is a file, and a command is expected before it{hint}")
+    if word == "help":
+        return InputError(
+            f"there is no command 'help'; did you mean `{quoted('lightfield-gs', *words[1:], '--help')}`?"
+        )
     hint = did_you_mean(word, commands) or f": {', '.join(commands)}"
     return InputError(f"invalid choice: there is no command '{word}'{hint}; see lightfield-gs --help")
 
@@ -34,8 +38,10 @@ def check_input(path: Path) -> None:
         os.stat(path)
     except FileNotFoundError as error:
         with suppress(OSError):
-            beside = os.listdir(path.parent)[:_MOST_NAMES]
-            hint = did_you_mean(path.name, beside, "" if path.parent == Path() else f"{path.parent}{os.sep}")
+            beside = [Path(name) for name in os.listdir(path.parent)[:_MOST_NAMES]]
+            stem = nearest(path.stem, (one.stem for one in beside))  # extensions alone make no names alike
+            alike = [one.name for one in beside if one.stem == stem]
+            hint = did_you_mean(path.name, alike, "" if path.parent == Path() else f"{path.parent}{os.sep}")
             raise InputError(f"cannot read {path}: {error.strerror}{hint}") from None
     except (OSError, ValueError):  # its reader says what is wrong
         return

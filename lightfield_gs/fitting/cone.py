@@ -7,7 +7,6 @@ centre camera's axis in the panel's zero plane.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.fitting.evaluate import ConeAngles
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.io.captures.central import FEWEST, angles_from, axes_intersection, directions_from, most_central
 from lightfield_gs.io.captures.pinhole import nearest_rotation
 from lightfield_gs.panels.comfort import comfortable_amount
 from lightfield_gs.panels.look import Look
@@ -35,9 +35,6 @@ MARGIN_DEG = 5.0
 # Beyond, weights fall as a cosine over FALL_DEG to a floor. Photographs far outside still show the places of objects,
 # but not their look from the panel.
 FALL_DEG, FLOOR = 20.0, 0.05
-_LEAST_SPREAD_DEG = 3.0  # of axes; below it their intersection is too uncertain
-_IN_FRONT = 0.9  # the fraction of cameras that must have the intersection before them
-_FEWEST = 3  # least number of cameras, and a tenth of the least number of points, to estimate a depth
 
 # The direction (x, y) of down in a stored photograph, by the clockwise quarter turns to upright, and by Exif
 # orientation (JEITA CP-3451, tag 274). Mirrored photographs stay mirrored.
@@ -75,7 +72,7 @@ class Cone:
 
     def held_out_angles(self, indices: Sequence[int]) -> ConeAngles:
         """Return the angles of held-out photographs, by their indices in the capture; warn if few are inside."""
-        if (inside := int(self.inside[list(indices)].sum())) < _FEWEST:
+        if (inside := int(self.inside[list(indices)].sum())) < FEWEST:
             assume(
                 f"cone: {inside} of {len(indices)} held-out photographs are inside, whose mean says little; hold out "
                 "more of them (test_every=3, or test_names=)"
@@ -114,15 +111,15 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
     chosen_by = "given"
     middle = _capture_middle(capture)
     if centre is None:
-        index, others = _most_central(_directions(capture.centres, middle), half)
+        index, others = most_central(directions_from(capture.centres, middle), half)
         chosen_by = f"it has the most others within {half:g} degrees, {others}, seen from the middle of the capture"
     else:
         index = capture.find_index(centre, "centre photograph")
-    near = np.flatnonzero(_angles(_directions(capture.centres, middle), index) <= half)
+    near = np.flatnonzero(angles_from(directions_from(capture.centres, middle), index) <= half)
     depth, how = _zero_depth(capture, index, near, middle)
     axis = capture.world_to_camera[index, 2, :3]
     pivot = capture.centres[index] + depth * axis
-    angles = _angles(_directions(capture.centres, pivot), index)
+    angles = angles_from(directions_from(capture.centres, pivot), index)
     count, full, inside = len(angles), int((angles <= half).sum()), int((angles <= cone_deg / 2).sum())
     messages = (
         f"cone: {cone_deg:g} degrees round {capture.names[index]} ({chosen_by})",
@@ -131,26 +128,6 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
         f"cone: zero plane {depth:.4g} scene units before the centre camera, {how}",
     )
     return Cone(capture.names[index], index, pivot, depth, cone_deg, angles, messages)
-
-
-def axes_intersection(centres: np.ndarray, axes: np.ndarray) -> np.ndarray | None:
-    """Return the point [3] of least squared distance to the axes of cameras.
-
-    Args:
-        centres: [C,3], of the cameras.
-        axes: [C,3], of length 1.
-
-    Returns:
-        None where the axes are fewer than three or nearly parallel, or the point is not before nine of ten cameras.
-    """
-    if len(centres) < _FEWEST:
-        return None
-    across = np.eye(3) - axes[:, :, None] * axes[:, None]
-    mean = across.mean(0)
-    if np.linalg.eigvalsh(mean)[0] < math.sin(math.radians(_LEAST_SPREAD_DEG)) ** 2:
-        return None
-    point = np.linalg.solve(mean, (across @ centres[..., None]).mean(0)[:, 0])
-    return point if (((point - centres) * axes).sum(1) > 0).mean() >= _IN_FRONT else None
 
 
 def central_depth(capture: Capture, index: int) -> float | None:
@@ -164,7 +141,7 @@ def central_depth(capture: Capture, index: int) -> float | None:
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = fx * x / z + cx - width / 2, fy * y / z + cy - height / 2
     middle = (z > 0) & (abs(u) < width / 6) & (abs(v) < height / 6)
-    return float(np.median(z[middle])) if middle.sum() >= 10 * _FEWEST else None
+    return float(np.median(z[middle])) if middle.sum() >= 10 * FEWEST else None
 
 
 def _capture_middle(capture: Capture) -> np.ndarray:
@@ -197,31 +174,6 @@ def _zero_depth(capture: Capture, index: int, near: np.ndarray, middle: np.ndarr
         f"cone: {capture.names[index]} looks away from what the other photographs show, and there are no points in its "
         "middle, so that nothing says at which depth the panel's plane is; give another centre="
     )
-
-
-def _directions(centres: np.ndarray, pivot: np.ndarray) -> np.ndarray:
-    """Return [C,3] of length 1, from the pivot to the cameras."""
-    away = centres - pivot
-    return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-
-
-def _angles(directions: np.ndarray, index: int) -> np.ndarray:
-    """Return [C], degrees, the angles of directions from direction `index`; exact near 0, unlike an arc cosine."""
-    cosines = directions @ directions[index]
-    sines = np.linalg.norm(np.cross(directions, directions[index]), axis=1)
-    return np.degrees(np.arctan2(sines, cosines))
-
-
-def _most_central(directions: np.ndarray, half_deg: float) -> tuple[int, int]:
-    """Return the photograph with the most others within this angle, and their number; see place_cone."""
-    counts, spreads = [], []
-    for index in range(len(directions)):
-        angles = _angles(directions, index)
-        inside = angles <= half_deg
-        counts.append(int(inside.sum()) - 1)
-        spreads.append(float(np.square(angles[inside]).mean().round(9)))
-    best = min(range(len(counts)), key=lambda index: (-counts[index], spreads[index]))
-    return best, counts[best]
 
 
 # --- The panel's rig

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
 
 _SIZE_PX = 256  # width of the pictures, so large that thin things do not blend with their background
+_COLOURS_SIZE_PX = 512  # width of the picture of colours, in which thin things are not fainter than in the panel's
 _FRACTION_SIZE_PX = 128  # width of the pictures that measure a visible fraction
 
 
@@ -286,6 +287,17 @@ def centre_picture(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[np.nda
     """Return which pixels of a small picture of the centre camera show the scene, bool [H, W], and depths [H, W]."""
     alpha, depth = _pictures(gaussians, panel, rig, [panel.views / 2])
     return (alpha[0] >= _CONSTANTS.opaque) & (depth > 0), depth
+
+
+def centre_colours(gaussians: Gaussians, panel: Panel, rig: Rig) -> np.ndarray:
+    """Return a small picture of the centre camera: red, green, blue and alpha, straight, 0..1, [H, W, 4]."""
+    small_panel, small_rig = rig.reduced(panel, _COLOURS_SIZE_PX)
+    cameras = small_rig.cameras_at(small_panel, [panel.views / 2])
+    with torch.no_grad():
+        images = render(gaussians.detach(), cameras, background=(0, 0, 0), alpha=True)
+    alpha = cast(Tensor, images.alpha)[0][..., None]
+    colours = (images.image[0] / alpha.clamp_min(1e-6)).clamp(0, 1)
+    return torch.cat([colours, alpha], -1).float().cpu().numpy()
 
 
 def background_fraction(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:

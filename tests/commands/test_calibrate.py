@@ -124,7 +124,11 @@ def test_what_calibrate_changes_has_a_way_back(capsys, tmp_path):
     path.write_text("broken by hand")
     run(capsys, f"calibrate undo {path}")
     assert path.read_text() == last and "changed by hand" in run(capsys, f"calibrate history {path}")
-    assert "nothing to undo" in complaint(capsys, f"calibrate undo {tmp_path}/other.json")
+    other = tmp_path / "other.json"
+    for action in ("undo", "history"):
+        assert "No such file" in complaint(capsys, f"calibrate {action} {other}")
+    other.write_text(first)
+    assert "nothing to undo" in complaint(capsys, f"calibrate undo {other}")
     new = tmp_path / "new.yaml"
     run(capsys, f"calibrate nudge toy-8v -o {new} --pitch-by 1%")
     run(capsys, f"calibrate undo {new}")

@@ -7,6 +7,7 @@ import torch
 from command_line import run
 from panel_cases import plain_panel
 
+from lightfield_gs.io.images import read_image
 from lightfield_gs.panels.front import find_front
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -56,3 +57,16 @@ def test_a_scene_opens_from_its_front_and_says_so(capsys, tmp_path, monkeypatch)
     assert "turned: 180" in run(capsys, "encode s.ply -o b.png --panel p.yaml --turn 180 --save-rig b.yaml")
     assert (tmp_path / "a.yaml").read_text() == (tmp_path / "b.yaml").read_text()
     assert "turned" not in run(capsys, "encode s.ply -o c.png --panel p.yaml --turn 0")
+
+
+def test_a_pale_scene_stands_before_a_dark_background_unless_one_is_given(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plain_panel(96, 60).to_yaml("p.yaml")
+    pale = box(0)
+    pale.sh[:] = 0.48 / 0.2820948  # nearly white
+    pale.save("s.ply")
+    assert "background: dark, 0.12,0.12,0.12" in run(capsys, "encode s.ply -o a.png --panel p.yaml")
+    corners = [read_image("a.png", as_stored=True)[0, 0].tolist()]
+    assert "background" not in run(capsys, "encode s.ply -o b.png --panel p.yaml --background white")
+    corners.append(read_image("b.png", as_stored=True)[0, 0].tolist())
+    assert corners == [[31, 31, 31], [255, 255, 255]]

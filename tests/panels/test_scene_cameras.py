@@ -144,6 +144,26 @@ def cameras_json(path, poses=((0, 0, -3), (0.3, 0, -3))):
     )
 
 
+def test_a_trainers_scene_opens_from_the_photograph_in_the_middle_of_the_others(folder, capsys):
+    scene = folder / "run/point_cloud/iteration_7/point_cloud.ply"
+    scene.parent.mkdir(parents=True)
+    letter("-y").save(scene)
+    angles = np.radians([60, -8, 170, 0, 40, 180, 7])
+    places = 3 * np.stack([np.sin(angles), 0 * angles, -np.cos(angles)], 1)
+    cameras_json(folder / "run/cameras.json", places.tolist())
+    cameras = json.loads((folder / "run/cameras.json").read_text())
+    for camera, (x, _, z) in zip(cameras, places / 3):  # all look at the letter
+        camera["rotation"] = [[-z, 0, -x], [0, 1, 0], [x, 0, -z]]
+    (folder / "run/cameras.json").write_text(json.dumps(cameras))
+    words = run(capsys, f"encode {scene} -o o.png --panel p.yaml --save-rig r.yaml")
+    assert "3 (photo3), which most others are near" in words
+    pose = Rig.from_yaml("r.yaml").world_to_camera
+    assert np.allclose(-pose[:3, :3].T @ pose[:3, 3], places[3], atol=1e-6)
+    assert "which most" not in run(capsys, f"encode {scene} -o o.png --panel p.yaml --up -y")
+    (folder / "run/cameras.json").write_text("[]")
+    assert "axes: " in run(capsys, f"encode {scene} -o o.png --panel p.yaml")
+
+
 def test_a_camera_of_a_file_is_the_centre_camera(folder, capsys):
     letter("-y").save("f.ply")
     cameras_json(folder / "c.json")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
+from lightfield_gs.commands.options.messages import add_messages
 from lightfield_gs.commands.options.panel import add_camera, add_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import Parser
 from lightfield_gs.commands.options.scene import add_input, add_scene
@@ -34,3 +35,4 @@ def add_arguments(parser: Parser) -> None:
     add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
     add_rendering(add)
     add_device(add)
+    add_messages(add)
