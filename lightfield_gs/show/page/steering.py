@@ -36,6 +36,7 @@ def steering_routes(
     gallery: Gallery | None = None,
     looks: LookStore | None = None,
     command: Callable[[Controls], Sequence[str]] | None = None,
+    display: Callable[[], None] | None = None,
 ) -> dict[str, Route]:
     """Return all addresses of `lightfield-gs view`.
 
@@ -46,10 +47,12 @@ def steering_routes(
         gallery: The pictures that the page may open. None: the stage's scene alone.
         looks: Looks that are kept. None: the page keeps none.
         command: Returns the command line that makes the picture of controls. None: the page shows none.
+        display: Opens the panel's page on the display. None: the page has a link to it.
     """
     token, lines = secrets.token_urlsafe(), Lines(stage.is_live)
     steering = _Steering(stage, lines)
     can = {"opens": gallery is not None, "keeps": looks is not None, "commands": command is not None}
+    can["displays"] = display is not None
     facts = {"exports": list(exports), "token": token, **can}
     routes = {
         "/": page_file("view/view.html"),
@@ -75,7 +78,14 @@ def steering_routes(
         routes |= look_routes(looks, token)
     if command is not None:
         routes["/command.json"] = Route(lambda query: as_json({"words": quoted(*command(Controls.of(query)))}))
+    if display is not None:
+        routes["/display"] = Route(partial(_on_display, display), token)
     return routes
+
+
+def _on_display(display: Callable[[], None], query: Query) -> Answer:
+    display()
+    return text("", 204)
 
 
 def _is_still(query: Query) -> bool:
