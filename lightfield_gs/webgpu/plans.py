@@ -39,7 +39,8 @@ class Counters(NamedTuple):
         words = np.frombuffer(data, np.uint32, HEAD)
         costs = np.frombuffer(data, np.float32, offset=HEAD_BYTES).reshape(-1, len(ORDINALS)).sum(0, dtype=np.float64)
         error = float(words[6:7].view(np.float32)[0])
-        return Counters(*(int(word) for word in words[:6]), error, int(words[7]), tuple(costs.tolist()))
+        pairs, longest, colours, chunks, large, drawn, _, pruned = words[:8].tolist()
+        return Counters(pairs, longest, colours, chunks, large, drawn, error, pruned, tuple(costs.tolist()))
 
 
 class Pass(NamedTuple):
