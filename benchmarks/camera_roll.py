@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps
 
-from benchmarks.pictures import ROOT, draw, eyes, output, resized, save, stack
+from benchmarks.pictures import ROOT, draw, eyes, output, save, stack
 
+PANEL = ("--panel", "65in-8k-96v")
 CELL_PX = (300, 200)  # width and height of a photo's own picture
-EYES_PX = 1200  # width of three eyes' pictures
+EYES_PX = 400  # width of one eye's picture
 
 
 def main() -> None:
@@ -31,9 +32,9 @@ def main() -> None:
     for photo in sorted(given.folder.glob("*.png")):
         depth = photo.with_suffix(".depth.npy")
         seen = drawings / photo.name
-        draw(ROOT, photo, seen, ["--depth", str(depth.resolve())] if depth.exists() else [])
+        draw(ROOT, photo, seen, [*PANEL, *(["--depth", str(depth.resolve())] if depth.exists() else [])])
         cell = ImageOps.pad(Image.open(photo).convert("RGB"), CELL_PX, color="white")
-        row = resized(np.concatenate(eyes(seen), 1), EYES_PX)
+        row = np.concatenate([np.asarray(Image.fromarray(eye).resize((EYES_PX, CELL_PX[1]))) for eye in eyes(seen)], 1)
         rows.append(stack([np.asarray(cell), row], 1))
     save(stack(rows, 0), given.sheet)
 

@@ -13,7 +13,8 @@
 // samples stay in registers.
 
 struct Params {
-  pose: array<vec4u, 6>,  // takes means to camera axes, [R|t]: bits of twelve doubles, low and high words
+  // Rows of factors of (mean, 1), bits of sixteen doubles, low and high words: they give u0 Z, v0 Z, Z and du Z
+  pose: array<vec4u, 8>,
   turn0: vec4f, turn1: vec4f, turn2: vec4f,  // rotation from world to camera axes
   optics: vec4f,      // fx, fy, cx, cy, pixels
   limits: vec4f,      // of X/Z and Y/Z in the Jacobian: x low, high, y low, high

@@ -26,22 +26,26 @@ fn largest_ratio(S: vec3f, D: vec3f) -> f32 {
 // A splat with what its colour is stored behind: D(s) of the compensation. Not drawn: a negative reach.
 struct Projected { splat: Splat, t: vec3f, D: vec3f, pruned: bool };
 
-fn projected(g: Gaussian) -> Projected {
-  var out: Projected;
-  out.splat.c.z = -1.0;
-  let t = vec3f(posed(0u, g.mean.xyz), posed(1u, g.mean.xyz), posed(2u, g.mean.xyz));
-  out.t = t;
-  let magnitudes = abs(g.quaternion);
-  let largest = max(max(magnitudes.x, magnitudes.y), max(magnitudes.z, magnitudes.w));
-  if (!(t.z >= NEAR_DEPTH) || !(g.mean.w * 255.0 >= 1.0) || !(largest > 0.0)) { return out; }
-
-  // Covariance in camera axes: the factor is the rotation times the scales
-  let q = normalize(g.quaternion / largest);
+// q: w, x, y, z.
+fn rotation_matrix(q: vec4f) -> mat3x3f {
   let w = q.x; let x = q.y; let y = q.z; let z = q.w;
-  let local = mat3x3f(
+  return mat3x3f(
     vec3f(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
     vec3f(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
     vec3f(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)));
+}
+
+fn projected(g: Gaussian) -> Projected {
+  var out: Projected;
+  out.splat.c.z = -1.0;
+  let depth = posed(2u, g.mean.xyz); let z = nearest_float(depth);
+  let magnitudes = abs(g.quaternion);
+  let largest = max(max(magnitudes.x, magnitudes.y), max(magnitudes.z, magnitudes.w));
+  out.t.z = z;
+  if (!(z >= NEAR_DEPTH) || !(g.mean.w * 255.0 >= 1.0) || !(largest > 0.0)) { return out; }
+
+  // Covariance in camera axes: the factor is the rotation times the scales
+  let local = rotation_matrix(normalize(g.quaternion / largest));
   var factor = transpose(mat3x3f(P.turn0.xyz, P.turn1.xyz, P.turn2.xyz)) * local;
   factor[0] *= g.scale.x; factor[1] *= g.scale.y; factor[2] *= g.scale.z;
   let rows = transpose(factor);
@@ -49,7 +53,10 @@ fn projected(g: Gaussian) -> Projected {
   let vxy = dot(rows[0], rows[1]); let vxz = dot(rows[0], rows[2]);
 
   // Jacobian, its slopes clamped at the rig's centre
-  let iz = 1.0 / t.z;
+  let iz = 1.0 / z;
+  let u0 = quotient(posed(0u, g.mean.xyz), depth, z); let v0 = quotient(posed(1u, g.mean.xyz), depth, z);
+  let t = vec3f((u0 - P.optics.z) / P.optics.x, (v0 - P.optics.w) / P.optics.y, 1.0) * z;
+  out.t = t;
   let offset = P.filters.w;
   let kx = clamp((t.x + offset) * iz, P.limits.x, P.limits.y);
   let ky = clamp(t.y * iz, P.limits.z, P.limits.w);
@@ -82,8 +89,7 @@ fn projected(g: Gaussian) -> Projected {
     log2_opacity += 0.5 * log2(most);
     if (!(log2_opacity >= LOG2_MIN_ALPHA)) { return out; }
   }
-  out.splat.a = vec4f(P.optics.x * t.x * iz + P.optics.z, P.rig.x * P.optics.x * (P.rig.y - iz),
-                      P.optics.y * t.y * iz + P.optics.w, log2_opacity);
+  out.splat.a = vec4f(u0, quotient(posed(3u, g.mean.xyz), depth, z), v0, log2_opacity);
   out.splat.b = vec4f(S, tau);
   out.pruned = alpha_integral(out.splat) < P.cuts.y;
   out.splat.a.w = raised(out.splat);

@@ -197,14 +197,14 @@ class StereoOptions:
 
     Attributes:
         stereo: how they are stored. None: the image of a panel is asked for.
-        eye_distance: between the eyes, mm.
+        eye_distance: between the eyes, mm. None: the user's own, as the next one, see `own_eyes`.
         screen_size: diagonal of the screen, inches.
         eye_size: width and height of the picture of one eye, pixels. None: 1920 x 1080.
     """
 
     stereo: StereoLayout | None = None
-    eye_distance: float = 63.0
-    screen_size: float = 27.0
+    eye_distance: float | None = None
+    screen_size: float | None = None
     eye_size: tuple[int, int] | None = None
 
 

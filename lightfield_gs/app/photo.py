@@ -23,6 +23,7 @@ from lightfield_gs.app.photo_depth import (
     flat_depth,
     has_depth,
     is_depth_inside,
+    without_holes,
 )
 from lightfield_gs.app.photo_pair import MatchedPair, guessed_pair, pair_depth, pair_of, read_pair_photo
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
@@ -68,7 +69,8 @@ class ReadPhoto:
         matched: of a stereo pair, both eyes' pictures.
         second: of a stereo pair, the other eye.
         refused: why no object was cut out, where the whole photo is shown instead.
-        notes: lines for the user.
+        notes: doubts, for the user.
+        lines: further decisions, for the user.
     """
 
     path: Path
@@ -81,6 +83,7 @@ class ReadPhoto:
     second: SecondEye | None = None
     refused: NoCutOut | None = None
     notes: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -299,7 +302,10 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
         depth = depth_beside(path, options, picture, side, photo)
     else:
         depth = depth_from_file(cast(Path, options.depth), options, photo)
-    return ReadPhoto(path, options, photo, is_whole=True, depth=depth, notes=notes)
+    lines: list[str] = []
+    if depth is not None:
+        depth, lines = without_holes(depth, options, photo)
+    return ReadPhoto(path, options, photo, is_whole=True, depth=depth, notes=notes, lines=lines)
 
 
 def _read_pair(path: Path, options: PhotoOptions, pair: PairLayout) -> ReadPhoto:
@@ -399,6 +405,8 @@ def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
         note(words)
     height, width = source.photo.size
     say(f"{source.path}: {width} x {height}, {', '.join([*source.photo.messages, *more])}")
+    for words in source.lines:
+        say(words)
 
 
 def _load_network(checkpoint: Path | None, device: str) -> ReplayedNet:

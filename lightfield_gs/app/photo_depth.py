@@ -246,6 +246,19 @@ def _resize_to_photo(name: str, depth: DepthMap, photo: Photo) -> DepthMap:
     return replace(depth, z=resize_to_photo(depth.z, photo.floats()), description=description)
 
 
+def without_holes(depth: DepthMap, options: PhotoOptions, photo: Photo) -> tuple[DepthMap, list[str]]:
+    """Return a depth map whose holes are filled unless --depth-invalid is "hole", and a line on them."""
+    import numpy as np
+
+    from lightfield_gs.photo.depth_holes import fill_holes
+
+    part = 1 - float(np.isfinite(depth.z).mean())
+    if options.depth_invalid == "hole" or not 0 < part < 1:
+        return depth, []
+    words = f"depth: {part:.1%} was not measured; the surfaces beside go on there (holes: --depth-invalid hole)"
+    return replace(depth, z=fill_holes(depth.z, photo.floats())), [words]
+
+
 def depth_camera(options: PhotoOptions, height: int, width: int, focal_px: float | None) -> tuple:
     """Return the camera of a photo by --intrinsics, --fov, or the file of its depth map.
 

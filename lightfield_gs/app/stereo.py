@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import EncodeOptions, PanelOptions, StereoOptions
+from lightfield_gs.app.own_eyes import OwnEyes, own_eyes
 from lightfield_gs.app.panel import load_panel, software
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
@@ -51,22 +52,26 @@ class StereoTarget:
     Attributes:
         layout: How they are stored.
         screen: Where they are seen.
+        own: The user's numbers, where options leave them open.
     """
 
     layout: StereoLayout
     screen: StereoScreen
+    own: OwnEyes = OwnEyes()
 
     @staticmethod
     def of(options: StereoOptions, viewing_distance_mm: float | None) -> StereoTarget:
         """Return the target of the options; raise InputError where there is none."""
         assert options.stereo is not None
         width, height = options.eye_size or (StereoScreen.width_px, StereoScreen.height_px)
-        screen = StereoScreen(width, height, options.screen_size, options.eye_distance, viewing_distance_mm)
-        return StereoTarget(options.stereo, screen)
+        is_open = options.screen_size is None or options.eye_distance is None
+        own = own_eyes() if is_open else OwnEyes()
+        size, eyes = options.screen_size or own.diagonal_in, options.eye_distance or own.eye_distance_mm
+        return StereoTarget(options.stereo, StereoScreen(width, height, size, eyes, viewing_distance_mm), own)
 
     def line(self, options: StereoOptions, viewing_distance_mm: float | None) -> str:
         """Return a line on the screen and the eyes, with the options that were left to their defaults."""
-        given = (options.eye_distance != StereoScreen.eye_distance_mm, options.screen_size != StereoScreen.diagonal_in)
+        given = (options.eye_distance is not None, options.screen_size is not None)
         names = [
             name
             for name, is_given in (
@@ -76,7 +81,8 @@ class StereoTarget:
             )
             if not is_given
         ]
-        return f"stereo: {self.screen.words()}" + (f" (assumed: {', '.join(names)})" if names else "")
+        source = "assumed" if self.own.kept_in is None else f"as kept in {self.own.kept_in}; else"
+        return f"stereo: {self.screen.words()}" + (f" ({source}: {', '.join(names)})" if names else "")
 
 
 def refuse_stereo(options: StereoOptions) -> None:

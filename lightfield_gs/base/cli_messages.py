@@ -127,6 +127,34 @@ def confirm(question: str, is_meant: bool) -> None:
         raise InputError("nothing was changed")
 
 
+def ask_number(question: str, usual: float, low: float, high: float) -> float:
+    """Ask for a number in low..high on the terminal until one comes; nothing is the usual one. Raises InputError.
+
+    Args:
+        question: It, with its unit.
+        usual: The usual number.
+        low: The least that is taken.
+        high: The most.
+    """
+    while True:
+        print(f"{question} [{usual:g}] ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            raise InputError("no answer came; give the number as an option")
+        try:
+            number = float(line.strip() or usual)
+        except ValueError:
+            number = low - 1
+        if low <= number <= high:
+            return number
+        print(f"expected a number in {low:g}..{high:g}", file=sys.stderr)
+
+
+def can_ask() -> bool:
+    """Return whether somebody sits at the terminal, who reads and answers."""
+    return sys.stdin.isatty() and sys.stdout.isatty() and sys.stderr.isatty()
+
+
 @contextmanager
 def closing_lines() -> Iterator[None]:
     """Print the library's assumptions on stdout at the end of the block, and last what to do next.

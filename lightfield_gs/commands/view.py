@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+import webbrowser
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from lightfield_gs.app.options import (
     SceneOptions,
     StereoOptions,
 )
+from lightfield_gs.app.panel import connected_position
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.app.stereo import panel_of, refuse_files
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
@@ -31,6 +33,7 @@ from lightfield_gs.commands.view_command import ShownPicture
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.scenes.files import is_scene_path
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
 from lightfield_gs.show.page.exports import exports
 from lightfield_gs.show.page.gallery import Gallery
 from lightfield_gs.show.page.looks import LookStore, looks_path
@@ -114,8 +117,46 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     say(*device.messages, *screen, *reader.messages)
     with scratch_folder() as dropped:
         gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_scene_path, OPENED_SUFFIXES, dropped)
-        routes = steering_routes(stage, exports(stage), gallery, LookStore(looks_path()), reader.command)
-        serve(options.serving, routes, "/")
+        on_display = _OnDisplay.found(panel, options)
+        looks, display = LookStore(looks_path()), None if on_display is None else on_display.show
+        routes = steering_routes(stage, exports(stage), gallery, looks, reader.command, display)
+        try:
+            serve(options.serving, routes, "/", None if on_display is None else on_display.open_page)
+        finally:
+            if on_display is not None:
+                on_display.browser.close()
+
+
+@dataclass
+class _OnDisplay:
+    """The panel's page, which the page of the scene has opened on the display.
+
+    Attributes:
+        browser: Of the display.
+        url: Address of the page of the scene, as soon as it is served.
+    """
+
+    browser: DisplayBrowser
+    url: str = ""
+
+    @staticmethod
+    def found(panel: Panel, options: ViewOptions) -> _OnDisplay | None:
+        """Return the connected display; None where its place is not known, or no browser can be told to open there."""
+        is_asked_for = options.stereo.stereo is None and not options.serving.no_open
+        position = connected_position() if is_asked_for else None
+        if position is None or find_browser() is None:
+            return None
+        return _OnDisplay(DisplayBrowser(position, (panel.width_px, panel.height_px)))
+
+    def open_page(self, url: str) -> None:
+        """Open the page of the scene in the usual browser."""
+        self.url = url
+        webbrowser.open(url)
+
+    def show(self) -> None:
+        """Open the panel's page on the display, unless it is there."""
+        if not self.browser.is_open():
+            self.browser.open(f"{self.url}panel")
 
 
 def _first(reader: _Reader, paths: list[Path]) -> tuple[int, StagedScene]:

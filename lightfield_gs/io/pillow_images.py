@@ -130,10 +130,11 @@ def _further(path: Path, number: int) -> io.BytesIO:
     """Return picture `number` of an MPO as a file of its own: by the list of pictures, or else by its markers."""
     from PIL import Image
 
-    with contextlib.suppress(*_RAISED), Image.open(path, formats=_FORMATS) as image, path.open("rb") as file:
-        image.seek(number)
-        file.seek(getattr(image, "offset", 0))
-        return io.BytesIO(file.read())
+    with contextlib.suppress(InputError), pillow_errors(str(path)):
+        with Image.open(path, formats=_FORMATS) as image, path.open("rb") as file:
+            image.seek(number)
+            file.seek(getattr(image, "offset", 0))
+            return io.BytesIO(file.read())
     parts = _jpegs_in(path)
     if number >= len(parts):
         raise InputError(f"{path}: its picture {number + 1} is missing; give stereo_in=none to take the first alone")
@@ -271,11 +272,12 @@ def read_further_picture(path: Path, number: int) -> np.ndarray:
     with contextlib.ExitStack() as stack:
         if is_heif(path):
             image = stack.enter_context(open_heif(path, lambda width, height: None))
-            image.seek(number)
         else:
             image = stack.enter_context(_open(_further(path, number), f"{path}: its picture {number + 1}"))
         alone = f"{path}: its picture {number + 1} is damaged (stereo_in=none takes the first alone)"
         stack.enter_context(pillow_errors(alone))
+        if is_heif(path):
+            image.seek(number)
         if image.width * image.height > _MOST_PIXELS:
             raise InputError(f"{path}: {image.width} x {image.height} pixels; expected at most {_MOST_PIXELS}")
         return np.array(image.convert("RGB"))

@@ -320,7 +320,7 @@ class _Matches:
         """Return the mean squared difference of colours, and of depths, of patches."""
         guide, middle = self.level.guide.flatten(), self.offsets.shape[0] // 2
         there = self._flat(match)
-        apart = self.patches[which] - self.colours[there.flatten()].view(len(which), -1, 3)
+        apart = self.patches[which] - self.colours[there.flatten()].view(len(which), len(self.offsets), 3)
         cost = apart.square_().sum((1, 2)) / len(self.offsets)
         apart = guide[self.patch_pixels[which, middle]] - guide[there[:, middle]]
         return cost + (_C.depth_weight * apart).square().clamp_max(_C.depth_cost_limit) * _C.depth_cost_factor

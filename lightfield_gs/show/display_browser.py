@@ -97,13 +97,17 @@ class DisplayBrowser:
         nowhere = subprocess.DEVNULL
         self._process = subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
 
+    def is_open(self) -> bool:
+        """Return whether it was opened, and runs."""
+        return self._process is not None and self._process.poll() is None
+
     def has_ended(self) -> bool:
         """Return whether it was opened, and is closed or has crashed."""
         return self._process is not None and self._process.poll() is not None
 
     def close(self) -> None:
         """End the browser, and remove its settings."""
-        if self._process is not None and self._process.poll() is None:
+        if self._process is not None and self.is_open():
             self._process.terminate()
             try:
                 self._process.wait(5)

@@ -126,7 +126,10 @@ def pack_params(
         cells[k, :3] = (*_words(phase), channel)
     shifts = cell_shifts(lens)
     cells[:2, 3] = np.array((shifts.min(), shifts.max()), np.float32).view(np.uint32)
-    arrays = pose[:3], np.array(floats, np.float32), np.array(words, np.uint32), cells
+    fx, fy, cx, cy = camera.intrinsics
+    away = pose[2] / camera.zero_depth - (0, 0, 0, 1)  # times (mean, 1): (Z - Z0) / Z0
+    rows_of_pose = np.stack([fx * pose[0] + cx * pose[2], fy * pose[1] + cy * pose[2], pose[2], reach * fx * away])
+    arrays = rows_of_pose, np.array(floats, np.float32), np.array(words, np.uint32), cells
     return b"".join(array.tobytes() for array in arrays)
 
 

@@ -1,6 +1,8 @@
 """Pictures of two eyes: which eye sees what from where, their layouts, and the files that players read."""
 
+import io
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -152,6 +154,26 @@ def test_encode_writes_pairs(tmp_path, monkeypatch, capsys):
         ("-o a.png --eye-distance 60", "--eye-distance is for --stereo"),
     ):
         assert words in complaint(capsys, f"encode s.ply {line}")
+
+
+def test_eyes_and_screen_are_asked_for_once(tmp_path, monkeypatch, capsys):
+    """At a terminal; the answers hold from then on, and an option goes before them."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+    monkeypatch.setenv("APPDATA", str(tmp_path / "settings"))
+    monkeypatch.chdir(tmp_path)
+    balls((-0.3, 0, 1.5), (0.3, 0, 2.0)).save("s.ply")
+    line = "encode s.ply -o a.png --stereo tab --eye-size 96x54"
+
+    def said(more: str = "") -> str:
+        assert cli.main(f"{line}{more}".split()) == 0
+        return capsys.readouterr().out
+
+    assert "eyes 63 mm apart" in said() and not (tmp_path / "settings").exists()
+    monkeypatch.setattr(sys, "stdin", io.StringIO("wide\n65\n\n"))
+    monkeypatch.setattr("lightfield_gs.app.own_eyes.can_ask", lambda: True)
+    assert "eyes 65 mm apart, 600 mm before a screen of 27 inches (as kept in" in said()
+    assert "eyes 65 mm apart" in said()  # without a question, for nothing is left to read
+    assert "eyes 60 mm apart" in said(" --eye-distance 60")
 
 
 def test_videos_say_where_the_eyes_are(tmp_path, monkeypatch, capsys):

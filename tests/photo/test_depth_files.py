@@ -4,11 +4,13 @@ import zipfile
 
 import numpy as np
 import pytest
+from command_line import run
 from PIL import Image
 
 import lightfield_gs as lf
 from lightfield_gs.io.images import write_image
 from lightfield_gs.photo.depth import depth_map, read_depth, read_numbers
+from lightfield_gs.photo.depth_holes import fill_holes
 
 Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
 
@@ -129,3 +131,22 @@ def test_axes_of_length_1_are_dropped(tmp_path, shape):
     np.savez(tmp_path / "a.npz", image=np.ones((2, 3, 3)), Depth=Z.reshape(shape), mask=np.ones((2, 3), bool))
     for name in ("a.npy", "a.npz"):
         assert np.array_equal(read_depth(tmp_path / name), Z.astype(np.float32))
+
+
+def test_what_was_not_measured_goes_on_from_the_surface_of_its_colour(folder, capsys):
+    rows, columns = np.mgrid[:40, :60]
+    square = (abs(rows - 20) < 12) & (abs(columns - 30) < 12)
+    truth = np.where(square, 1.2, 3 - 0.01 * rows).astype(np.float32)
+    photo = np.where(square[..., None], (200, 30, 30), (40, 90, 160)).astype(np.uint8)
+    depth = truth.copy()
+    depth[np.random.default_rng(0).random(depth.shape) < 0.1] = np.nan
+    depth[10:20, 36:50] = depth[:6, :6] = np.nan  # over the edge, and in a corner
+    assert np.abs(fill_holes(depth, photo / 255) / truth - 1).max() < 0.05
+    np.save("d.npy", depth)
+    write_image("a.png", photo)
+    line = "encode a.png --depth d.npy -o o.png --panel p.yaml --save-gaussians g.ply"
+    out = run(capsys, line)
+    assert f"depth: {np.isnan(depth).mean():.1%} was not measured" in out and "--depth-invalid hole" in out
+    whole = len(lf.Gaussians.load("g.ply").means)
+    assert "was not measured" not in run(capsys, f"{line} --depth-invalid hole")
+    assert len(lf.Gaussians.load("g.ply").means) < whole

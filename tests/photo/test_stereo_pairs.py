@@ -1,5 +1,6 @@
 """Stereo pairs as photos: the depth of a pair that was drawn, which eye is which, and what files say of themselves."""
 
+import base64
 import io
 import json
 import struct
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from heic_maker import heic
 from PIL import Image
 from rgbd_scene import TEXTURED, camera, textured
@@ -20,6 +22,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.stereo import join_eyes, render_eyes
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.jpeg_pairs import write_jpeg, write_mpo
+from lightfield_gs.io.stereo_names import layout_in_name
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.panels.stereo_screen import LEFT_RIGHT, StereoScreen, eye_geometry
@@ -81,19 +84,54 @@ def test_near_is_near_whatever_the_file(tmp_path, drawn, layout, name):
     assert np.corrcoef(1 / swapped[inner].ravel(), 1 / truth[inner].ravel())[0, 1] < -0.5
 
 
-def test_right_eyes_before_the_panel_see_the_right_picture(tmp_path, drawn):
+def stored(folder: Path, name: str, eyes: tuple[np.ndarray, np.ndarray]) -> Path:
+    """The eyes' pictures, the left one's first, in a file as its name says."""
+    path, (left, right) = folder / name, eyes
+    crossed, joined = np.concatenate([right, left], 1), torch.from_numpy(np.stack(eyes))
+    if path.suffix == ".mpo":
+        write_mpo(path, eyes, {})
+    elif path.suffix == ".heic":
+        pytest.importorskip("pi_heif", reason="pi-heif is not installed")
+        path.write_bytes(heic(left, right=right))
+    elif name == "left_first.jps":
+        write_jpeg(path, join_eyes(joined, "sbs").numpy(), {})
+    elif name == "gimage.jpg":
+        packet = f'<x xmlns:GImage="{GIMAGE}" GImage:Data="{base64.b64encode(jpeg(right)).decode()}"/>'
+        segment = b"http://ns.adobe.com/xap/1.0/\0" + packet.encode()
+        data = jpeg(left)
+        path.write_bytes(data[:20] + b"\xff\xe1" + struct.pack(">H", 2 + len(segment)) + segment + data[20:])
+    elif name == "ster.png":
+        file = io.BytesIO()
+        Image.fromarray(crossed).save(file, "PNG")
+        chunk = struct.pack(">4sB", b"sTER", 0)
+        whole = struct.pack(">I", 1) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        path.write_bytes(file.getvalue()[:33] + whole + file.getvalue()[33:])
+    elif path.suffix == ".jps" or "crosseyed" in name:
+        path.write_bytes(jpeg(crossed))
+    else:
+        write_image(path, join_eyes(joined, layout_in_name(path).kind.replace("half-tab", "tab")).numpy())
+    return path
+
+
+GIMAGE = "http://ns.google.com/photos/1.0/image/"
+INPUTS = ("a.mpo", "a.heic", "left_first.jps", "bare.jps", "gimage.jpg", "ster.png")
+INPUTS += ("a_LRF_Full_SBS.png", "a_half_2x1.png", "a_TAB.png", "a_crosseyed.jpg")
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_right_eyes_before_the_panel_see_the_right_picture(tmp_path, name):
     """Of a scene made of a pair, by `simulate`: what is near is to the right for the left eye, as in the pair."""
     pytest.importorskip("cv2", reason="OpenCV is not installed")
-    eyes, _, record = drawn
-    write_mpo(tmp_path / "a.mpo", [eye.numpy() for eye in eyes], record)
-    read = read_photo(tmp_path / "a.mpo", PhotoOptions())
-    fx, fy, cx, cy = read.options.intrinsics
-    gaussians = from_depth(read.photo.floats(), read.depth.z, (fx, fy), (cx, cy))
-    panel = lf.Panel(3 * WIDTH, 3 * HEIGHT, 24, 9.0, 0.0, cone_deg=20, viewing_distance_mm=600, pixel_pitch_mm=0.15)
-    rig = Rig(np.eye(4), (3 * fx, 3 * fy), (3 * cx, 3 * cy), 2.2)
+    eyes = tuple(np.rint(255 * textured(offset)[0]).astype(np.uint8) for offset in (0, 0.12))
+    read = read_photo(stored(tmp_path, name, eyes), PhotoOptions())
+    z = read.depth.z
+    gaussians = from_depth(read.photo.floats(), z, (FOCAL, FOCAL))
+    panel = lf.Panel(2 * WIDTH, 2 * HEIGHT, 16, 6.0, 0.0, cone_deg=20, viewing_distance_mm=600, pixel_pitch_mm=0.2)
+    ball, centre = slice(100, 170), (HEIGHT // 2, 135)
+    plane = (float(z[centre]) + float(np.median(z))) / 2  # between the ball and the wall
+    rig = Rig(np.eye(4), (2 * FOCAL, 2 * FOCAL), (WIDTH, HEIGHT), plane)
     image = lf.encode(gaussians, panel, rig).numpy()
     left, right = (simulate(image, panel, (x, 0, 600)).mean(2)[60:130] for x in (-31.5, 31.5))
-    ball = slice(100, 170)  # before the panel's plane
     shifts = range(-12, 13)
     apart = [np.abs(left[:, ball] - np.roll(right, shift, 1)[:, ball]).mean() for shift in shifts]
     assert shifts[int(np.argmin(apart))] > 0

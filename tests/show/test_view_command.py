@@ -33,7 +33,7 @@ def folder(tmp_path, monkeypatch):
 def view(monkeypatch, words: list[str], look) -> None:
     """Run `view`, and call look(server) where it would wait for Ctrl-C."""
 
-    def serve(_, routes, start):
+    def serve(_, routes, *start):
         with serving(routes) as server:
             look(server)
 

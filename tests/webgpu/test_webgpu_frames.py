@@ -42,6 +42,26 @@ def test_a_frame_that_lacks_room_is_drawn_again(frames):
         assert (encoder(gaussians).int() - encode(gaussians, shown, other).int()).abs().max() <= 1
 
 
+def test_places_are_the_floats_of_double_precision(frames):
+    """Columns, parallax and rows of a turned rig before a panel of 8K, where a digit of a float is 5e-4 pixels."""
+    shown, gaussians = panel(width_px=7680, height_px=32), random_scene(500, seed=6, dtype=torch.float32)
+    fan = replace(rig(shown, 0.3, 0.2), focal_px=(5432.1, 5432.1), principal_point_px=(3840.3, 16.7))
+    frames.tiling = 0
+    encode(gaussians, shown, fan, device="webgpu")
+    splats, reach = (
+        np.frombuffer(frames.device.queue.read_buffer(frames.buffers[name], 0, 16 * 500), np.float32).reshape(-1, 4)
+        for name in ("splat_a", "splat_c")
+    )
+    x, y, z, _ = np.asarray(fan.world_to_camera) @ np.c_[gaussians.means.double().numpy(), np.ones(500)].T
+    sweep = float(fan.offset(0, shown))
+    parallax = abs(sweep) * fan.focal_px[0] * (1 / fan.zero_depth - 1 / z)
+    places = np.stack([fan.focal_px[0] * x / z + 3840.3, parallax, fan.focal_px[1] * y / z + 16.7], 1)
+    drawn = reach[:, 2] >= 0
+    expected = places[drawn].astype(np.float32)
+    assert drawn.sum() > 20 and (splats[drawn, :3] == expected).mean() > 0.99
+    np.testing.assert_array_max_ulp(splats[drawn, :3], expected, 1)
+
+
 def test_depths_that_are_nearly_one_fall_into_the_order_of_the_cpu(frames):
     """On a plane that only a turned camera sees as parallel, depths differ by rounding alone."""
     count, shown = 900, panel()

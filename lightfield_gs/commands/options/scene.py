@@ -127,7 +127,7 @@ def add_depth(add: Add) -> None:
         "--depth-invalid",
         choices=DEPTH_INVALID,
         help="meaning of infinite distances, of numbers for the sky (1e10, 65504, 65535) and of the disparity "
-        "0: far away (default), or holes; NaN and the distance 0 are always holes",
+        "0: far away (default), or holes, which NaN and the distance 0 are then, too; else surfaces go on there",
     )
     add(
         "--rgbd",

@@ -22,17 +22,15 @@ def add_stereo(add: Add) -> None:
     add(
         "--eye-distance",
         type=within(20, 120, "mm"),
-        default=63.0,
         metavar="MM",
-        help="of --stereo: distance between the eyes (default 63)",
+        help="of --stereo: distance between the eyes (default: as asked for once at a terminal and kept, else 63)",
     )
     add(
         "--screen-size",
         type=within(0.5, 2000, "inches"),
-        default=27.0,
         metavar="INCHES",
-        help="of --stereo: diagonal of the screen (default 27); with --viewing-distance (default: 0.875 of it) it sets "
-        "the depth that does not strain the eyes",
+        help="of --stereo: diagonal of the screen (default: as kept, else 27); with --viewing-distance "
+        "(default: 0.875 of it) it sets the depth that does not strain the eyes",
     )
     add(
         "--eye-size",

@@ -36,6 +36,7 @@ def steering_routes(
     gallery: Gallery | None = None,
     looks: LookStore | None = None,
     command: Callable[[Controls], Sequence[str]] | None = None,
+    display: Callable[[], None] | None = None,
 ) -> dict[str, Route]:
     """Return all addresses of `lightfield-gs view`.
 
@@ -46,19 +47,21 @@ def steering_routes(
         gallery: The pictures that the page may open. None: the stage's scene alone.
         looks: Looks that are kept. None: the page keeps none.
         command: Returns the command line that makes the picture of controls. None: the page shows none.
+        display: Opens the panel's page on the display. None: the page has a link to it.
     """
     token, lines = secrets.token_urlsafe(), Lines(stage.is_live)
     steering = _Steering(stage, lines)
     can = {"opens": gallery is not None, "keeps": looks is not None, "commands": command is not None}
+    can["displays"] = display is not None
     facts = {"exports": list(exports), "token": token, **can}
     routes = {
         "/": page_file("view/view.html"),
         **{f"/{path.name}": page_file(f"view/{path.name}") for path in _FOLDER.iterdir() if path.suffix != ".html"},
         "/scene.json": Route(lambda query: as_json({**_facts(stage), **facts})),
-        "/frame": Route(steering.frame, place=lambda query: Reservation(_is_still(query))),
-        "/rest": Route(steering.rest, token),
-        "/focus.json": Route(steering.focus),
-        "/depth.json": Route(steering.depth),
+        "/frame": Route(steering.of_now(steering.frame), place=lambda query: Reservation(_is_still(query))),
+        "/rest": Route(steering.of_now(steering.rest), token),
+        "/focus.json": Route(steering.of_now(steering.focus)),
+        "/depth.json": Route(steering.of_now(steering.depth)),
         **export_routes(stage, exports, lines),
         **drawing_routes(stage),
         **panel_routes(
@@ -75,7 +78,14 @@ def steering_routes(
         routes |= look_routes(looks, token)
     if command is not None:
         routes["/command.json"] = Route(lambda query: as_json({"words": quoted(*command(Controls.of(query)))}))
+    if display is not None:
+        routes["/display"] = Route(partial(_on_display, display), token)
     return routes
+
+
+def _on_display(display: Callable[[], None], query: Query) -> Answer:
+    display()
+    return text("", 204)
 
 
 def _is_still(query: Query) -> bool:
@@ -83,49 +93,44 @@ def _is_still(query: Query) -> bool:
 
 
 class _Steering:
-    """What the page asks for, by the thread that draws it; questions about earlier scenes are refused."""
+    """What the page asks for, by the thread that draws it."""
 
     def __init__(self, stage: Stage, lines: Lines):
         self._stage, self._lines = stage, lines
 
-    def _is_old(self, query: Query) -> bool:
-        return "scene" in query and query["scene"] != str(self._stage.number)
+    def of_now(self, make: Callable[[Query], Answer]) -> Callable[[Query], Answer]:
+        """Return what makes answers, with refusals of questions about a scene before the present one."""
+
+        def answer(query: Query) -> Answer:
+            is_old = query.get("scene", str(self._stage.number)) != str(self._stage.number)
+            return text("another picture is shown by now", 410) if is_old else make(query)
+
+        return answer
 
     def frame(self, query: Query) -> Answer:
-        if self._is_old(query):
-            return _OLD
         controls, still = Controls.of(query), _is_still(query)
         picture = self._lines.draw(still, partial(_picture, self._stage, query, controls, still))
         return encoded(picture, lossless=still)
 
     def rest(self, query: Query) -> Answer:
         """Show the page's resting state on the panel."""
-        if self._is_old(query):
-            return _OLD
         self._stage.settle(Controls.of(query))
         return text("", 204)
 
     def focus(self, query: Query) -> Answer:
         """Return the depth of the surface at a point."""
-        if self._is_old(query):
-            return _OLD
         point = number(query, "x", 0, 1), number(query, "y", 0, 1)
         work = partial(self._stage.depth_at, Controls.of(query), point)
         return as_json({"focus": self._lines.draw(False, work)})
 
     def depth(self, query: Query) -> Answer:
         """Return DepthReport.to_dict."""
-        if self._is_old(query):
-            return _OLD
         report = self._lines.draw(True, partial(self._stage.depth, Controls.of(query)))
         return as_json(report.to_dict())
 
     def native(self) -> tuple[int, np.ndarray]:
         """Return the picture for the panel, and its version."""
         return self._lines.last(self._stage.settled)
-
-
-_OLD = text("another picture is shown by now", 410)
 
 
 def encoded(picture: Picture, lossless: bool) -> Answer:

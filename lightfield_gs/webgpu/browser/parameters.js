@@ -8,7 +8,7 @@ const LENS_WIDTHS = [6, 200]; // sub-pixels, of lenses that boxes are made of
 // In sub-pixels: from a cell's shift to the next one's, and between the least and the most, for boxes of lenses
 const LEAST_STEP = -0.9, MOST_SPREAD = 1.5;
 const LOG2_MIN_ALPHA = Math.log2(1 / 255), MIN_TRANSMITTANCE = 1e-4; // of an exact picture
-const CELLS_IN_ROW = 12, CELLS = 48, POSE_NUMBERS = 12, FLOATS = 40, WORDS = 20;
+const CELLS_IN_ROW = 12, CELLS = 48, POSE_NUMBERS = 16, FLOATS = 40, WORDS = 20;
 
 /** The boxes of a panel: {ordinals, across, down, groups, firstLens}. */
 export function boxesOf(lens, ordinals) {
@@ -46,9 +46,13 @@ export function tilings(lens) {
 export function packParams({ camera, antialiased, background, tolerance }, { degree, count }, boxes, rows, room) {
   const { lens, pose } = camera, data = new ArrayBuffer(8 * POSE_NUMBERS + 4 * (FLOATS + WORDS + 4 * CELLS));
   const floats = new Float32Array(data, 8 * POSE_NUMBERS), words = new Uint32Array(data, 8 * POSE_NUMBERS);
-  new Float64Array(data, 0, POSE_NUMBERS).set(pose.slice(0, POSE_NUMBERS));
   const reach = Math.max(Math.abs(lens.offset_start), Math.abs(lens.offset_start + lens.offset_step * lens.views));
   const [start, step] = [lens.offset_start, lens.offset_step].map((value) => (reach > 0 ? value / reach : 0));
+  const [fx, fy, cx, cy] = camera.intrinsics, [right, down, ahead] = [0, 4, 8].map((row) => pose.slice(row, row + 4));
+  new Float64Array(data, 0, POSE_NUMBERS).set([
+    ...right.map((x, k) => fx * x + cx * ahead[k]), ...down.map((y, k) => fy * y + cy * ahead[k]), ...ahead,
+    ...ahead.map((z, k) => reach * fx * (z / camera.zero_depth - (k === 3 ? 1 : 0))),
+  ]);
   const turn = [0, 4, 8].flatMap((row) => [...pose.slice(row, row + 3), 0]);
   floats.set([
     ...turn, ...camera.intrinsics, ...camera.limits.slice(0, 4),

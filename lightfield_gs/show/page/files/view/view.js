@@ -2,7 +2,7 @@
 
 import { buildComfort } from "./comfort.js";
 import { buildControls, showHints } from "./controls.js";
-import { answerOf, find } from "./dom.js";
+import { answerOf, find, post } from "./dom.js";
 import { Frames } from "./frames.js";
 import { Gallery } from "./gallery.js";
 import { listen, listenToHistory } from "./hands.js";
@@ -101,6 +101,18 @@ function changed() {
   frames.changed();
 }
 
+/** Has the program open the panel's page on the display, where it knows the display's place; else the link opens it. */
+async function showOnDisplay(event) {
+  if (!state.scene.displays) return;
+  event.preventDefault();
+  try {
+    await post("display", state.scene.token, {});
+    told.say("The picture is on the display, and follows each change.");
+  } catch (error) {
+    told.say(error.message);
+  }
+}
+
 const eye = find("#eye");
 Object.assign(eye, { min: -0.5, max: 0.5, step: 0.01 });
 eye.addEventListener("input", () => state.set({ eye: eye.valueAsNumber }));
@@ -111,6 +123,7 @@ for (const button of document.querySelectorAll("#modes button"))
     frames.choose(button.dataset.mode);
   });
 addEventListener("resize", () => { Object.keys(panes).forEach((pane) => frames?.refit(pane)); changed(); });
+find("#show").addEventListener("click", showOnDisplay);
 showHints(find("aside"));
 listenToHistory(state);
 
