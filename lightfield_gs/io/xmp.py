@@ -30,17 +30,20 @@ def jpeg_xmp(path: Path) -> str:
         if file.read(2) != b"\xff\xd8":
             return ""
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            packets, parts, size = [], {}, 0
+            packets, parts, size = list[bytes](), dict[bytes, dict[int, bytes]](), 0
             for start, end in _app1_segments(data):
                 if data[start : start + len(_XMP)] == _XMP:
                     packets.append(data[start + len(_XMP) : end])
                 elif data[start : start + len(_EXTENDED)] == _EXTENDED and end - start >= len(_EXTENDED) + _PARTS.size:
-                    _, _, offset = _PARTS.unpack_from(data, start + len(_EXTENDED))
-                    parts[offset] = data[start + len(_EXTENDED) + _PARTS.size : end]
+                    guid, _, offset = _PARTS.unpack_from(data, start + len(_EXTENDED))
+                    parts.setdefault(guid, {})[offset] = data[start + len(_EXTENDED) + _PARTS.size : end]
                 size += end - start
                 if size > _MOST_BYTES:
                     break
-    xmp = b"\n".join([*packets, b"".join(parts[offset] for offset in sorted(parts))]).decode(errors="replace")
+    # The extension that the XMP names, where programs left those of earlier versions
+    named = [own for guid, own in parts.items() if any(guid in packet for packet in packets)]
+    extensions = [b"".join(own[offset] for offset in sorted(own)) for own in named or parts.values()]
+    xmp = b"\n".join([*packets, *extensions]).decode(errors="replace")
     return re.sub(r"=\s*'([^'\"<>]*)'", r'="\1"', xmp)
 
 

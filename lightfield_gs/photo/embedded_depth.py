@@ -35,6 +35,10 @@ _APPLE_DEPTH = re.compile(rb"AuxiliaryImageType(=\"|>)(disparity|depth)", re.IGN
 _SAMSUNG_DEPTH = b"DualShot_DepthMap"
 _UNIFORM_Z = 2  # depth representation type of a HEIC: the others are inverse distances or disparities
 _FARTHEST_RATIO = 50  # far / near of a HEIC, at most: disparities that reach 0 state no far distance
+# An item of a container, with attributes or with elements; where the first picture ends, and others begin
+_ITEM = re.compile(r"<\w+:Item\b([^>]*?)(?:/>|>(.*?)</\w+:Item>)", re.DOTALL)
+_PICTURE_STARTS = (b"\xff\xd8\xff", b"\x89PNG")
+_BEHIND_PICTURE = re.compile(rb"\xff\xd9\x00*(?=\xff\xd8\xff|\x89PNG)")
 _BOXES_BYTES, _TRAILER_BYTES = 1 << 20, 4096
 
 
@@ -172,16 +176,28 @@ def _decode_base64(path: Path, xmp: str, values: dict[str, str]) -> bytes:
 
 def _read_container_item(path: Path, xmp: str, values: dict[str, str]) -> bytes:
     """Return the depth map among the items behind the picture; empty without one."""
-    items = [dict(re.findall(r'\w+:(\w+)\s*=\s*"([^"]*)"', tag)) for tag in re.findall(r"<\w+:Item\b[^>]*>", xmp)]
-    lengths = [int(item["Length"]) if item.get("Length", "").isdecimal() else 0 for item in items]
+    items = [
+        dict(re.findall(r'\w+:(\w+)\s*=\s*"([^"]*)"', match[1]) + re.findall(r"<\w+:(\w+)>([^<]*)</", match[2] or ""))
+        for match in _ITEM.finditer(xmp)
+    ]
+    lengths = [_whole(item.get("Length")) for item in items]
+    # Behind the picture, and behind each item, may be bytes without meaning
+    sizes = [length + _whole(item.get("Padding")) for item, length in zip(items, lengths)]
     for index, item in enumerate(items):
         is_named = item.get("DataURI") and item.get("DataURI") == values.get("DepthURI")
         if index and (is_named or item.get("Semantic", "").lower() in ("depth", "depthmap")):
-            with open(path, "rb") as file:
-                file.seek(max(0, path.stat().st_size - sum(lengths[index:])))
-                data = file.read(lengths[index])
-            return data if data.startswith((b"\xff\xd8", b"\x89PNG")) else b""
+            data = path.read_bytes()
+            starts = [len(data) - lengths[index] - sum(sizes[index + 1 :]) - _whole(item.get("Padding"))]
+            starts += [match.end() + sum(sizes[1:index]) for match in _BEHIND_PICTURE.finditer(data)]
+            for start in starts:
+                if start > 0 and data.startswith(_PICTURE_STARTS, start):
+                    return data[start : start + lengths[index]]
+            return b""
     return b""
+
+
+def _whole(text: str | None) -> int:
+    return int(text) if text is not None and text.isdecimal() and len(text) < 12 else 0
 
 
 def _properties(xmp: str, namespace: str) -> dict[str, str]:

@@ -33,6 +33,7 @@ from lightfield_gs.io.stereo_names import PairLayout, layout_in_name
 from lightfield_gs.io.xmp import jpeg_xmp
 
 _GIMAGE = "http://ns.google.com/photos/1.0/image/"
+_GDEPTH = "http://ns.google.com/photos/1.0/depthmap/"
 _HEAD_BYTES = 1 << 16
 _NO_PAIR = PairLayout("one", False, "its segment of JPS")  # one picture, whatever the name
 _RECORD = {"layout", "focal_px", "principal_point_px", "width_px", "baseline", "zero_depth"}
@@ -152,9 +153,12 @@ def _own_record(path: Path) -> dict[str, Any] | None:
 
 
 def _second_in_xmp(path: Path) -> bytes:
-    """Return the right eye's picture in a JPEG's XMP, unless both are panoramas; empty without one."""
+    """Return the right eye's picture in a JPEG's XMP; empty without one.
+
+    Both may be panoramas; beside a depth map it is the same picture before it was blurred.
+    """
     xmp = jpeg_xmp(path)
-    if f'"{_GIMAGE}"' not in xmp or "GPano:ProjectionType" in xmp:
+    if f'"{_GIMAGE}"' not in xmp or "GPano:ProjectionType" in xmp or f'"{_GDEPTH}"' in xmp:
         return b""
     found = re.search(r'GImage:Data(?:="|>)([^"<]+)', xmp)
     try:

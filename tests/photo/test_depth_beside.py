@@ -17,10 +17,12 @@ from lightfield_gs import cli
 from lightfield_gs.io.depth_names import depth_maps_beside, is_sidecar_name
 from lightfield_gs.io.images import read_picture, write_image
 from lightfield_gs.io.pillow_images import count_pictures
+from lightfield_gs.io.xmp import jpeg_xmp
 from lightfield_gs.photo.embedded_depth import embedded_facts, embedded_notes, find_embedded_depth
 from lightfield_gs.photo.joint_upsampling import resize_to_photo
 from lightfield_gs.photo.load import cut_out_photo
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name, read_depth_half, stereo_layout
+from lightfield_gs.photo.stereo_pair import find_pair
 from lightfield_gs.show.preview import to_integers
 
 REST = "-o o.png --panel p.yaml"
@@ -284,6 +286,48 @@ def test_the_depth_map_behind_the_picture_is_read(folder, capsys):
     assert "depth inside it (Dynamic Depth RangeInverse)" in run(capsys, f"encode a.jpg {REST}")
     Path("a.jpg").write_bytes(jpeg_with(xmp, photo))
     assert "a depth map should be in it (Dynamic Depth)" in complaint(capsys, f"encode a.jpg {REST}")
+
+
+@pytest.mark.parametrize("padding, trailer", [(0, b""), (512, b""), (0, b"SEFH" * 20)])
+def test_items_as_elements_with_padding_and_trailers_are_found(tmp_path, padding, trailer):
+    """As telephones write Dynamic Depth: also with a trailer of the maker behind all items."""
+    photo, grey = photo_and_map()
+    data, other = stored_map(grey[..., 0], "JPEG"), b"something else" * 9
+    space = "http://ns.google.com/photos/dd/1.0/"
+    items = ""
+    for semantic, length, more in (("Primary", 0, padding), ("Depth", len(data), 0), ("Confidence", len(other), 0)):
+        parts = {"Mime": "image/jpeg", "Semantic": semantic, "Length": length, "Padding": more}
+        items += "<Container:Item>" + "".join(f"<Item:{name}>{value}</Item:{name}>" for name, value in parts.items())
+        items += "</Container:Item>"
+    xmp = f'<x xmlns:DepthMap="{space}depthmap/" DepthMap:Format="RangeInverse" DepthMap:Near="1" DepthMap:Far="4">'
+    path = tmp_path / "a.jpg"
+    path.write_bytes(jpeg_with(f"{xmp}{items}</x>", photo, behind=bytes(padding) + data + other + trailer))
+    inside = find_embedded_depth(path)
+    assert inside is not None and inside.data == data
+
+
+def test_the_picture_before_its_blur_is_no_second_eye(tmp_path):
+    """Beside GDepth, GImage holds the photo itself: both in XMP, as Google's camera wrote it."""
+    photo, grey = photo_and_map()
+    depth = gdepth("RangeInverse", stored_map(grey[..., 0], "JPEG"))
+    same = base64.b64encode(stored_map(photo, "JPEG")).decode()
+    space = "http://ns.google.com/photos/1.0/image/"
+    path = tmp_path / "a.jpg"
+    path.write_bytes(jpeg_with(f'{depth}<y xmlns:GImage="{space}" GImage:Data="{same}"/>', photo))
+    assert find_pair(path) is None and find_embedded_depth(path).name == "GDepth RangeInverse"
+
+
+def test_an_extension_of_an_earlier_version_is_left_out(tmp_path):
+    photo, _ = photo_and_map()
+    guids = ["A" * 32, "B" * 32]
+    segments = [b"http://ns.adobe.com/xap/1.0/\0" + f'<x xmpNote:HasExtendedXMP="{guids[0]}"/>'.encode()]
+    for guid, words in zip(guids, (b"the present one", b"an older, longer one")):
+        head = guid.encode() + len(words).to_bytes(4, "big") + bytes(4)
+        segments.append(b"http://ns.adobe.com/xmp/extension/\0" + head + words)
+    data = stored_map(photo, "JPEG")
+    added = b"".join(b"\xff\xe1" + (2 + len(one)).to_bytes(2, "big") + one for one in segments)
+    (tmp_path / "a.jpg").write_bytes(data[:2] + added + data[2:])
+    assert jpeg_xmp(tmp_path / "a.jpg").endswith("the present one")
 
 
 @pytest.mark.parametrize(
