@@ -58,10 +58,10 @@ def steering_routes(
         "/": page_file("view/view.html"),
         **{f"/{path.name}": page_file(f"view/{path.name}") for path in _FOLDER.iterdir() if path.suffix != ".html"},
         "/scene.json": Route(lambda query: as_json({**_facts(stage), **facts})),
-        "/frame": Route(steering.frame, place=lambda query: Reservation(_is_still(query))),
-        "/rest": Route(steering.rest, token),
-        "/focus.json": Route(steering.focus),
-        "/depth.json": Route(steering.depth),
+        "/frame": Route(steering.of_now(steering.frame), place=lambda query: Reservation(_is_still(query))),
+        "/rest": Route(steering.of_now(steering.rest), token),
+        "/focus.json": Route(steering.of_now(steering.focus)),
+        "/depth.json": Route(steering.of_now(steering.depth)),
         **export_routes(stage, exports, lines),
         **drawing_routes(stage),
         **panel_routes(
@@ -93,49 +93,44 @@ def _is_still(query: Query) -> bool:
 
 
 class _Steering:
-    """What the page asks for, by the thread that draws it; questions about earlier scenes are refused."""
+    """What the page asks for, by the thread that draws it."""
 
     def __init__(self, stage: Stage, lines: Lines):
         self._stage, self._lines = stage, lines
 
-    def _is_old(self, query: Query) -> bool:
-        return "scene" in query and query["scene"] != str(self._stage.number)
+    def of_now(self, make: Callable[[Query], Answer]) -> Callable[[Query], Answer]:
+        """Return what makes answers, with refusals of questions about a scene before the present one."""
+
+        def answer(query: Query) -> Answer:
+            is_old = query.get("scene", str(self._stage.number)) != str(self._stage.number)
+            return text("another picture is shown by now", 410) if is_old else make(query)
+
+        return answer
 
     def frame(self, query: Query) -> Answer:
-        if self._is_old(query):
-            return _OLD
         controls, still = Controls.of(query), _is_still(query)
         picture = self._lines.draw(still, partial(_picture, self._stage, query, controls, still))
         return encoded(picture, lossless=still)
 
     def rest(self, query: Query) -> Answer:
         """Show the page's resting state on the panel."""
-        if self._is_old(query):
-            return _OLD
         self._stage.settle(Controls.of(query))
         return text("", 204)
 
     def focus(self, query: Query) -> Answer:
         """Return the depth of the surface at a point."""
-        if self._is_old(query):
-            return _OLD
         point = number(query, "x", 0, 1), number(query, "y", 0, 1)
         work = partial(self._stage.depth_at, Controls.of(query), point)
         return as_json({"focus": self._lines.draw(False, work)})
 
     def depth(self, query: Query) -> Answer:
         """Return DepthReport.to_dict."""
-        if self._is_old(query):
-            return _OLD
         report = self._lines.draw(True, partial(self._stage.depth, Controls.of(query)))
         return as_json(report.to_dict())
 
     def native(self) -> tuple[int, np.ndarray]:
         """Return the picture for the panel, and its version."""
         return self._lines.last(self._stage.settled)
-
-
-_OLD = text("another picture is shown by now", 410)
 
 
 def encoded(picture: Picture, lossless: bool) -> Answer:
