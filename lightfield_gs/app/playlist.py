@@ -136,7 +136,7 @@ def _slide(path: Path, wants_pairs: bool | None) -> Slide:
             raise InputError(
                 f"{path}: neither the file nor its name says that it is stereo; rename it, as NAME_2x1{path.suffix}"
             )
-        raise InputError(f"{path} is a stereo picture, for a screen of two eyes: show it without --panel")
+        raise InputError(f"{path} is a stereo picture, for a screen of two eyes: show it alone, without --panel")
     return slide
 
 
@@ -198,7 +198,10 @@ def _panel(slides: Sequence[Slide], options: PanelOptions) -> Panel:
         assert named[0].panel is not None
         return named[0].panel
     if slides[0].is_native and not slides[0].is_film:
-        return shown_panel(slides[0].path, options.device_serial)
+        try:
+            return shown_panel(slides[0].path, options.device_serial)
+        except InputError as error:
+            raise InputError(f"{error}; a photo needs `lightfield-gs encode` first") from None
     return found_panel(options.device_serial) if not named else stored_panel(named[0].path, options.device_serial)
 
 

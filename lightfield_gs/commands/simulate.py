@@ -16,6 +16,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
+from lightfield_gs.panels.comfort import EYE_SEPARATION_MM
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import Psf, eye_row, simulate_eyes
 
@@ -31,7 +32,7 @@ class SimulateOptions:
         output: the picture that is seen.
         panel: options of the panel; None in them: the panel that the image names.
         eye: position x, y, z in mm.
-        eyes: positions from, to in mm, and their count.
+        eyes: positions from, to in mm, and their count. Without either, a viewer's two eyes before the middle.
         spread: width that a lens lights, sub-pixels.
         psf: file of a measured spread.
         lens_pixels: whether a lens is one pixel of the file; else the picture is enlarged to fill a screen.
@@ -59,8 +60,8 @@ def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
 
     path = check_image_path(options.output)
     check_outputs((path,), (options.image, options.panel.panel, options.psf))
-    if (options.eye is None) == (options.eyes is None):
-        raise InputError("simulate needs a place to look from: give --eye X,Y,Z or --eyes FROM,TO,COUNT, one of them")
+    if options.eye is not None and options.eyes is not None:
+        raise InputError("--eyes takes the place of --eye; leave out one of them")
     if options.psf is not None and options.spread is not None:
         raise InputError("--spread is for the usual spread of light, and --psf takes its place; leave out one of them")
     psf = None if options.psf is None else Psf.load(options.psf)
@@ -90,7 +91,8 @@ def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
     write_image(path, seen, compression="small")
     watch.lap("write")
     positions = options.eye or f"{len(eyes)} places, {eyes[0][0]:g} to {eyes[-1][0]:g}"
-    print(f"{path}: {size}, from {positions} mm")
+    own = "" if options.eye or options.eyes else ", of a viewer's two eyes (others: --eye, --eyes)"
+    print(f"{path}: {size}, from {positions} mm{own}")
     watch.say_if(options.stats)
     notes = {_implausible_eye(panel, eye): None for eye in (eyes[0], eyes[-1])}  # each once
     for words in (*notes, _other_lens(options, panel)):
@@ -100,9 +102,9 @@ def _simulate(options: SimulateOptions, watch: Stopwatch) -> None:
 
 def _eyes(options: SimulateOptions, panel: Panel) -> list[tuple[float, float, float]]:
     """Return the positions x, y, z of the eyes, mm."""
-    if options.eyes is None:
-        return [cast("tuple[float, float, float]", options.eye)]
-    first, last, count = options.eyes
+    if options.eye is not None:
+        return [options.eye]
+    first, last, count = options.eyes or (-EYE_SEPARATION_MM / 2, EYE_SEPARATION_MM / 2, 2)
     return eye_row(panel, first, last, cast(int, count)).tolist()
 
 

@@ -77,5 +77,5 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
         layout = target.layout
         cast(target.path, layout.columns, layout.rows, layout.aspect, url=options.bridge)
         print(f"{target.path}: shown by Looking Glass Bridge")
-    elif target.kind != "2d":
+    elif target.kind != "2d" and options.stereo.stereo != "anaglyph":  # as `show` takes them
         say_next("show", target.path)

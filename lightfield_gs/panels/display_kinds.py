@@ -10,9 +10,12 @@ distances: chosen by hand, about an arm's length on a desk, and further for the 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+# Parts of an owner's words that tell no kind from another
+_NO_NAME = re.compile(r"looking[ _-]?glass|lkg|landscape|(?<=\d)[ -]?in(?:ch)?\b")
 _SAME_DPI = 0.1  # relative difference within which two displays of one size in pixels are alike
 
 
@@ -194,6 +197,16 @@ def kind_by_serial(serial: str) -> DisplayKind | None:
         if rest.startswith(start)
     ]
     return max(found)[2] if found else None
+
+
+def kind_name(words: str) -> str | None:
+    """Return the name in DISPLAY_KINDS that an owner's words mean, such as Looking Glass Go, 27 inch or LKG-E01234."""
+    kind = kind_by_serial(words) if words.strip().upper().startswith("LKG") else None
+    if kind is not None:
+        return next(name for name, one in DISPLAY_KINDS.items() if one is kind)
+    plain = _NO_NAME.sub(" ", words.lower())
+    name = "-".join(re.findall(r"[a-z0-9]+", plain))
+    return name if name in DISPLAY_KINDS else None
 
 
 def kind_by_hardware(name: str) -> DisplayKind | None:

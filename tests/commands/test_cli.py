@@ -363,8 +363,10 @@ def test_simulate_a_row_of_eyes_with_a_measured_spread(folder, capsys):
     assert "from 5 places, -60 to 60 mm" in out
     pictures = [simulate(image, PANEL, (x, 0, 600), psf=psf) for x in (-60, -30, 0, 30, 60)]
     assert np.array_equal(read_image("e.exr"), in_rows(pictures))
+    assert "of a viewer's two eyes" in run(capsys, "simulate o.png --panel p.yaml -o two.exr")
+    pictures = [simulate(image, PANEL, (x, 0, 600)) for x in (-31.5, 31.5)]
+    assert np.array_equal(read_image("two.exr"), in_rows(pictures))
     for options, words in (
-        ("", "give --eye X,Y,Z or --eyes"),
         ("--eye 0,0,600 --eyes 0,1,2", "one of them"),
         ("--eye 0,0,600 --psf lens.csv --spread 1", "leave out one of them"),
         ("--eyes 0,1,0", "1..1000"),

@@ -17,7 +17,7 @@ from lightfield_gs.displays.calibrations import Calibration
 from lightfield_gs.displays.find import match_displays
 from lightfield_gs.displays.screens import Screen
 from lightfield_gs.io.images import write_image
-from lightfield_gs.panels.display_kinds import DISPLAY_KINDS, kind_by_serial, kind_by_size
+from lightfield_gs.panels.display_kinds import DISPLAY_KINDS, kind_by_serial, kind_by_size, kind_name
 from lightfield_gs.panels.quilt import QUILT_PRESETS
 
 PORTRAIT = Screen("HDMI-1", "LKG-P00671", "", 1536, 2048, (1920, 0), 1.0)
@@ -176,3 +176,29 @@ def test_a_damaged_calibration_is_said(computer, capsys):
     assert "visual.json is not JSON" in run(capsys, "displays")
     (folder / "visual.json").write_text(json.dumps(calibration(fringe=1)))
     assert "fringe is set" in complaint(capsys, f"calibrate pattern hues -o {computer / 'hues.png'}")
+
+
+@pytest.mark.parametrize(
+    "words, name",
+    [
+        ("Looking Glass Go", "go"),
+        ("looking-glass-portrait", "portrait"),
+        ('16"', "16"),
+        ("27 inch", "27"),
+        ("32in", "32"),
+        ("27-landscape", "27"),
+        ("65-inch", "65"),
+        ("16-portrait", "16-portrait"),
+        ("LKG-E01234", "go"),
+        ("12", None),
+        ("inch", None),
+    ],
+)
+def test_a_display_is_named_in_an_owners_words(words, name):
+    assert kind_name(words) == name
+
+
+def test_a_visual_json_that_is_not_there_is_said_with_its_place(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = complaint(capsys, "encode s.ply -o o.png --panel visual.json")
+    assert "cannot read visual.json" in words and "/Volumes/LKG" in words and "E: on Windows" in words

@@ -13,6 +13,7 @@ from stress_cases import BACKGROUND, CASES
 from lightfield_gs import Panel, encode
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.panels.panel import panel_lens
+from lightfield_gs.show.page.stage import cut_out
 from lightfield_gs.webgpu.parameters import tilings
 
 # The drivers of GPUs are not ours, and what is drawn on the CPU is tested elsewhere
@@ -35,6 +36,15 @@ def test_extremes_have_the_bytes_of_the_cpu(frames, name, tiling):
     frames.tiling = tiling
     difference, _ = apart(CASES[name].scene().to(dtype=torch.float32), shown, fan, background=BACKGROUND)
     assert difference.max() <= 1
+
+
+@pytest.mark.webgpu_large
+def test_pixels_of_an_8k_frame_in_a_wide_cone(frames):
+    """Few bytes differ, for places and roots are as exact as on the CPU."""
+    panel_8k, gaussians = Panel.load("bench-8k-96v"), load_scene("sheet:512", None)
+    fan = benchmark_rig("sheet:512", gaussians, panel_8k, 40.0)
+    difference, _ = apart(gaussians, *cut_out(panel_8k, fan, 3520, 1760, 640, 320))
+    assert difference.max() <= 1 and (difference > 0).float().mean() < 2e-4
 
 
 @pytest.mark.webgpu_large

@@ -15,7 +15,8 @@ def add_arguments(parser: Parser) -> None:
     """Add the arguments of `lightfield-gs simulate`."""
     parser.description = "Show what an eye before the display sees of a picture, through the lenses."
     parser.text.examples = (
-        ("simulate out.png --eye 0,0,700 -o eye.png", "in the middle"),
+        ("simulate out.png -o eyes.png", "a viewer's two eyes"),
+        ("simulate out.png --eye 0,0,700 -o eye.png", "one in the middle"),
         ("simulate out.png --eyes -100,100,5 -o row.png", "five eyes in a row"),
     )
     add = in_group(parser.add_argument, groups.OWN)
@@ -40,7 +41,8 @@ def add_arguments(parser: Parser) -> None:
         type=numbers(3),
         metavar="X,Y,Z",
         short="the eye in mm from the middle: right, up, towards you",
-        help="position of the eye in mm from the panel's centre: right, up, towards the viewer",
+        help="position of the eye in mm from the panel's centre: right, up, towards the viewer (default: a viewer's "
+        "two eyes, at the viewing distance)",
     )
     add(
         "--eyes",

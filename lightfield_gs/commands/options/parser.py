@@ -16,7 +16,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.suggestions import did_you_mean
 from lightfield_gs.commands.options.help_text import HelpText
-from lightfield_gs.panels.display_kinds import DISPLAY_KINDS
+from lightfield_gs.panels.display_kinds import DISPLAY_KINDS, kind_name
 
 # Options whose values may begin with a minus sign
 _VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--eyes", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
@@ -175,7 +175,13 @@ def panel_name(text: str) -> str:
     from lightfield_gs.io.text_files import config_path
 
     is_path = text.lower().endswith((".yaml", ".yml", ".json")) or "/" in text or Path(text).is_file()
+    if Path(text).name.lower() == "visual.json" and not Path(text).exists():
+        from lightfield_gs.displays.calibrations import WHERE_IT_LIES
+
+        raise argparse.ArgumentTypeError(f"cannot read {text}: No such file or directory; {WHERE_IT_LIES}")
     if not is_path and text not in DISPLAY_KINDS:
+        if (name := kind_name(text)) is not None:
+            return name
         try:
             config_path("panels", text, tuple(DISPLAY_KINDS))
         except InputError as error:
