@@ -133,6 +133,7 @@ test-arm: setup $(VENV)/.arm
 # The stages on Windows: cross-compiled by Zig, run by Wine, and compared in the same way. For 64-bit ARM with Windows and
 # with macOS they are compiled and linked, which nothing here can run. The first time Zig compiles its C++ library too.
 # ZIG_OPTIONS, for a machine without GitHub: -DFETCHCONTENT_SOURCE_DIR_HWY=FOLDER -DFETCHCONTENT_SOURCE_DIR_GLM=FOLDER
+# -DBUILD_TESTING=OFF
 WINE = WINEPREFIX=$(CURDIR)/build/wine WINEDEBUG=-all WINEDLLOVERRIDES="mscoree,mshtml=" wine
 ZIG_OPTIONS ?=
 ZIG = -DCMAKE_TOOLCHAIN_FILE=cmake/zig.cmake -DLFGS_ZIG=$(CURDIR)/$(VENV)/zig/bin/python $(ZIG_OPTIONS)
