@@ -9,6 +9,7 @@ import sys
 import time
 import urllib.request
 from contextlib import contextmanager
+from functools import partial
 
 import chromium
 import numpy as np
@@ -49,12 +50,16 @@ def evening(tmp_path):
 @contextmanager
 def running(*words: str, how: dict):
     """A command that runs until Ctrl-C, and the address of its page."""
-    with subprocess.Popen([*PROGRAM, *words], **how) as process:
+    # As from a terminal: what runs these tests in the background may have SIGINT ignored
+    heeded = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen([*PROGRAM, *words], preexec_fn=heeded, **how) as process:
         try:
             yield next(line for line in process.stdout if line.startswith("open ")).split()[1]
             assert process.poll() is None
-        finally:
             process.send_signal(signal.SIGINT)
+            process.communicate(timeout=_PATIENCE_S)
+        finally:
+            process.kill()
 
 
 def wait_for(screen: VirtualScreen, expected: np.ndarray) -> None:
