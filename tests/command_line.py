@@ -1,5 +1,7 @@
 """The command line from outside: what tests of it run on, and what they expect of every command."""
 
+import signal
+
 import torch
 from panel_cases import template_panel
 
@@ -18,6 +20,11 @@ def scene(count=60, seed=0) -> Gaussians:
         torch.rand(count, generator=r) * 0.8 + 0.1,
         torch.randn(count, 4, 3, generator=r) * 0.4,
     )
+
+
+def heed_ctrl_c() -> None:
+    """The preexec_fn of a program, as from a terminal: tests in the background may have SIGINT ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def run(capsys, line: str) -> str:

@@ -7,13 +7,12 @@ import sys
 import time
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from command_line import PANEL, complaint, run
+from command_line import PANEL, complaint, heed_ctrl_c, run
 from rgbd_scene import view
 
 from lightfield_gs import Gaussians, cli, encode, render
@@ -162,9 +161,9 @@ SLOW = "video s.ply -o {} --panel toy-8v --turntable 4 --fps 30 --compression sm
 def start(folder: str) -> subprocess.Popen:
     """The command as a program, once it has written some frames."""
     program = [sys.executable, "-m", "lightfield_gs", *SLOW.format(folder).split()]
-    # As from a terminal: what runs these tests in the background may have SIGINT ignored
-    heeded = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    running = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heeded)
+    running = subprocess.Popen(
+        program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
+    )
     while not (Path(folder) / frame_name(5)).exists():
         assert running.poll() is None, running.communicate()
         time.sleep(0.01)

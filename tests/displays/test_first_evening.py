@@ -9,11 +9,11 @@ import sys
 import time
 import urllib.request
 from contextlib import contextmanager
-from functools import partial
 
 import chromium
 import numpy as np
 import pytest
+from command_line import heed_ctrl_c
 from PIL import Image
 from plain_photos import picture, save
 from screen_cases import calibration, edid
@@ -50,9 +50,7 @@ def evening(tmp_path):
 @contextmanager
 def running(*words: str, how: dict):
     """A command that runs until Ctrl-C, and the address of its page."""
-    # As from a terminal: what runs these tests in the background may have SIGINT ignored
-    heeded = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with subprocess.Popen([*PROGRAM, *words], preexec_fn=heeded, **how) as process:
+    with subprocess.Popen([*PROGRAM, *words], preexec_fn=heed_ctrl_c, **how) as process:
         try:
             yield next(line for line in process.stdout if line.startswith("open ")).split()[1]
             assert process.poll() is None

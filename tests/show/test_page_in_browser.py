@@ -13,7 +13,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 from chromium import SWIFTSHADER_CANVAS, Browser, find
-from command_line import PANEL, scene
+from command_line import PANEL, heed_ctrl_c, scene
 from test_page import serving
 
 from lightfield_gs import encode
@@ -250,7 +250,7 @@ def test_show_opens_an_encoded_image(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "lightfield_gs", "show", str(tmp_path / "i.png"), "--no-open"],
         stdout=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=heed_ctrl_c,
     )
     try:
         lines = io.TextIOWrapper(process.stdout)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chromium import Browser, find
-from command_line import PANEL, complaint, run
+from command_line import PANEL, complaint, heed_ctrl_c, run
 from PIL import Image
 from test_page import get, serving
 
@@ -206,7 +206,7 @@ def test_a_wall_begins_again_by_itself(folder):
         [sys.executable, "-m", "lightfield_gs", "show", str(folder / "9.png"), "--wall", "--no-open"],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=heed_ctrl_c,
     )
 
     def run_number(url: str, other_than: str | None = None) -> str:
