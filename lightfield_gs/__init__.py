@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.classic import interlace
     from lightfield_gs.encoding.encode import encode
     from lightfield_gs.encoding.encoder import Encoder
-    from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.quilt import quilt
     from lightfield_gs.encoding.sorted_plan import SortedPlan
     from lightfield_gs.encoding.weave import weave
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
+    from lightfield_gs.simplification.pruning import prune
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {
@@ -55,7 +55,7 @@ _HOMES = {
     "from_depth": "photo.rgbd",
     "interlace": "encoding.classic",
     "load_photo": "photo.load",
-    "prune": "encoding.pruning",
+    "prune": "simplification.pruning",
     "quilt": "encoding.quilt",
     "read_scene": "io.scenes.files",
     "render": "rasterizer.images",

@@ -25,13 +25,13 @@ from lightfield_gs.bench.scenes import benchmark_rig, cone_degrees, load_scene, 
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
-from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, frame_photo
 from lightfield_gs.photo.load import load_photo
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.simplification.pruning import prune
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut", "evaluation_error")

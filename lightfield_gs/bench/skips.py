@@ -23,12 +23,12 @@ from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
-from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.panels.rig import Rig, lenticular_camera
 from lightfield_gs.rasterizer.direct import COLOUR_ORDER, DirectRender
 from lightfield_gs.rasterizer.frame_cuda import DirectFrames
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
+from lightfield_gs.simplification.pruning import prune
 
 SCENES = ("cloud:65536",)
 OPACITY_CUT, LATTICE_ERROR = Quality.of("fast").opacity_cut, Quality.of("high").lattice_error

@@ -68,7 +68,7 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
     panel = load_panel(options.panel)
     device = choose_device(options.device)
 
-    from lightfield_gs.encoding.pruning import prune
+    from lightfield_gs.simplification.pruning import prune
 
     choice = read_camera(options.camera, panel)
     watch.lap("start")

@@ -20,7 +20,6 @@ from torch import Tensor
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.encoding.pruning import contributions, left_out
 from lightfield_gs.fitting.cone import Display
 from lightfield_gs.fitting.evaluate import Scores
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
@@ -28,6 +27,7 @@ from lightfield_gs.fitting.run import Run
 from lightfield_gs.rasterizer.image_render import ImageBuffers
 from lightfield_gs.rasterizer.workspace import GradientRequest
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
+from lightfield_gs.simplification.pruning import contributions, left_out
 
 # The mean error of colours 0..1 by pruning, 1/39 of a step of 8 bits. `prune` allows three times as much; here nobody
 # asked for a smaller scene.

@@ -26,7 +26,7 @@ def rotated_fields(
     rotated = matrix.detach().cpu() @ torch.tensor(origin, dtype=torch.float64)
     return (
         means @ matrix.T.to(means),
-        _product(_quaternion(matrix).to(means), quaternions),
+        _product(unit_quaternions(matrix).to(means), quaternions),
         harmonics_rotation(matrix, sh.shape[-2]).to(means) @ sh,
         tuple((rotated + 0.0).tolist()),
     )
@@ -86,19 +86,22 @@ def _inverses() -> tuple[np.ndarray, ...]:
     return tuple(np.linalg.pinv(values[:, first:last]) for first, last in zip((0, *SH_COEFFICIENTS), SH_COEFFICIENTS))
 
 
-def _quaternion(matrix: Tensor) -> Tensor:
-    """Convert a rotation [3, 3] to a unit quaternion [4] (wxyz), by the longest column of its outer product."""
-    m = matrix
+def unit_quaternions(matrices: Tensor) -> Tensor:
+    """Convert rotations [..., 3, 3] to unit quaternions [..., 4] (wxyz), by the longest column of the outer product."""
+    rows = (matrices[..., i, j] for i in range(3) for j in range(3))
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = rows
     outer = torch.stack(
         [
-            torch.stack([1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]),
-            torch.stack([m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]),
-            torch.stack([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]]),
-            torch.stack([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]]),
-        ]
+            torch.stack([1 + xx + yy + zz, zy - yz, xz - zx, yx - xy], -1),
+            torch.stack([zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx], -1),
+            torch.stack([xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy], -1),
+            torch.stack([yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz], -1),
+        ],
+        -2,
     )
-    longest = outer[int(outer.detach().diagonal().argmax())]
-    return longest / longest.norm()
+    index = outer.detach().diagonal(dim1=-2, dim2=-1).argmax(-1)
+    longest = torch.take_along_dim(outer, index[..., None, None], -2).squeeze(-2)
+    return longest / longest.norm(dim=-1, keepdim=True)
 
 
 def _product(first: Tensor, others: Tensor) -> Tensor:

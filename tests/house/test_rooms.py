@@ -21,6 +21,7 @@ ROOMS = (
     "lightfield_gs.panels",
     "lightfield_gs.webgpu",
     "lightfield_gs.encoding",
+    "lightfield_gs.simplification",
     "lightfield_gs.reference",
     "lightfield_gs.photo",
     "lightfield_gs.show",

@@ -10,7 +10,7 @@ from rasterizer_cases import PANELS, all_subpixels, panel, random_scene, rig
 from lightfield_gs import Gaussians, InputError, Panel, Rig, cli, encode, prune, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.bench.scenes import benchmark_rig, cloud
-from lightfield_gs.encoding.pruning import contributions
+from lightfield_gs.simplification.pruning import contributions
 
 STOP = 1e-4  # transmittance at which samples end
 

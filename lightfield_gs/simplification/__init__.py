@@ -1,0 +1,1 @@
+"""Scenes with fewer Gaussians: those that a panel does not show are dropped, those it cannot show apart are merged."""
