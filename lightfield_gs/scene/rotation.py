@@ -26,7 +26,7 @@ def rotated_fields(
     rotated = matrix.detach().cpu() @ torch.tensor(origin, dtype=torch.float64)
     return (
         means @ matrix.T.to(means),
-        _product(_quaternion(matrix).to(means), quaternions),
+        rotated_quaternions(matrix, quaternions),
         harmonics_rotation(matrix, sh.shape[-2]).to(means) @ sh,
         tuple((rotated + 0.0).tolist()),
     )
@@ -86,19 +86,24 @@ def _inverses() -> tuple[np.ndarray, ...]:
     return tuple(np.linalg.pinv(values[:, first:last]) for first, last in zip((0, *SH_COEFFICIENTS), SH_COEFFICIENTS))
 
 
-def _quaternion(matrix: Tensor) -> Tensor:
-    """Convert a rotation [3, 3] to a unit quaternion [4] (wxyz), by the longest column of its outer product."""
-    m = matrix
-    outer = torch.stack(
-        [
-            torch.stack([1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]),
-            torch.stack([m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]),
-            torch.stack([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]]),
-            torch.stack([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]]),
-        ]
+def rotated_quaternions(rotation: Tensor, quaternions: Tensor) -> Tensor:
+    """Rotate Gaussians with quaternions [..., N, 4] (wxyz) by a rotation [3, 3]."""
+    return _product(rotation_quaternions(rotation).to(quaternions), quaternions)
+
+
+def rotation_quaternions(matrices: Tensor) -> Tensor:
+    """Convert rotations [..., 3, 3] to unit quaternions [..., 4] (wxyz), by the longest column of the outer product."""
+    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in matrices.unbind(-2))
+    rows = (
+        (1 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1 + a - e - i, b + d, c + g),
+        (c - g, b + d, 1 - a + e - i, f + h),
+        (d - b, c + g, f + h, 1 - a - e + i),
     )
-    longest = outer[int(outer.detach().diagonal().argmax())]
-    return longest / longest.norm()
+    outer = torch.stack([torch.stack(row, -1) for row in rows], -2)
+    longest = outer.detach().diagonal(dim1=-2, dim2=-1).argmax(-1)
+    column = outer.gather(-2, longest[..., None, None].expand(*longest.shape, 1, 4))[..., 0, :]
+    return column / column.norm(dim=-1, keepdim=True)
 
 
 def _product(first: Tensor, others: Tensor) -> Tensor:

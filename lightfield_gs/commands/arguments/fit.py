@@ -9,6 +9,7 @@ from lightfield_gs.commands.options.fit import add_capture, add_cone, add_optimi
 from lightfield_gs.commands.options.groups import in_group
 from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.parser import Parser
+from lightfield_gs.commands.options.scene import SAVED_FORMATS
 
 
 def add_arguments(parser: Parser) -> None:
@@ -38,8 +39,8 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         required=True,
         metavar="SCENE",
-        short="the scene: .ply, .spz or .splat",
-        help="the scene: .ply, .spz or .splat",
+        short="the scene: .ply, .glb, .spz or .splat",
+        help=f"the scene: {SAVED_FORMATS}",
     )
     add_capture(add)
     add_optimisation(add)

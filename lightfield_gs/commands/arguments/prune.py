@@ -10,7 +10,7 @@ from lightfield_gs.commands.options.groups import in_group
 from lightfield_gs.commands.options.messages import add_messages
 from lightfield_gs.commands.options.panel import add_camera, add_filters, add_look, add_panel
 from lightfield_gs.commands.options.parser import Parser, within
-from lightfield_gs.commands.options.scene import add_reading
+from lightfield_gs.commands.options.scene import SAVED_FORMATS, SCENE_FORMATS, SCENES, add_reading
 
 
 def add_arguments(parser: Parser) -> None:
@@ -24,21 +24,15 @@ def add_arguments(parser: Parser) -> None:
         ("prune scene.ply -o small.spz --panel 27", "for a Looking Glass 27"),
     )
     add = in_group(parser.add_argument, groups.OWN)
-    add(
-        "input",
-        type=Path,
-        metavar="INPUT",
-        short="a scene: .ply .spz .sog .splat .ksplat",
-        help="a file of Gaussians: .ply, .spz, .sog, .splat, .ksplat",
-    )
+    add("input", type=Path, metavar="INPUT", short=SCENES, help=f"a file of Gaussians: {SCENE_FORMATS}")
     add(
         "-o",
         "--output",
         type=Path,
         required=True,
         metavar="SCENE",
-        short="the smaller scene: .ply, .spz or .splat",
-        help="the pruned scene: .ply, .spz or .splat",
+        short="the smaller scene: .ply, .glb, .spz or .splat",
+        help=f"the pruned scene: {SAVED_FORMATS}",
     )
     add_reading(add)
     add(

@@ -19,6 +19,10 @@ from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import numbers, within
 
+# Formats in help, short and in full
+SCENES = "a scene: .ply .glb .spz .sog .splat .ksplat"
+SCENE_FORMATS = ".ply, .glb, .gltf, .spz, .sog or its folder, .splat, .ksplat"
+SAVED_FORMATS = ".ply, .glb, .gltf, .spz or .splat"
 _time = within(-1e6, 1e6)
 _depth_range = numbers(2)
 _pixel_aspect = within(0.1, 10)

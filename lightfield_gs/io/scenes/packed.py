@@ -17,7 +17,6 @@ from lightfield_gs.io.file_kinds import (
     ARCHIVE,
     ARRAYS,
     CHECKPOINT,
-    GLTF,
     PICTURE_SUFFIXES,
     SCENE_SUFFIXES,
     USD,
@@ -127,6 +126,8 @@ def _scene_in_zip(path: Path) -> str | None:
             f"{path} holds {len(scenes)} scenes ({', '.join(shown(name) for name in scenes[:3])}"
             f"{', ...' if len(scenes) > 3 else ''}); unpack it, and give one of them"
         )
+    if scenes and scenes[0].lower().endswith(".gltf"):
+        raise InputError(f"{path} is a ZIP of a .gltf, whose data may be in files beside it; unpack it, and give that")
     if scenes:
         return scenes[0]
     if path.suffix.lower() != ".sog":
@@ -146,7 +147,7 @@ def _refuse_zip(path: Path, names: list[str]) -> None:
         refuse_kind(path, CHECKPOINT)
     if names and all(end == ".npy" for end in ends):
         refuse_kind(path, ARRAYS)
-    for kind in (USD, GLTF, ARCHIVE):
+    for kind in (USD, ARCHIVE):
         if any(end in kind.suffixes for end in ends):
             refuse_kind(f"{path} is a ZIP, and what it holds", kind)
     if any(end in PICTURE_SUFFIXES for end in ends):
