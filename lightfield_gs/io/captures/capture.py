@@ -310,7 +310,17 @@ def _photographs(
             _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored)
         size = _reduced_size(stored, scale, longest_px)
         photographs.append(
-            Photograph(photograph.path, stored, size, intrinsics, photograph.distortion, mask, alpha, info.orientation)
+            Photograph(
+                photograph.path,
+                stored,
+                size,
+                intrinsics,
+                photograph.distortion,
+                mask,
+                alpha,
+                info.orientation,
+                photograph.border_px,
+            )
         )
     _note_resized(posed, photographs)
     return photographs
