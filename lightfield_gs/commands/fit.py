@@ -17,6 +17,7 @@ from lightfield_gs.base.checks import counted
 from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.options import Device
 from lightfield_gs.base.system import stop_signals
 from lightfield_gs.commands.options.fit import CaptureOptions, FitOptions, read_names
 from lightfield_gs.commands.options.parser import read_options
@@ -47,7 +48,7 @@ def fit_scene(options: FitOptions) -> int:
     from lightfield_gs.fitting.fit import fit
 
     with Interrupts() as interrupts:
-        capture = _read_capture(source, folder)
+        capture = _read_capture(source, folder, options.device)
         if held_out is not None:
             with named(source.test_list):
                 capture.split(None, held_out)
@@ -74,22 +75,25 @@ def fit_scene(options: FitOptions) -> int:
     return 128 + interrupts.number if result.stopped and interrupts.number is not None else 0
 
 
-def _read_capture(options: CaptureOptions, folder: Path) -> Capture:
+def _read_capture(options: CaptureOptions, folder: Path, device: Device) -> Capture:
     """Read the capture; with --sfm find its cameras first."""
     from lightfield_gs.io.captures.capture import folder_in, read_capture
-    from lightfield_gs.io.captures.sfm import structure_from_motion
+    from lightfield_gs.pose_estimation.find_poses import find_poses, folder_of_photographs
+    from lightfield_gs.pose_estimation.gather import GatherOptions
 
     where, images, masks = options.input, options.images, options.mask_folder
     if options.sfm:
         if images is not None:
             raise InputError("--sfm: CAPTURE itself is the folder of photographs; leave out --images")
-        where, images = folder / "sfm", options.input.absolute()
+        where, source = folder / "sfm", options.input.absolute()
         if masks is not None:
-            masks = folder_in("masks", images, masks).absolute()
+            masks = folder_in("masks", source, masks).absolute()
         if not (where / "sparse/0").exists():
             if "RANK" in os.environ:
                 raise InputError("--sfm: find the cameras in one process first: leave torchrun out, or use pycolmap")
-            structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True), masks)
+            choice = GatherOptions(options.frames, options.keep_blurred)
+            find_poses(source, make_folder(where), choice, lambda words: print(words, flush=True), masks, device)
+        images = folder_of_photographs(source, where)
     return read_capture(where, images=images, masks=masks, scale=options.scale, longest_px=options.longest_px)
 
 

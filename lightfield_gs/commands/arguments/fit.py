@@ -21,7 +21,7 @@ def add_arguments(parser: Parser) -> None:
         "machine give the same file."
     )
     parser.text.examples = (
-        ("fit photos -o scene.ply --sfm --cone 27", "photographs alone"),
+        ("fit photos -o scene.ply --sfm --cone 27", "photographs alone, or a film"),
         ("fit capture -o scene.ply", "a capture with cameras"),
     )
     add = in_group(parser.add_argument, groups.OWN)
@@ -31,7 +31,7 @@ def add_arguments(parser: Parser) -> None:
         metavar="CAPTURE",
         short="a folder with COLMAP's sparse/0 or transforms.json",
         help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; a .json of this kind with "
-        "another name; an export of Polycam or Record3D; with --sfm, a folder of photographs alone",
+        "another name; an export of Polycam or Record3D; with --sfm, a folder of photographs alone, or a film",
     )
     add(
         "-o",

@@ -21,6 +21,7 @@ from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.captures.photograph import Photograph, PosedCapture, PosedPhotograph
 from lightfield_gs.io.captures.transforms import has_frames, read_transforms_capture, transforms_file
 from lightfield_gs.io.captures.undistortion import LARGEST_FOLDED_FRACTION, folded_fraction
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import read_info
 
 EVERY = 8  # one in EVERY photographs is held out by default
@@ -258,6 +259,8 @@ def _explain_file(file: Path) -> str:
         start = opened.read(512)
     if start.startswith(_ARCHIVES) or start[_TAR[0] :].startswith(_TAR[1]):
         return "is an archive: unpack it, and give the folder that comes out of it"
+    if file.suffix.lower() in VIDEO_INPUTS:
+        return "is a film without cameras: sfm=True chooses frames and finds their cameras"
     if file.stem in ("images", "cameras", "points3D", "frames", "rigs"):
         return f"is one file of a COLMAP model: give the folder {file.parent}"
     return (

@@ -14,13 +14,13 @@ import pytest
 import torch
 from capture_scene import CENTRE, HEIGHT, WIDTH, dots, ring, said, write_capture, write_model
 from command_line import run
+from film_scene import arc, photographs, wall
 from PIL import Image
 
-import lightfield_gs as lf
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.io.captures.sfm import structure_from_motion
+from lightfield_gs.pose_estimation.sfm import structure_from_motion
 
 
 class _Model:
@@ -44,12 +44,12 @@ class _Model:
         write_model(Path(folder), "bin", [camera], images, [((0, 0, 0), (1, 2, 3))])
 
 
-def _stand_in(*tries: dict[int, _Model]) -> SimpleNamespace:
+def _stand_in(*tries: dict[int, _Model], has_cuda: int = False) -> SimpleNamespace:
     """Stand in for pycolmap: each try finds these models, further tries the last ones.
 
     It records its input: groups, one for each camera; start, the first bytes of each photograph; focal_px of each try.
     """
-    given = SimpleNamespace(groups=[], start={}, focal_px=[])
+    given = SimpleNamespace(groups=[], start={}, focal_px=[], devices=set())
     camera = SimpleNamespace(camera_id=1, width=WIDTH, height=HEIGHT, focal_length=1.0, has_prior_focal_length=False)
     database = SimpleNamespace(
         read_all_cameras=lambda: [camera], update_camera=lambda camera: None, clear_two_view_geometries=lambda: None
@@ -57,6 +57,7 @@ def _stand_in(*tries: dict[int, _Model]) -> SimpleNamespace:
 
     def extract(database, photographs, names, camera_mode, device):
         given.groups.append(names)
+        given.devices.add(device)
         given.start |= {name: (Path(photographs) / name).read_bytes()[:3] for name in names}
 
     def mapping(database, photographs, models, options, initial_image_pair_callback, next_image_callback):
@@ -71,11 +72,12 @@ def _stand_in(*tries: dict[int, _Model]) -> SimpleNamespace:
     return SimpleNamespace(
         given=given,
         CameraMode=SimpleNamespace(SINGLE="single"),
-        Device=SimpleNamespace(cpu="cpu"),
+        Device=SimpleNamespace(cpu="cpu", cuda="cuda"),
+        has_cuda=bool(has_cuda),
         logging=SimpleNamespace(minloglevel=0),
         set_random_seed=lambda seed: None,
         extract_features=extract,
-        match_exhaustive=lambda database, device: None,
+        match_exhaustive=lambda database, device: given.devices.add(device),
         incremental_mapping=mapping,
         IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace(), triangulation=SimpleNamespace()),
         Database=SimpleNamespace(open=lambda path: nullcontext(database)),
@@ -204,26 +206,30 @@ def test_what_does_not_pose_leaves_nothing(tmp_path, monkeypatch):
         structure_from_motion(tmp_path / "c/images", tmp_path / "new")
 
 
+@pytest.mark.filterwarnings("ignore::lightfield_gs.base.assumptions.Assumption")
+@pytest.mark.parametrize(
+    "has_cuda, gpu, device, used",
+    [
+        (True, True, "auto", "cuda"),
+        (True, True, "cpu", "cpu"),
+        (True, False, "auto", "cpu"),
+        (False, True, "auto", "cpu"),
+    ],
+)
+def test_matching_is_on_the_gpu_where_there_is_one(tmp_path, monkeypatch, has_cuda, gpu, device, used):
+    """And pycolmap is built for it."""
+    write_capture(tmp_path / "c", count=3)
+    monkeypatch.setitem(sys.modules, "pycolmap", stand_in := _stand_in({0: _Model(3)}, has_cuda=has_cuda))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
+    told: list[str] = []
+    structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append, device=device)
+    assert stand_in.given.devices == {used} and ("features of 3 photographs on the GPU" in told) == (used == "cuda")
+
+
 def test_without_pycolmap(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(InputError, match=r"pip install lightfield-gs\[sfm\]"):
         structure_from_motion(tmp_path, tmp_path / "new")
-
-
-def _relief(count: int = 20_000) -> lf.Gaussians:
-    """A wall with steps and hills, of flat Gaussians of random colours and many sizes."""
-    random = np.random.default_rng(0)
-    x, y = random.uniform(-2, 2, (2, count))
-    z = 0.08 * np.sin(1.7 * x) * np.cos(2.1 * y) + 0.04 * np.sign(np.sin(3 * x + 1) * np.sin(2.5 * y))
-    size = np.exp(random.uniform(np.log(0.01), np.log(0.06), count))
-    fields = {
-        "means": np.stack([x, y, z], 1),
-        "scales": np.stack([size, size, 0.3 * size], 1),
-        "quaternions": np.tile([1.0, 0, 0, 0], (count, 1)),
-        "opacities": np.full(count, 0.97),
-        "sh": random.uniform(-1.7, 1.7, (count, 1, 3)),
-    }
-    return lf.Gaussians(**{name: torch.tensor(values, dtype=torch.float32) for name, values in fields.items()})
 
 
 @pytest.mark.slow
@@ -232,14 +238,7 @@ def _relief(count: int = 20_000) -> lf.Gaussians:
 def test_photographs_whose_directions_hardly_differ_pose(tmp_path):
     """Six within 3 degrees, without Exif: COLMAP's own settings begin with photographs 16 degrees apart."""
     pytest.importorskip("pycolmap")
-    angles = np.radians(np.linspace(-1.5, 1.5, 6))
-    poses = np.tile(np.eye(4), (6, 1, 1))
-    poses[:, 0, 0] = poses[:, 2, 2] = np.cos(angles)
-    poses[:, 0, 2], poses[:, 2, 0] = np.sin(angles), -np.sin(angles)
-    poses[:, 2, 3] = 3.0  # from the middle of the wall
-    focal, centre = (torch.tensor([pair] * 6, dtype=torch.float64) for pair in ((520.0, 520.0), (240.0, 180.0)))
-    cameras = lf.Cameras(torch.tensor(poses), focal, centre, 480, 360)
-    images = lf.render(_relief(), cameras, background=(0.2, 0.3, 0.4)).image.clamp(0, 1).mul(255).round().byte().numpy()
+    images = photographs(wall(), arc(np.linspace(-1.5, 1.5, 6)))
     (tmp_path / "c").mkdir()
     for index, image in enumerate(images):
         Image.fromarray(image).save(tmp_path / f"c/{index}.png")
