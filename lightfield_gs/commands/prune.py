@@ -72,7 +72,7 @@ def _prune(options: PruneOptions, watch: Stopwatch) -> None:
 
     choice = read_camera(options.camera, panel)
     watch.lap("start")
-    file = read_noted(source, options.scene.skip_invalid, options.scene.time)
+    file = read_noted(source, options.scene.skip_invalid, options.scene.time, options.scene.lod)
     say_origin(source, file.gaussians)
     render, messages = settle_render(options.render, source, file)
     watch.lap("load")

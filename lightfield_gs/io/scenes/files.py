@@ -54,7 +54,9 @@ class SceneFile:
         return lines
 
 
-def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> SceneFile:
+def read_scene(
+    path: str | Path, *, skip_invalid: bool = False, time: float | None = None, lod: int | None = None
+) -> SceneFile:
     """Read a file of Gaussians.
 
     Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat, .ksplat, and glTF with
@@ -70,6 +72,8 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | No
             finite, a rotation of zeros, and a scale that overflows. Infinite logits and a log scale of -inf are valid.
         time: time at which moving Gaussians (Spacetime Gaussians) are read, in the units of their file, mostly 0..1.
             None: the median of the times at which they are most opaque, which a note states.
+        lod: level of detail of a streamed SOG, 0 being the finest. None: the finest that fits half of the free memory,
+            which a note states.
 
     Raises:
         InputError: the file has an unknown format, is cut, has wrong counts, or lacks a property. Without skip_invalid:
@@ -77,7 +81,7 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | No
     """
     from lightfield_gs.scene.gaussians import from_arrays
 
-    stored = read_arrays(path, skip_invalid=skip_invalid, time=time)
+    stored = read_arrays(path, skip_invalid=skip_invalid, time=time, lod=lod)
     gaussians = from_arrays(stored.fields, stored.origin)
     return SceneFile(gaussians, stored.comments, stored.elements, stored.notes, stored.kind)
 
@@ -184,7 +188,9 @@ def _find_format(path: Path) -> Format:
     return next((format for format in FORMATS if path.suffix.lower() in format.suffixes), _PLY)
 
 
-def read_arrays(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> SceneArrays:
+def read_arrays(
+    path: str | Path, *, skip_invalid: bool = False, time: float | None = None, lod: int | None = None
+) -> SceneArrays:
     """Read a file of Gaussians as arrays; see read_scene."""
     expect("skip_invalid", skip_invalid, bool)
     if time is not None:
@@ -196,13 +202,18 @@ def read_arrays(path: str | Path, *, skip_invalid: bool = False, time: float | N
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path} is empty; export it or download it again")
         with unpack(path) as (inner, notes):
-            stored = _read(inner, skip_invalid, time)
+            stored = _read(inner, skip_invalid, time, lod)
         stored.notes[:0] = notes
         return stored
 
 
-def _read(path: Path, skip_invalid: bool, time: float | None) -> SceneArrays:
+def _read(path: Path, skip_invalid: bool, time: float | None, lod: int | None) -> SceneArrays:
     format = _find_format(path)
+    if format is _STREAMED:
+        ply.refuse_time(path, time)
+        return sog.read_streamed(path, skip_invalid, lod)
+    if lod is not None:
+        raise InputError(f"{path}: it is no streamed SOG, and has no levels of detail; leave out lod=")
     if format is _PLY:
         return ply.read(path, skip_invalid, time)
     ply.refuse_time(path, time)
