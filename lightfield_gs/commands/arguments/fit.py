@@ -31,7 +31,8 @@ def add_arguments(parser: Parser) -> None:
         metavar="CAPTURE",
         short="a folder with COLMAP's sparse/0 or transforms.json",
         help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; a .json of this kind with "
-        "another name; an export of Polycam or Record3D; with --sfm, a folder of photographs alone, or a film",
+        "another name; an export of Polycam, Record3D or NeRFCapture; with --sfm, a folder of photographs alone, or "
+        "a film",
     )
     add(
         "-o",

@@ -186,7 +186,7 @@ def add_capture(add: Add) -> None:
         instead_of="size",
         type=whole(16, 1 << 20),
         metavar="PIXELS",
-        help="shrink photographs whose longer side has more pixels",
+        help="shrink photographs whose longer side has more pixels (default: as far as the memory takes them)",
     )
     add(
         "--test-every",

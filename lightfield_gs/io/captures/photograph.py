@@ -36,6 +36,7 @@ class PosedPhotograph:
         camera_px: width and height.
         distortion: of the lens; None for a pinhole.
         mask: the file that the layout names, if it names one.
+        border_px: rows and columns at each edge of the file that show nothing.
     """
 
     name: str
@@ -45,6 +46,7 @@ class PosedPhotograph:
     camera_px: tuple[int, int]
     distortion: Distortion | None = None
     mask: Path | None = None
+    border_px: int = 0
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class Photograph:
         mask_path: an image that is white where the photograph counts.
         alpha: whether the file has an alpha channel.
         orientation: Exif orientation of the file, 1..8. Images are never turned by it.
+        border_px: rows and columns at each edge of the file that show nothing.
     """
 
     path: Path
@@ -93,6 +96,7 @@ class Photograph:
     mask_path: Path | None = None
     alpha: bool = False
     orientation: int = 1
+    border_px: int = 0
 
     def image(self) -> np.ndarray:
         """Decode the colours, uint8 [H,W,3], sRGB, undistorted and reduced.
@@ -127,9 +131,14 @@ class Photograph:
         return parts if undistort is None else [undistort(part) for part in parts]
 
     def _valid_areas(self) -> list[np.ndarray]:
-        """Return the area within the distorted photograph, unless that is all."""
+        """Return the area within the distorted photograph, and within its border, unless that is all."""
         undistort = self._undistortion()
-        return [] if undistort is None or undistort.valid_area is None else [undistort.valid_area]
+        areas = [] if undistort is None or undistort.valid_area is None else [undistort.valid_area]
+        if (border := self.border_px) > 0:
+            inside = np.zeros(self.stored_px[::-1], np.uint8)
+            inside[border:-border, border:-border] = 255
+            areas.append(inside if undistort is None else undistort(inside))
+        return areas
 
     def _minimum(self, parts: list[np.ndarray]) -> np.ndarray | None:
         """Return the least of masks [H,W] of the file's size, reduced; None where all is 255."""
