@@ -361,8 +361,8 @@ def _refuse_folder(path: Path) -> None:
     lower = {name.lower() for name in names}
     if len(scenes) > 1:
         raise InputError(
-            f"{path} is a folder of {len(scenes)} scenes ({scenes[0]} to {scenes[-1]}), and no sequence of scenes is "
-            "played; give one of them, or the folder to lightfield-gs batch, which draws each"
+            f"{path} is a folder of {len(scenes)} scenes ({scenes[0]} to {scenes[-1]}); give one of them, or the "
+            "folder to lightfield-gs batch, which draws each; video and view play scenes that are numbered"
         )
     if scenes:
         raise InputError(f"{path} is a folder with one scene in it; give {path / scenes[0]}")

@@ -168,7 +168,7 @@ def test_folders_that_are_not_read_are_named_with_a_way_out(name, folder, capsys
         (folder / name / each).parent.mkdir(parents=True, exist_ok=True)
         (folder / name / each).write_bytes(b"ply\n")
     lines = [f"encode {name} -o o.png --panel p.yaml", f"quilt {name} -o q.png", f"prune {name} -o o.ply"]
-    lines += [f"info {name}", *([] if name in ("photos", "lcc") else [f"video {name} -o v --panel p.yaml"])]
+    lines += [f"info {name}", *([] if name in ("photos", "lcc", "sequence") else [f"video {name} -o v --panel p.yaml"])]
     for line in lines:
         assert re.search(words, complaint(capsys, line)), line
 
