@@ -144,7 +144,7 @@ def _small_bench(words: list[str]) -> list[str]:
 
 def _run_lightfield_gs(words: list[str]) -> None:
     words = _with_small_panel(words)
-    if words[0] in SHORTENED:
+    if words[0] in SHORTENED and "dance" not in words:  # scenes in a row are as many frames as files
         words = [*words, *SHORTENED[words[0]]]
     assert cli.main(_small_bench(words) if words[0] == "bench" else words) == 0, words
 
