@@ -22,7 +22,7 @@ def bench(*words):
 
 
 def write_scene(folder, images, model_scale, count=10):
-    """`count` photographs 64 x 48 in a folder of this name; the cameras of its model are `model_scale` times as large."""
+    """`count` photographs 64 x 48 in a folder of this name, and a model for images `model_scale` times as large."""
     scene, cameras = known_scene(), known_cameras(count, 64, 48)
     (folder / images).mkdir(parents=True)
     (folder / "sparse/0").mkdir(parents=True)
