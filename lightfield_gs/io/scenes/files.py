@@ -87,7 +87,7 @@ def read_scene(
 
 
 def write_scene(gaussians: Gaussians, path: str | Path, comments: Sequence[str] = ()) -> list[str]:
-    """Write one set of Gaussians, complete or not at all, in a format of WRITTEN_SUFFIXES.
+    """Write one set of Gaussians, complete or not at all, as .ply, glTF, OpenUSD, .spz (version 3) or .splat.
 
     A standard 3DGS .ply is float32, except for centres with an origin: these are double, with the origin added. glTF
     and OpenUSD have float32 and a place of the node in double.

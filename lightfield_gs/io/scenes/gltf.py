@@ -43,6 +43,7 @@ _TURN = np.diag([*Y_UP_TURN, 1.0])  # of glTF's axes (y up, z to the viewer) to 
 _SPZ = ("KHR_gaussian_splatting_compression_spz_2", "KHR_gaussian_splatting_compression_spz")
 _OLD_SPZ = "KHR_spz_gaussian_splats_compression"  # on the primitive itself
 _SPZ_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # of a .ply's axes to left, up, front
+_ROWS_AT_ONCE = 2048  # they fit the cache
 _INSTANCES = "EXT_mesh_gpu_instancing"
 _POINTS = 0  # mode of a primitive
 _COEFFICIENT = re.compile(GAUSSIANS + r":SH_DEGREE_(\d+)_COEF_(\d+)")
@@ -185,15 +186,14 @@ def _read_attributes(file: GltfFile, attributes: Object, found: _Found) -> Field
         opacities = colour[:, 3].copy()
     opacities[(opacities < 0) | (opacities > 1)] = np.nan
     degree = _degree(attributes, found)
+    names = [f"{GAUSSIANS}:SH_DEGREE_{each}_COEF_{n}" for each in range(degree + 1) for n in range(2 * each + 1)]
+    drawn = rgb_to_sh(colour[:, :3]) if colour is not None and names[0] not in attributes else column(names[0], 3)
+    harmonics = [drawn, *(column(name, 3) for name in names[1:])]
     sh = np.empty((count, SH_COEFFICIENTS[degree], 3), np.float32)
-    if f"{GAUSSIANS}:SH_DEGREE_0_COEF_0" in attributes:
-        sh[:, 0] = column(f"{GAUSSIANS}:SH_DEGREE_0_COEF_0", 3)
-    else:
-        assert colour is not None
-        sh[:, 0] = rgb_to_sh(colour[:, :3])
-    for each in range(1, degree + 1):
-        for index in range(2 * each + 1):
-            sh[:, each * each + index] = column(f"{GAUSSIANS}:SH_DEGREE_{each}_COEF_{index}", 3)
+    for start in range(0, count, _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        for index, coefficients in enumerate(harmonics):
+            sh[rows, index] = coefficients[rows]
     return {"means": means, "quaternions": quaternions, "scales": scales, "opacities": opacities, "sh": sh}
 
 

@@ -64,7 +64,7 @@ def checked_fields(path: Path, fields: Fields, skip_invalid: bool) -> tuple[Fiel
         The fields, and a note on Gaussians that were left out.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        fields = {name: np.array(array, np.float32) for name, array in fields.items()}
+        fields = {name: _own(array) for name, array in fields.items()}
         fields["means"] += 0.0  # turned axes leave minus zeros
         if (fields["scales"] < 0).any():
             fields["scales"] = np.where(fields["scales"] < 0, np.float32(np.nan), fields["scales"])
@@ -72,6 +72,12 @@ def checked_fields(path: Path, fields: Fields, skip_invalid: bool) -> tuple[Fiel
     for name in ("scales", "opacities"):
         fields[name] = np.maximum(fields[name], TINY)
     return fields, notes
+
+
+def _own(array: np.ndarray) -> np.ndarray:
+    """Return an array as float32 that may be written; a copy, unless it is one already."""
+    is_own = array.dtype == np.float32 and array.flags.owndata and array.flags.writeable and array.flags.c_contiguous
+    return array if is_own else np.array(array, np.float32)
 
 
 def check_not_empty(path: Path, count: int) -> None:
