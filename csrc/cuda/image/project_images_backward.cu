@@ -82,7 +82,7 @@ struct Gradients {
 // Return `so_far` plus the gradients of the projection of Gaussian `i` of a scene into an image. They are computed in
 // double and then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything
 // once more, and gradients go in and out by value: addresses would force them into memory for ordinary splats too.
-template <bool kCompensated>
+template <bool kExact>
 __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const float>& gaussians,
                                                       const Cameras<float>& cameras, const AllSums& sums, int64_t image,
                                                       int64_t i, Gradients so_far) {
@@ -91,17 +91,17 @@ __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const floa
   const Shape<float> shape = load_shape<float>(gaussians.slice(image / cameras.per_scene * n), i);
   const Camera<double> exact = cameras.camera<double>(image);
   const Shape<double> wide = widened(shape);
-  Splat<double> gradient = splat_gradient<double>(projected<kCompensated>(cameras, image, camera, shape),
+  Splat<double> gradient = splat_gradient<double>(projected<kExact>(cameras, image, camera, shape),
                                                   SplatSums::of(sums, image * n + i), so_far.colour);
   so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   CameraGradient<double> of_camera;
 
   // The backward pass, in double
-  const Projection<double> projection(exact, wide);
-  Compensation<double> g_D{};
-  if (kCompensated) g_D = projection.compensate_backward(exact, gradient);
-  projection.backward<kCompensated>(exact, wide, gradient, sum, of_camera, g_D);
+  if constexpr (kExact)
+    projected_backward(exact, wide, gradient, sum, of_camera);
+  else
+    Projection<double>(exact, wide).backward(exact, wide, gradient, sum, of_camera);
 
   // Add it to the gradients of other cameras
   Shape<float>& g = so_far.shape;
@@ -248,10 +248,10 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
 }
 
 // Write all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
-// leave, or four without the gradients of cameras (kCameras). Needles, and all compensated splats (see
-// compensated_splat()), go through with_exact_backward() instead. kOneCamera: there is one camera a scene, so that the
-// gradients of harmonics can overwrite the harmonics.
-template <bool kCompensated, bool kOneCamera, bool kCameras>
+// leave, or four without the gradients of cameras (kCameras). Needles go through with_exact_backward() instead, and
+// with kExact (see Cameras::exact) all do. kOneCamera: there is one camera a scene, so that the gradients of harmonics
+// can overwrite the harmonics.
+template <bool kExact, bool kOneCamera, bool kCameras>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     project_images_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
                                    const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
@@ -288,8 +288,8 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     if (of_splat.any()) {
       const Projection<float> projection(camera, shape);
       const Splat<float> splat = projection.splat(camera, shape.opacity);
-      if (kCompensated || is_needle(splat)) {
-        g = with_exact_backward<kCompensated>(gaussians, cameras, sums, image, i, g);
+      if (kExact || is_needle(splat)) {
+        g = with_exact_backward<kExact>(gaussians, cameras, sums, image, i, g);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, of_splat, g.colour);
         projection.backward(camera, shape, g_splat, g.shape, g.camera);
@@ -317,13 +317,13 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
 
 using Kernel = decltype(&project_images_backward_kernel<false, true, false>);
 
-template <bool kCompensated>
+template <bool kExact>
 Kernel select_kernel(bool one_camera, bool cameras) {
   if (one_camera)
-    return cameras ? project_images_backward_kernel<kCompensated, true, true>
-                   : project_images_backward_kernel<kCompensated, true, false>;
-  return cameras ? project_images_backward_kernel<kCompensated, false, true>
-                 : project_images_backward_kernel<kCompensated, false, false>;
+    return cameras ? project_images_backward_kernel<kExact, true, true>
+                   : project_images_backward_kernel<kExact, true, false>;
+  return cameras ? project_images_backward_kernel<kExact, false, true>
+                 : project_images_backward_kernel<kExact, false, false>;
 }
 
 }  // namespace
@@ -337,7 +337,7 @@ void project_images_backward(const Gaussians<const float>& gaussians, const Came
   const dim3 blocks(unsigned(camera_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
   const auto kernel =
-      cameras.compensated() ? select_kernel<true>(one, camera_partials) : select_kernel<false>(one, camera_partials);
+      cameras.exact() ? select_kernel<true>(one, camera_partials) : select_kernel<false>(one, camera_partials);
   const size_t bytes = size_t(one ? 1 : 2) * kThreads * HarmonicRows::padded(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
         "project_images_backward: shared memory");
