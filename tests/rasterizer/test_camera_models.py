@@ -86,7 +86,9 @@ class _Oracle(Projection):
         flat = t.reshape(-1, 3)
         focal, centre = self.eye.intrinsics[:2], self.eye.intrinsics[2:]
         with torch.enable_grad():
-            each = torch.func.vmap(torch.func.jacrev(self.formula)) if len(flat) else (lambda _: flat.new_zeros(0, 2, 3))
+            each = (
+                torch.func.vmap(torch.func.jacrev(self.formula)) if len(flat) else (lambda _: flat.new_zeros(0, 2, 3))
+            )
             jacobian = each(flat).reshape(*shape, 2, 3)
         u, v = (self.formula(flat).reshape(*shape, 2) * focal + centre).unbind(-1)
         rows = torch.einsum("...ij,jk...->ik...", jacobian * focal[:, None], spread)
