@@ -1,4 +1,4 @@
-"""Anti-aliased scenes, filtered views and cameras of all models on CUDA, against the oracle and the CPU. Needs a GPU."""
+"""Anti-aliased scenes, filtered views and all models of cameras on CUDA, against oracle and CPU. Needs a GPU."""
 
 from __future__ import annotations
 
