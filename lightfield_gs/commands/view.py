@@ -7,6 +7,7 @@ import time
 import webbrowser
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 
 import torch
@@ -223,6 +224,7 @@ class _Reader:
             )
         count, reader, render = len(sequence.files), framed.reader, framed.scene.render
 
+        @lru_cache(2)  # a picture that moves and one at rest
         def at(number: int) -> Gaussians:
             return reader.at(number, [(number + step) % count for step in (1, 2)]).to(self._device)
 

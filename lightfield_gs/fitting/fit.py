@@ -75,7 +75,7 @@ class FitResult:
     front: Display | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Write the scene as .ply, .glb, .spz or .splat, see Gaussians.save.
+        """Write the scene as .ply, .glb, .usd, .spz or .splat, see Gaussians.save.
 
         The header of a .ply holds the settings and the framing. The rig and the background are beside the scene of a
         display, and beside other formats: scene.rig.yaml for scene.spz.
