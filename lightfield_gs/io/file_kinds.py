@@ -61,9 +61,9 @@ _VIDEOS = (
     (re.compile(rb"\x06\x0e\x2b\x34\x02\x05\x01\x01"), ".mxf"),
 )
 
-SCENE_SUFFIXES = (".ply", ".glb", ".gltf", ".spz", ".splat", ".ksplat", ".sog")
-# Of .ply, SPZ version 4 and .glb; other formats share theirs with other kinds
-SCENE_STARTS = (b"ply\n", b"ply\r", b"NGSP", b"glTF")
+SCENE_SUFFIXES = (".ply", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".spz", ".splat", ".ksplat", ".sog")
+# Of .ply, SPZ version 4, .glb and OpenUSD; other formats share theirs with other kinds
+SCENE_STARTS = (b"ply\n", b"ply\r", b"NGSP", b"glTF", b"#usd", b"PXR-")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif", ".exr", ".dng")
 _SCENE_ENDS = (*SCENE_SUFFIXES, "meta.json")
 _CAPTURE_NAMES = {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}
@@ -105,12 +105,6 @@ ARRAYS = FileKind(
     (".npz", ".npy", ".h5", ".hdf5"),
     (b"\x93NUMPY", b"\x89HDF"),
 )
-USD = FileKind(
-    "OpenUSD, and Gaussians in it (ParticleField3DGaussianSplat) are not read",
-    _EXPORT,
-    (".usd", ".usda", ".usdc", ".usdz"),
-    (b"#usda", b"PXR-USDC"),
-)
 ARCHIVE = FileKind(
     "an archive",
     _UNPACK,
@@ -126,7 +120,6 @@ PROJECT = FileKind(
 _KINDS = (
     CHECKPOINT,
     ARRAYS,
-    USD,
     ARCHIVE,
     PROJECT,
     FileKind("weights of a network, or a trainer's tensors", CHECKPOINT.advice, (".safetensors",)),
@@ -361,8 +354,8 @@ def _refuse_folder(path: Path) -> None:
     lower = {name.lower() for name in names}
     if len(scenes) > 1:
         raise InputError(
-            f"{path} is a folder of {len(scenes)} scenes ({scenes[0]} to {scenes[-1]}), and no sequence of scenes is "
-            "played; give one of them, or the folder to lightfield-gs batch, which draws each"
+            f"{path} is a folder of {len(scenes)} scenes ({scenes[0]} to {scenes[-1]}); give one of them, or the "
+            "folder to lightfield-gs batch, which draws each; video and view play scenes that are numbered"
         )
     if scenes:
         raise InputError(f"{path} is a folder with one scene in it; give {path / scenes[0]}")

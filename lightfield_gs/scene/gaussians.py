@@ -192,7 +192,7 @@ class Gaussians:
         return scene.gaussians
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Write one set of Gaussians as .ply, .glb, .spz or .splat. Losses by the format are warnings.
+        """Write one set of Gaussians as .ply, .glb, .usd, .spz or .splat. Losses by the format are warnings.
 
         lightfield_gs.write_scene describes the arguments.
         """

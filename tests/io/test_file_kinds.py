@@ -30,13 +30,15 @@ def mesh_only() -> bytes:
     return gltf.glb()
 
 
+# With usd-core and without
+USD_WAY = r"lightfield-gs fit|export it or download it again|pip install 'lightfield-gs\[usd\]'"
 UNSUPPORTED = {  # file name: content, and the message on its kind
     "a.glb": (b"glTF\2\0\0\0", ".glb has a header of 20 bytes, and it has 8; it is cut"),
     "a.gltf": (b"{}", "expected glTF of version 2"),
     "mesh.glb": (mesh_only(), "glTF without Gaussians.*KHR_gaussian_splatting.*lightfield-gs fit"),
     "renamed.png": (b"glTF\2\0\0\0", ".glb has a header"),
-    "a.usda": (b"#usda 1.0\n", "OpenUSD"),
-    "a.usdz": (made.zipped({"a.usdc": b"PXR-USDC"}), "OpenUSD"),
+    "a.usda": (b"#usda 1.0\n", f"OpenUSD.*({USD_WAY})"),
+    "a.usdz": (made.zipped({"a.usdc": b"PXR-USDC"}), f"OpenUSD.*({USD_WAY})"),
     "ckpt_29999_rank0.pt": (made.zipped({"ckpt/data.pkl": b"", "ckpt/data/0": b""}), "checkpoint.*--save_ply"),
     "step-29999.ckpt": (b"\x80\x02\x8a\x0al\xfc\x9cF", "checkpoint.*ns-export"),
     "ckpt.zip": (made.zipped({"ckpt/data.pkl": b"", "ckpt/data/0": b""}), "checkpoint"),
@@ -168,7 +170,7 @@ def test_folders_that_are_not_read_are_named_with_a_way_out(name, folder, capsys
         (folder / name / each).parent.mkdir(parents=True, exist_ok=True)
         (folder / name / each).write_bytes(b"ply\n")
     lines = [f"encode {name} -o o.png --panel p.yaml", f"quilt {name} -o q.png", f"prune {name} -o o.ply"]
-    lines += [f"info {name}", *([] if name in ("photos", "lcc") else [f"video {name} -o v --panel p.yaml"])]
+    lines += [f"info {name}", *([] if name in ("photos", "lcc", "sequence") else [f"video {name} -o v --panel p.yaml"])]
     for line in lines:
         assert re.search(words, complaint(capsys, line)), line
 

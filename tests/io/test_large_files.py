@@ -14,7 +14,7 @@ from lightfield_gs.io.scenes.files import read_arrays
 READERS = {
     read_image: (".png", ".jpg", ".exr", ".hdr", ".tif", ".webp", ".heic", ".avif", ".tga", ".npy"),
     read_info: (".png", ".exr"),
-    read_arrays: (".spz", ".ksplat", ".splat", ".sog", ".ply", ".glb", ".gltf"),
+    read_arrays: (".spz", ".ksplat", ".splat", ".sog", ".ply", ".glb", ".gltf", ".usda", ".usdc", ".usdz"),
     stored_arrays: (".npz",),
     open_array: (".npy",),
 }

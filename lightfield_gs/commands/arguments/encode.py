@@ -50,8 +50,8 @@ def add_arguments(parser: Parser) -> None:
         "--save-gaussians",
         type=Path,
         metavar="SCENE",
-        help=f"write the scene as {SAVED_FORMATS}; a .ply or .glb also has the framing, so that its encoding gives "
-        "the same picture",
+        help=f"write the scene as {SAVED_FORMATS}; a .ply, .glb or .usd also has the framing, so that its encoding "
+        "gives the same picture",
     )
     add(
         "--preview",

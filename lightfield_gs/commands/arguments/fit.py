@@ -40,7 +40,7 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         required=True,
         metavar="SCENE",
-        short="the scene: .ply, .glb, .spz or .splat",
+        short="the scene: .ply, .glb, .usd, .spz or .splat",
         help=f"the scene: {SAVED_FORMATS}",
     )
     add_capture(add)

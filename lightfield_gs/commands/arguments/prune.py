@@ -31,7 +31,7 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         required=True,
         metavar="SCENE",
-        short="the smaller scene: .ply, .glb, .spz or .splat",
+        short="the smaller scene: .ply, .glb, .usd, .spz or .splat",
         help=f"the pruned scene: {SAVED_FORMATS}",
     )
     add_reading(add)

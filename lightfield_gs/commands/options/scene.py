@@ -20,9 +20,9 @@ from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import numbers, whole, within
 
 # Formats in help, short and in full
-SCENES = "a scene: .ply .glb .spz .sog .splat .ksplat"
-SCENE_FORMATS = ".ply, .glb, .gltf, .spz, .sog or its folder, .splat, .ksplat"
-SAVED_FORMATS = ".ply, .glb, .gltf, .spz or .splat"
+SCENES = "a scene: .ply .glb .usd .spz .sog .splat"
+SCENE_FORMATS = ".ply, .glb, .gltf, .usd*, .spz, .sog or its folder, .splat, .ksplat"
+SAVED_FORMATS = ".ply, .glb, .gltf, .usd*, .spz or .splat"
 _time = within(-1e6, 1e6)
 _lod = whole(0, 9999)
 _depth_range = numbers(2)

@@ -13,7 +13,7 @@ from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
-from lightfield_gs.io.scenes import gltf, gltf_writing, ksplat, ply, sog, splat, spz
+from lightfield_gs.io.scenes import gltf, gltf_writing, ksplat, ply, sog, splat, spz, usd
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
 from lightfield_gs.io.scenes.gltf_file import MAGIC as GLTF_MAGIC
 from lightfield_gs.io.scenes.packed import ZIP_MAGIC, is_packed_scene, unpack
@@ -59,12 +59,12 @@ def read_scene(
 ) -> SceneFile:
     """Read a file of Gaussians.
 
-    Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat, .ksplat, and glTF with
-    KHR_gaussian_splatting (.glb, .gltf). A .sog (versions 1 and 2) may be a ZIP, a folder or its meta.json. The axes
-    are a .ply's (right, down, forward): an .spz and glTF (right, up, back) are turned to them. A .ply may be text or
-    binary of either byte order, with properties in any order and number type. Properties that no Gaussian has are
-    ignored. Coordinates stored as double, far from zero, become relative to an origin of whole numbers near them;
-    Gaussians.origin holds it.
+    Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat, .ksplat, glTF with
+    KHR_gaussian_splatting (.glb, .gltf), and OpenUSD with ParticleField3DGaussianSplat (.usd, .usda, .usdc, .usdz). A
+    .sog (versions 1 and 2) may be a ZIP, a folder or its meta.json. The axes are a .ply's (right, down, forward): those
+    of an .spz, of glTF and of OpenUSD are turned to them. A .ply may be text or binary of either byte order, with
+    properties in any order and number type. Properties that no Gaussian has are ignored. Coordinates stored as double,
+    far from zero, become relative to an origin of whole numbers near them; Gaussians.origin holds it.
 
     Args:
         path: file or folder.
@@ -87,10 +87,10 @@ def read_scene(
 
 
 def write_scene(gaussians: Gaussians, path: str | Path, comments: Sequence[str] = ()) -> list[str]:
-    """Write one set of Gaussians, complete or not at all, as .ply, .glb, .gltf, .spz (version 3) or .splat.
+    """Write one set of Gaussians, complete or not at all, as .ply, glTF, OpenUSD, .spz (version 3) or .splat.
 
     A standard 3DGS .ply is float32, except for centres with an origin: these are double, with the origin added. glTF
-    has float32 and a place of the node in double.
+    and OpenUSD have float32 and a place of the node in double.
 
     Args:
         gaussians: one set of N >= 1.
@@ -139,6 +139,7 @@ class Format:
 
 _PLY = Format(".ply", (".ply",), (b"ply\n", b"ply\r"), ply.read, ply.write, True)
 _SOG = Format("SOG", (".sog", ".zip"), (ZIP_MAGIC,), sog.read)
+_USD = Format("OpenUSD", usd.SUFFIXES, usd.STARTS, usd.read, usd.write, True)
 FORMATS = (
     _PLY,
     Format("glTF", (".glb", ".gltf"), (GLTF_MAGIC,), gltf.read, gltf_writing.write, True),
@@ -146,6 +147,7 @@ FORMATS = (
     Format("splat", (".splat",), (), splat.read, splat.write),
     Format("ksplat", (".ksplat",), (), ksplat.read),
     _SOG,
+    _USD,
 )
 _STREAMED = Format("streamed SOG", (), (), sog.read_streamed)
 SUFFIXES = tuple(suffix for format in FORMATS for suffix in format.suffixes)
@@ -180,6 +182,8 @@ def _find_format(path: Path) -> Format:
         if path.name.lower() == sog.META or (path / sog.META).is_file():
             return _SOG
     refuse_unsupported(path)
+    if path.suffix.lower() == ".usdz":
+        return _USD  # also a ZIP
     with open(path, "rb") as file:
         start = file.read(4)
     for format in FORMATS:
@@ -216,6 +220,8 @@ def _read(path: Path, skip_invalid: bool, time: float | None, lod: int | None) -
         raise InputError(f"{path}: it is no streamed SOG, and has no levels of detail; leave out lod=")
     if format is _PLY:
         return ply.read(path, skip_invalid, time)
+    if format is _USD:
+        return usd.read(path, skip_invalid, time)
     ply.refuse_time(path, time)
     return format.read(path, skip_invalid)
 

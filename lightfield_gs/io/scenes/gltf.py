@@ -16,10 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.checks import counted, shown
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.base.harmonics import SH_COEFFICIENTS, SH_CONSTANT
+from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.io.file_kinds import FIT_ADVICE
 from lightfield_gs.io.scenes import spz
 from lightfield_gs.io.scenes.comments import ANTIALIASED, Y_DOWN, is_antialiased
@@ -27,11 +26,13 @@ from lightfield_gs.io.scenes.gltf_file import GltfFile, Object, extensions
 from lightfield_gs.io.scenes.placement import place
 from lightfield_gs.io.scenes.scene_arrays import (
     HIGH_DEGREE_NOTE,
+    LINEAR_NOTE,
     Y_UP_TURN,
     Fields,
     SceneArrays,
     checked_fields,
     concatenate_fields,
+    encode_light,
     relative_centres,
     rgb_to_sh,
 )
@@ -42,15 +43,11 @@ _TURN = np.diag([*Y_UP_TURN, 1.0])  # of glTF's axes (y up, z to the viewer) to 
 _SPZ = ("KHR_gaussian_splatting_compression_spz_2", "KHR_gaussian_splatting_compression_spz")
 _OLD_SPZ = "KHR_spz_gaussian_splats_compression"  # on the primitive itself
 _SPZ_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # of a .ply's axes to left, up, front
-_LIGHT_STEP = 1e-3  # for the slope of sRGB's curve
+_ROWS_AT_ONCE = 2048  # they fit the cache
 _INSTANCES = "EXT_mesh_gpu_instancing"
 _POINTS = 0  # mode of a primitive
 _COEFFICIENT = re.compile(GAUSSIANS + r":SH_DEGREE_(\d+)_COEF_(\d+)")
 _LOGS_NOTE = "scales below 0 are taken for logarithms, as programs wrote them before the extension was ratified"
-_LINEAR_NOTE = (
-    "its colours are of linear light, and each Gaussian is converted to sRGB by itself: where Gaussians overlap, "
-    "the mixture differs a little"
-)
 _KNOWN = {"kernel": "ellipse", "colorSpace": SRGB, "projection": "perspective", "sortingMethod": "cameraDistance"}
 
 
@@ -139,8 +136,8 @@ def _read_primitive(file: GltfFile, primitive: Object, matrix: np.ndarray, found
         found.is_antialiased = False
         fields, axes = _read_attributes(file, attributes, found), np.eye(4)
     if extension.get("colorSpace") == LINEAR:
-        found.notes[_LINEAR_NOTE] = None
-        fields["sh"] = _encode_light(fields["sh"])
+        found.notes[LINEAR_NOTE] = None
+        fields["sh"] = encode_light(fields["sh"])
     return place(fields, _TURN @ matrix @ axes)
 
 
@@ -189,15 +186,14 @@ def _read_attributes(file: GltfFile, attributes: Object, found: _Found) -> Field
         opacities = colour[:, 3].copy()
     opacities[(opacities < 0) | (opacities > 1)] = np.nan
     degree = _degree(attributes, found)
+    names = [f"{GAUSSIANS}:SH_DEGREE_{each}_COEF_{n}" for each in range(degree + 1) for n in range(2 * each + 1)]
+    drawn = rgb_to_sh(colour[:, :3]) if colour is not None and names[0] not in attributes else column(names[0], 3)
+    harmonics = [drawn, *(column(name, 3) for name in names[1:])]
     sh = np.empty((count, SH_COEFFICIENTS[degree], 3), np.float32)
-    if f"{GAUSSIANS}:SH_DEGREE_0_COEF_0" in attributes:
-        sh[:, 0] = column(f"{GAUSSIANS}:SH_DEGREE_0_COEF_0", 3)
-    else:
-        assert colour is not None
-        sh[:, 0] = rgb_to_sh(colour[:, :3])
-    for each in range(1, degree + 1):
-        for index in range(2 * each + 1):
-            sh[:, each * each + index] = column(f"{GAUSSIANS}:SH_DEGREE_{each}_COEF_{index}", 3)
+    for start in range(0, count, _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        for index, coefficients in enumerate(harmonics):
+            sh[rows, index] = coefficients[rows]
     return {"means": means, "quaternions": quaternions, "scales": scales, "opacities": opacities, "sh": sh}
 
 
@@ -208,11 +204,3 @@ def _degree(attributes: Object, found: _Found) -> int:
     if most >= len(SH_COEFFICIENTS):
         found.notes[HIGH_DEGREE_NOTE] = None
     return min(most, len(SH_COEFFICIENTS) - 1)
-
-
-def _encode_light(sh: np.ndarray) -> np.ndarray:
-    """Convert harmonics [N, K, 3] of linear light to sRGB: the mean colour exactly, its changes to first order."""
-    light = np.maximum(SH_CONSTANT * sh[:, :1] + 0.5, 0)
-    colour = encode_srgb(light)
-    slope = (encode_srgb(light + _LIGHT_STEP) - colour) / _LIGHT_STEP
-    return np.concatenate([rgb_to_sh(colour), slope * sh[:, 1:]], 1).astype(np.float32)

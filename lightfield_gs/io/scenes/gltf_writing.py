@@ -21,8 +21,7 @@ from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.scenes.comments import is_antialiased
 from lightfield_gs.io.scenes.gltf import GAUSSIANS, SRGB
 from lightfield_gs.io.scenes.gltf_file import BINARY_CHUNK, CHUNK, HEADER, JSON_CHUNK, MAGIC
-from lightfield_gs.io.scenes.scene_arrays import Y_UP_SIGNS, Y_UP_TURN, Fields, Origin
-from lightfield_gs.scene.axes import DEFAULT_UP, find_up
+from lightfield_gs.io.scenes.scene_arrays import Y_UP_SIGNS, Y_UP_TURN, Fields, Origin, up_losses
 
 _FLOAT, _BYTE = 5126, 5121  # componentType
 _AT_ONCE = 1 << 16  # Gaussians
@@ -41,9 +40,7 @@ def write(path: str | Path, fields: Fields, origin: Origin, comments: Sequence[s
             _write_text(file, root, _blocks(columns, count))
         else:
             _write_chunks(path, file, root, size, _blocks(columns, count))
-    up, lost = find_up(comments), []
-    if up is not None and up.axis != DEFAULT_UP:
-        lost.append(f"{up.axis} is up in the scene, and y in glTF: other programs show the file on its side")
+    lost = up_losses(comments, "glTF")
     if is_antialiased(comments):
         lost.append("glTF cannot say that it was trained with anti-aliasing: only this program reads it in the extras")
     return lost

@@ -75,6 +75,7 @@ def _turn_harmonics(sh: np.ndarray, turn: np.ndarray) -> np.ndarray:
         return sh
     change = harmonics_rotation(torch.from_numpy(turn), count).numpy()
     change = np.where(abs(change - np.rint(change)) < _WHOLE, np.rint(change), change).astype(sh.dtype)
+    rows = sh.reshape(len(sh), -1)
     if np.array_equal(change, np.diag(change.diagonal())):
-        return sh * change.diagonal()[:, None]
-    return (sh.reshape(len(sh), -1) @ np.kron(change, np.eye(3, dtype=sh.dtype)).T).reshape(sh.shape)
+        return (rows * change.diagonal().repeat(3)).reshape(sh.shape)
+    return (rows @ np.kron(change, np.eye(3, dtype=sh.dtype)).T).reshape(sh.shape)
