@@ -68,6 +68,7 @@ DEFAULT_QUILT = "65"  # preset of a quilt, where no display is connected
 DEFAULT_PANEL = "65in-8k-96v"  # where no display is connected
 MOST_FRAMES = 1_000_000  # of a video
 DEFAULT_SECONDS = 10.0  # of a turntable
+POSE_MODEL = "DA3-BASE"  # that messages propose: its weights are free for any use
 POSED_FRAMES = 100  # of a film or a burst, at most: enough for an arc of 50 degrees, and matched in minutes
 BRIDGE_URL = "http://localhost:33334"  # of Looking Glass Bridge
 DEFAULT_CONE_DEG = 40.0  # cone of a panel that states none

@@ -11,13 +11,13 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.options import POSED_FRAMES
 from lightfield_gs.io.atomic import atomic_folder, checked_path, make_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, first_names, is_hidden
 from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import as_floats, read_image
 from lightfield_gs.pose_estimation.exif import time_taken
 from lightfield_gs.pose_estimation.films import choose_pictures, write_film_frames
+from lightfield_gs.pose_estimation.options import PoseOptions
 from lightfield_gs.pose_estimation.sfm import link_file, photographs_to_pose
 from lightfield_gs.pose_estimation.sharpness import find_blurred, relative_sharpness, small_grey, structure_tensor
 
@@ -25,19 +25,6 @@ IMAGES = "images"  # the folder of frames, in the folder of the new capture
 _REACH = 10  # photographs to either side that sharpness is compared with
 _BURST_S, _BURST = 0.5, 4  # seconds between the photographs of a burst, at most, and their least number
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class GatherOptions:
-    """Which photographs are posed.
-
-    Attributes:
-        frames: of a film or a burst, at most.
-        keep_blurred: whether blurred photographs and frames are posed too.
-    """
-
-    frames: int = POSED_FRAMES
-    keep_blurred: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,7 +43,7 @@ class Gathered:
 def gather_photographs(
     source: str | Path,
     output: Path,
-    options: GatherOptions = GatherOptions(),
+    options: PoseOptions = PoseOptions(),
     progress: Progress = lambda words: None,
     masks: Path | None = None,
 ) -> Gathered:
@@ -113,7 +100,7 @@ def _is_live_photo(film: Path, source: Path, names: Sequence[str]) -> bool:
     return owner is not None
 
 
-def _choose(files: PhotoFiles, names: Sequence[str], options: GatherOptions, progress: Progress) -> list[str]:
+def _choose(files: PhotoFiles, names: Sequence[str], options: PoseOptions, progress: Progress) -> list[str]:
     """Return the names of the photographs that are sharp, and of bursts those that a step of parallax divides."""
     bursts = _find_bursts(files, names)
     chosen = set(names)

@@ -22,7 +22,7 @@ import torch
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.options import Device
+from lightfield_gs.base.options import POSE_MODEL, Device
 from lightfield_gs.io.atomic import checked_path, scratch_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, names_outside
 from lightfield_gs.io.images import as_floats, read_info, read_picture
@@ -43,6 +43,10 @@ _NARROW_DEG, _GUESS = 10.0, 1.2
 _LARGEST_CHANGE = 2.0  # factor of the last refinement: beyond, the photographs do not determine the focal length
 
 
+class NotPosed(InputError):
+    """COLMAP finds no poses of these photographs, or of too few."""
+
+
 def structure_from_motion(
     photographs: str | Path,
     output: str | Path,
@@ -50,6 +54,8 @@ def structure_from_motion(
     masks: Path | None = None,
     names: Sequence[str] | None = None,
     device: Device = "auto",
+    feature_masks: Path | None = None,
+    least: float = 0.0,
 ) -> Path:
     """Find the poses of the photographs in and below a folder, and write the model to output/sparse/0.
 
@@ -63,12 +69,15 @@ def structure_from_motion(
         masks: a folder of masks, whose images are not posed.
         names: the photographs, by their paths in the folder; None: all that are no masks.
         device: "auto" and "cuda" match on a GPU where pycolmap can.
+        feature_masks: a folder with NAME.png, black where photographs are not matched.
+        least: fraction of the photographs that must pose, 0..1.
 
     Returns:
         The model's folder, for read_capture(output, images=photographs).
 
     Raises:
-        InputError: where pycolmap is missing, there are too few photographs, or they do not pose.
+        InputError: where pycolmap is missing or there are too few photographs.
+        NotPosed: where they do not pose.
     """
     pycolmap = pycolmap_library()
     files = PhotoFiles(photograph_folder(photographs))
@@ -80,7 +89,9 @@ def structure_from_motion(
         raise InputError(f"{target}: there is a model already: read it without sfm=True, or remove it")
     target.parent.parent.mkdir(parents=True, exist_ok=True)
     with scratch_folder(target.parent.parent / "sfm") as work:
-        best = _reconstruct(pycolmap, files, names, work, progress, _uses_gpu(pycolmap, device))
+        best = _reconstruct(pycolmap, files, names, work, progress, _uses_gpu(pycolmap, device), feature_masks)
+        if (posed := best.num_reg_images()) < least * len(names):
+            raise NotPosed(f"{files.folder}: COLMAP posed {posed} of {len(names)} photographs alone")
         model = work / "best"
         model.mkdir()
         best.write(str(model))
@@ -95,19 +106,27 @@ def _uses_gpu(pycolmap: ModuleType, device: Device) -> bool:
 
 
 def _reconstruct(
-    pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], work: Path, progress: Progress, on_gpu: bool
+    pycolmap: ModuleType,
+    files: PhotoFiles,
+    names: Sequence[str],
+    work: Path,
+    progress: Progress,
+    on_gpu: bool,
+    masks: Path | None,
 ) -> Any:
-    """Return the largest of pycolmap's reconstructions. Raises InputError where there is none."""
+    """Return the largest of pycolmap's reconstructions. Raises NotPosed where there is none."""
     paths, database = {name: files.paths[name] for name in names}, work / "database.db"
     cameras = group_by_camera(paths)
     photographs = files_for_colmap(paths, files.folder, work)
     pycolmap.set_random_seed(0)
     progress(f"features of {len(names)} photographs{' on the GPU' if on_gpu else ''}")
     device = pycolmap.Device.cuda if on_gpu else pycolmap.Device.cpu
+    readers = {} if masks is None else {"reader_options": pycolmap.ImageReaderOptions(mask_path=str(masks))}
+    mode = pycolmap.CameraMode.SINGLE
     try:
         for group in cameras:
             pycolmap.extract_features(
-                str(database), str(photographs), group, camera_mode=pycolmap.CameraMode.SINGLE, device=device
+                str(database), str(photographs), group, camera_mode=mode, device=device, **readers
             )
         if len(names) <= _MOST_FOR_ALL_PAIRS:
             progress(f"matches of {len(names) * (len(names) - 1) // 2} pairs")
@@ -118,11 +137,12 @@ def _reconstruct(
             pycolmap.match_sequential(str(database), device=device)
         best = best_model(pycolmap, database, photographs, len(names), progress)
     except (RuntimeError, ValueError) as error:
-        raise InputError(f"{files.folder}: COLMAP failed: {' '.join(str(error).split())[:300]}") from error
+        raise NotPosed(f"{files.folder}: COLMAP failed: {' '.join(str(error).split())[:300]}") from error
     if best is None:
-        raise InputError(
+        raise NotPosed(
             f"{files.folder}: the {len(names)} photographs did not pose in {len(MAPPING_SETTINGS)} tries: expected "
-            "sharp ones of a scene that stands still, each overlapping the next by two thirds, from many places"
+            "sharp ones of a scene that stands still, each overlapping the next by two thirds, from many places; a "
+            f"network may pose them: pose_model={POSE_MODEL}"
         )
     return best
 

@@ -156,6 +156,7 @@ SHORTENED = {
 }
 SHORT_RUN = "--stages [{steps:~1,~image_size_px:~32,~objects:~2}] --targets 1 --validation_objects 1 --validate_every 1"
 SHORTER = {
+    "benchmarks.make_captures": "--photographs 3 --width 32",
     "training.data.make_small": "--objects 1",
     "training.train": f"{SHORT_RUN} --optimizer.warmup_steps 1",
     "training.compare": f"{SHORT_RUN} --optimizer.warmup_steps 1 --model tiny.yaml",
@@ -164,7 +165,7 @@ SHORTER = {
 
 
 def _run_module(module: str, words: list[str]) -> None:
-    """A command of training/, as long as it takes to try it."""
+    """A command of training/ or benchmarks/, as long as it takes to try it."""
     words = words + [word.replace("~", " ") for word in SHORTER.get(module, "").split()]
     if module == "training.train" and "configs/training/finetune.yaml" not in words:
         words += ["--model", "tiny.yaml"]

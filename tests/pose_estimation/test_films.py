@@ -13,7 +13,8 @@ from PIL import Image
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.pose_estimation.films import choose_pictures, write_film_frames
-from lightfield_gs.pose_estimation.gather import GatherOptions, gather_photographs
+from lightfield_gs.pose_estimation.gather import gather_photographs
+from lightfield_gs.pose_estimation.options import PoseOptions
 
 STILL = range(12, 20)  # the camera stands
 BLURRED = (3, 9, 24, 25)
@@ -92,7 +93,7 @@ def test_a_folder_of_films_and_photographs(pictures, film, tmp_path):
     for name in ("walk.MP4", "live.mp4"):
         (source / name).write_bytes(film.read_bytes())
     with pytest.warns(Assumption, match="live.mp4 is the moving part of the photograph live.jpg"):
-        gathered = gather_photographs(source, tmp_path / "out", GatherOptions(frames=6))
+        gathered = gather_photographs(source, tmp_path / "out", PoseOptions(frames=6))
     assert gathered.folder == tmp_path / "out/images" and {"a.jpg", "live.jpg"} < set(gathered.names)
     frames = [name for name in gathered.names if name.startswith("walk/frame-")]
     assert len(frames) == 6 and len(gathered.names) == 8
@@ -116,7 +117,7 @@ def test_blurred_photographs_are_left_out(pictures, tmp_path):
     with pytest.warns(Assumption, match=r"1 of 16 photographs is blurred and left out: IMG_12.jpg \(keep_blurred=T"):
         gathered = gather_photographs(folder, tmp_path / "out")
     assert gathered.folder == folder and len(gathered.names) == 15
-    assert len(gather_photographs(folder, tmp_path / "out", GatherOptions(keep_blurred=True)).names) == 16
+    assert len(gather_photographs(folder, tmp_path / "out", PoseOptions(keep_blurred=True)).names) == 16
 
 
 def test_a_burst_is_a_film(pictures, tmp_path):

@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DENSITIES, DEVICES, MASKS, POSED_FRAMES, Density, Device, Masks, TestEvery
+from lightfield_gs.base.options import (
+    DENSITIES,
+    DEVICES,
+    MASKS,
+    POSE_MODEL,
+    POSED_FRAMES,
+    Density,
+    Device,
+    Masks,
+    TestEvery,
+)
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import background, whole, within
@@ -30,8 +40,10 @@ class CaptureOptions:
         test_every: number of photographs of which the middle one is held out.
         test_list: file with the names of the held-out photographs.
         sfm: whether pycolmap finds the cameras.
-        frames: of a film, at most, for sfm.
+        frames: of a film, at most, for sfm; None: POSED_FRAMES.
         keep_blurred: whether sfm takes blurred photographs too.
+        mask_people: whether sfm leaves people out.
+        pose_model: network that poses where sfm fails.
     """
 
     input: Path
@@ -42,8 +54,10 @@ class CaptureOptions:
     test_every: TestEvery = "own"
     test_list: Path | None = None
     sfm: bool = False
-    frames: int = POSED_FRAMES
+    frames: int | None = None
     keep_blurred: bool = False
+    mask_people: bool = False
+    pose_model: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +228,6 @@ def add_capture(add: Add) -> None:
     add(
         "--frames",
         type=whole(3, 10_000),
-        default=POSED_FRAMES,
         metavar="N",
         help=f"with --sfm, frames of a film or a burst at most: the sharpest of each step of parallax (default "
         f"{POSED_FRAMES})",
@@ -223,6 +236,18 @@ def add_capture(add: Add) -> None:
         "--keep-blurred",
         action="store_true",
         help="with --sfm, take blurred photographs and frames too (default: they are left out)",
+    )
+    add(
+        "--mask-people",
+        action="store_true",
+        help="with --sfm, leave people who walk by out of the photographs, by rembg (pip install "
+        "'lightfield-gs[photo]')",
+    )
+    add(
+        "--pose-model",
+        metavar="NAME",
+        help=f"with --sfm, a network that poses photographs where COLMAP poses fewer than half: {POSE_MODEL}, "
+        "DA3-SMALL, DA3-LARGE, DA3-GIANT, or a folder of its files (pip install 'lightfield-gs[poses]')",
     )
 
 

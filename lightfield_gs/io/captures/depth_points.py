@@ -72,11 +72,25 @@ def _points_of(
     picked = random.permutation(len(rows))[:_POINTS]
     rows, columns = rows[picked], columns[picked]
     x, y = (columns + 0.5) / width, (rows + 0.5) / height  # 0..1 of the picture
-    (fx, fy, cx, cy), (camera_width, camera_height) = photograph.intrinsics, photograph.camera_px
-    z = depth[rows, columns]
-    seen = np.stack([z * (x * camera_width - cx) / fx, z * (y * camera_height - cy) / fy, z], 1)
-    rotation, translation = photograph.world_to_camera[:3, :3], photograph.world_to_camera[:3, 3]
+    places = np.stack([x * photograph.camera_px[0], y * photograph.camera_px[1]], 1)
+    points = unproject(places, depth[rows, columns], photograph.intrinsics, photograph.world_to_camera)
     pixels = as_floats(read_image(photograph.path, as_stored=True, turn=False))
     colours = pixels[(y * pixels.shape[0]).astype(int), (x * pixels.shape[1]).astype(int), :3]
     colours = np.broadcast_to(colours[:, :1], (len(colours), 3)) if colours.shape[1] < 3 else colours
-    return (seen - translation) @ rotation, np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8)
+    return points, np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8)
+
+
+def unproject(
+    places_px: np.ndarray, depths: np.ndarray, intrinsics: np.ndarray, world_to_camera: np.ndarray
+) -> np.ndarray:
+    """Return the points [P,3] that a pinhole shows at places of its image.
+
+    Args:
+        places_px: [P,2], x and y in pixels, from the outer corner of the first.
+        depths: [P], distances along the camera's axis.
+        intrinsics: [4], (fx, fy, cx, cy) in pixels.
+        world_to_camera: [4,4], OpenCV axes.
+    """
+    slopes = (places_px - intrinsics[2:]) / intrinsics[:2]
+    seen = depths[:, None] * np.column_stack([slopes, np.ones(len(slopes))])
+    return (seen - world_to_camera[:3, 3]) @ world_to_camera[:3, :3]
