@@ -93,14 +93,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole(1, 100_000_000),
         metavar="N",
         help="how many a scene has at the end, of the arms that are told (default: "
-        f"{GAUSSIANS['cuda']}, on the CPU {GAUSSIANS['cpu']})",
+        f"{GAUSSIANS['cuda']}, on the CPU {GAUSSIANS['cpu']}; with --protocol that of the file)",
     )
     parser.add_argument(
         "--steps",
         type=whole(1, 10_000_000),
         help=f"schedules are scaled to them (default: {STEPS['cuda']}, on the CPU {STEPS['cpu']})",
     )
-    parser.add_argument("--seeds", type=whole(1, 1000), help="how many fits of each arm (default: 1)")
+    parser.add_argument(
+        "--seeds", type=whole(1, 1000), help="how many fits of each arm (default: 1, or those of --protocol)"
+    )
     parser.add_argument(
         "--arms",
         help=f"with commas, of {', '.join(ARMS)} (default: {', '.join(USUAL_ARMS)}, or ours alone on the CPU "

@@ -73,8 +73,8 @@ def load_lpips(device: str, from_zero: bool = False) -> tuple[Lpips | None, str]
     weights = Path(torch.hub.get_dir()) / "checkpoints" / _VGG.rsplit("/", 1)[1]
     try:
         import lpips
-    except ImportError:
-        options.progress(f"no LPIPS: pip install lpips, and save {_VGG} as {weights}")
+    except (ImportError, RuntimeError, OSError) as error:
+        options.progress(f"no LPIPS ({error}): pip install lpips, and save {_VGG} as {weights}")
         return None, "no LPIPS"
     if not weights.is_file():
         options.progress(f"no LPIPS: the weights of VGG-16 are missing: save {_VGG} as {weights}")

@@ -242,7 +242,9 @@ class PanelWindow:
         low, high = (-cx / fx, -cy / fy), ((panel.width_px - cx) / fx, (panel.height_px - cy) / fy)
         return cls(pose, rig.zero_depth / normalization.extent, low, high)
 
-    def mask(self, world_to_camera: Tensor, intrinsics: Tensor, width_px: int, height_px: int) -> Tensor:
+    def mask(
+        self, world_to_camera: Tensor, intrinsics: Tensor, width_px: int, height_px: int, fisheye: bool = False
+    ) -> Tensor:
         """Return [H,W] bool, the pixels of a photograph whose rays go through the window.
 
         Args:
@@ -250,6 +252,7 @@ class PanelWindow:
             intrinsics: [4], fx, fy, cx, cy.
             width_px: W.
             height_px: H.
+            fisheye: of an equidistant fisheye, else of a pinhole.
         """
         device = world_to_camera.device
         to_rig = torch.from_numpy(self.pose).to(device) @ torch.linalg.inv(world_to_camera.double())
@@ -257,7 +260,9 @@ class PanelWindow:
         x = (torch.arange(width_px, dtype=torch.float64, device=device) + 0.5 - cx) / fx
         y = (torch.arange(height_px, dtype=torch.float64, device=device) + 0.5 - cy) / fy
         y, x = torch.meshgrid(y, x, indexing="ij")
-        rays = torch.stack([x, y, torch.ones_like(x)], -1)
+        angle = torch.hypot(x, y)
+        along = torch.sinc(angle / torch.pi), torch.cos(angle)
+        rays = torch.stack([x * along[0], y * along[0], along[1]] if fisheye else [x, y, torch.ones_like(x)], -1)
         rays, origin = rays @ to_rig[:3, :3].T, to_rig[:3, 3]
         steps = (self.depth - origin[2]) / rays[..., 2]
         met = (origin[:2] + steps[..., None] * rays[..., :2]) / self.depth
@@ -280,7 +285,8 @@ def mask_to_window(
     """
     weights = torch.zeros(images.photos.shape[:3], dtype=torch.uint8, device=images.photos.device)  # perhaps the host's
     for index, (width, height) in enumerate(images.sizes):
-        seen = window.mask(images.world_to_camera[index], images.intrinsics[index], width, height)
+        camera = images.world_to_camera[index], images.intrinsics[index]
+        seen = window.mask(*camera, width, height, fisheye=images.widest_deg is not None)
         counts = 255 if images.weights is None else images.weights[index, :height, :width]
         weights[index, :height, :width] = seen.to(weights.device) * counts
     kept = [index for index, is_inside in enumerate(inside) if is_inside and bool(weights[index].any())]

@@ -31,7 +31,7 @@ def mesh_only() -> bytes:
 
 
 # With usd-core and without
-USD_WAY = r"lightfield-gs fit|export it or download it again|pip install 'lightfield-gs\[usd\]'"
+USD_WAY = r"lightfield-gs fit|export it or download it again|pip install --upgrade 'lightfield-gs\[usd\]'"
 UNSUPPORTED = {  # file name: content, and the message on its kind
     "a.glb": (b"glTF\2\0\0\0", ".glb has a header of 20 bytes, and it has 8; it is cut"),
     "a.gltf": (b"{}", "expected glTF of version 2"),

@@ -51,6 +51,8 @@ class Capture:
         held_out: names of the photographs that the capture itself holds out for tests.
         held_by: the file or field that holds them out.
         is_whole: whether the photographs have the size of their files, because nobody chose another.
+        fisheye: whether images are those of equidistant fisheyes, whose radius is the angle from the axis times the
+            focal length; else of pinholes.
     """
 
     folder: Path
@@ -64,6 +66,7 @@ class Capture:
     held_out: tuple[str, ...] = ()
     held_by: str = ""
     is_whole: bool = False
+    fisheye: bool = False
 
     def image(self, index: int) -> np.ndarray:
         """Decode a photograph: uint8 [H,W,3], sRGB, undistorted and reduced. Raises InputError."""
@@ -213,6 +216,7 @@ def read_capture(
         layout.held_out,
         layout.held_by,
         is_whole,
+        photographs[0].fisheye,
     )
 
 
@@ -314,6 +318,7 @@ def _photographs(
     alphas = [info.has_alpha for info in infos]
     mask_paths = find_capture_masks(layout, posed, folder, masks, alphas)
     photographs, checked = [], set()
+    fisheye = all(photograph.distortion is not None and photograph.distortion.fisheye for photograph in posed)
     for photograph, info, mask, alpha in zip(posed, infos, mask_paths, alphas):
         stored = info.width_px, info.height_px
         _check_aspect(photograph, stored, info.orientation)
@@ -321,7 +326,7 @@ def _photographs(
         intrinsics = tuple((photograph.intrinsics * np.tile(ratio, 2)).tolist())
         if photograph.distortion is not None and (key := (photograph.distortion, intrinsics, stored)) not in checked:
             checked.add(key)
-            _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored)
+            _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored, fisheye)
         size = _reduced_size(stored, scale, longest_px)
         photographs.append(
             Photograph(
@@ -334,6 +339,7 @@ def _photographs(
                 alpha,
                 info.orientation,
                 photograph.border_px,
+                fisheye,
             )
         )
     _note_resized(posed, photographs)
@@ -382,20 +388,20 @@ def _check_aspect(photograph: PosedPhotograph, stored: tuple[int, int], orientat
 
 
 def _check_distortion(
-    photograph: PosedPhotograph, distortion: Distortion, intrinsics: np.ndarray, stored: tuple[int, int]
+    photograph: PosedPhotograph, distortion: Distortion, intrinsics: np.ndarray, stored: tuple[int, int], fisheye: bool
 ) -> None:
-    """Raise InputError for a distortion that makes no image; note the visible angles of a fisheye."""
-    if (lost := folded_fraction(distortion, intrinsics, *stored)) > LARGEST_FOLDED_FRACTION:
+    """Raise InputError for a distortion that makes no image; note what is used of a fisheye among other lenses."""
+    if (lost := folded_fraction(distortion, intrinsics, *stored, fisheye)) > LARGEST_FOLDED_FRACTION:
         raise InputError(
             f"{photograph.path}: the lens {distortion.description} folds {lost:.0%} of the picture onto the rest: "
             "expected coefficients that straighten it; pose the photographs again with a simpler camera model"
         )
-    if distortion.fisheye:
+    if distortion.fisheye and not fisheye:
         before, after = intrinsics[2:] / intrinsics[:2], (stored - intrinsics[2:]) / intrinsics[:2]
         wide, high = np.degrees(np.arctan(before) + np.arctan(after))
         assume(
             f"fisheye photographs as {photograph.name} are seen as a pinhole of their focal length sees the scene, "
-            f"{wide:.0f} x {high:.0f} degrees; what they show beyond is not used"
+            f"{wide:.0f} x {high:.0f} degrees, as other photographs are by pinholes; what they show beyond is not used"
         )
 
 

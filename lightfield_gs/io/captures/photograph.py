@@ -86,6 +86,7 @@ class Photograph:
         alpha: whether the file has an alpha channel.
         orientation: Exif orientation of the file, 1..8. Images are never turned by it.
         border_px: rows and columns at each edge of the file that show nothing.
+        fisheye: undistorted images are those of an equidistant fisheye, else of a pinhole.
     """
 
     path: Path
@@ -97,6 +98,7 @@ class Photograph:
     alpha: bool = False
     orientation: int = 1
     border_px: int = 0
+    fisheye: bool = False
 
     def image(self) -> np.ndarray:
         """Decode the colours, uint8 [H,W,3], sRGB, undistorted and reduced.
@@ -148,7 +150,9 @@ class Photograph:
         return None if mask.min() == 255 else reduced(mask, *self.size_px)
 
     def _undistortion(self) -> Undistortion | None:
-        return None if self.distortion is None else undistortion(self.distortion, self.intrinsics, *self.stored_px)
+        if self.distortion is None or (self.fisheye and not any(self.distortion.coefficients)):
+            return None
+        return undistortion(self.distortion, self.intrinsics, *self.stored_px, self.fisheye)
 
     def _pixels(self) -> np.ndarray:
         """Decode the file as stored, whatever its Exif: uint8 [H,W,3 or 4]. Poses refer to these pixels."""

@@ -2,9 +2,8 @@
 
 A prim of this type has positions, orientations, scales (standard deviations), opacities (0..1), and
 radiance:sphericalHarmonicsCoefficients, all harmonics of a particle in a row. Half floats have an h behind their name.
-Prims are read by the names of type and attributes: releases of usd-core before 26.03, which lack the schema, read and
-write them too. The axes of the stage (y or z up) are turned to those of a .ply, and metersPerUnit makes lengths
-metres. Files that are written have y up and units of a metre.
+The axes of the stage (y or z up) are turned to those of a .ply, and metersPerUnit makes lengths metres. Files that are
+written have y up and units of a metre.
 """
 
 from __future__ import annotations
@@ -62,14 +61,18 @@ class _Found:
 
 
 def import_usd() -> Any:
-    """Import usd-core; raise InputError without it."""
+    """Import usd-core; raise InputError without it, or for a release without the schema (before 26.03)."""
     try:
-        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
+        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdVol, Vt
+
+        if hasattr(UsdVol, SPLAT):
+            return SimpleNamespace(Gf=Gf, Sdf=Sdf, Tf=Tf, Usd=Usd, UsdGeom=UsdGeom, Vt=Vt)
     except ImportError:
-        raise InputError(
-            "files of OpenUSD need the package usd-core; pip install 'lightfield-gs[usd]', or take a .ply or .glb"
-        ) from None
-    return SimpleNamespace(Gf=Gf, Sdf=Sdf, Tf=Tf, Usd=Usd, UsdGeom=UsdGeom, Vt=Vt)
+        pass
+    raise InputError(
+        "Gaussians in OpenUSD need the package usd-core, 26.3 or newer; pip install --upgrade 'lightfield-gs[usd]', or "
+        "take a .ply or .glb"
+    )
 
 
 def read(path: Path, skip_invalid: bool, time: float | None = None) -> SceneArrays:
