@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.pillow_images import is_heif, open_heif
+
 ORIENTATION = 0x0112
 _EXIF = 0x8769
 _MAKE_MODEL = (0x010F, 0x0110)
@@ -20,12 +23,13 @@ LensKey = tuple[str, str, str, float, float]
 
 
 def read_exif(path: Path) -> Any:
-    """Return Pillow's Exif of a photograph that read_info read; empty where Pillow finds none."""
+    """Return Pillow's Exif of a photograph, also of a HEIC; empty where Pillow finds none."""
     from PIL import Image
 
-    with warnings.catch_warnings(), contextlib.suppress(OSError, ValueError, SyntaxError, RuntimeError, EOFError):
+    errors = OSError, ValueError, SyntaxError, RuntimeError, EOFError, InputError
+    with warnings.catch_warnings(), contextlib.suppress(*errors):
         warnings.simplefilter("ignore")  # of large pictures, which are not decoded here, and of damaged Exif
-        with Image.open(path) as image:
+        with open_heif(path, lambda width, height: None) if is_heif(path) else Image.open(path) as image:
             exif = image.getexif()
             exif.get_ifd(_EXIF)
             return exif

@@ -63,11 +63,11 @@ def gather_photographs(
         InputError: there are no photographs, or a film cannot be read or shows no motion.
     """
     source = checked_path(source)
-    films = _find_films(source)
+    found = _find_films(source)
     names = [] if source.is_file() else photographs_to_pose(files := PhotoFiles(source), masks)
+    films = [film for film in found if not _is_live_photo(film, source, names)]
     if not films:
         return Gathered(source, _choose(files, names, options, progress))
-    films = [film for film in films if not _is_live_photo(film, source, names)]
     with atomic_folder(output / IMAGES) as folder:
         for film in films:
             inner = film.relative_to(source).with_suffix("") if len(films) + len(names) > 1 else Path()

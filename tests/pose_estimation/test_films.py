@@ -8,10 +8,12 @@ import pytest
 from capture_scene import said
 from command_line import run
 from film_scene import HEIGHT, WIDTH, arc, photographs, shaken, wall, write_film
+from heic_maker import heic
 from PIL import Image
 
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.pose_estimation.exif import lens_key
 from lightfield_gs.pose_estimation.films import choose_pictures, write_film_frames
 from lightfield_gs.pose_estimation.gather import gather_photographs
 from lightfield_gs.pose_estimation.options import PoseOptions
@@ -128,6 +130,21 @@ def test_a_burst_is_a_film(pictures, tmp_path):
     assert names[-6:] == [f"IMG_{index}.jpg" for index in range(26, 32)]
     assert not {f"IMG_{index:02d}.jpg" for index in BLURRED} & set(names)
     assert len({f"IMG_{index}.jpg" for index in STILL} & set(names)) <= 2
+
+
+def test_a_burst_of_heic(pictures, tmp_path):
+    """The times and the lens are in its Exif too, whatever was opened before."""
+    pytest.importorskip("cv2")
+    (tmp_path / "in").mkdir()
+    for index, picture in enumerate(pictures[:10, :352]):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({0x9003: "2026:07:01 12:00:05", 0x9291: f"{100 * index:03d}", 0xA405: 26})
+        data = heic(picture, exif=exif.tobytes().removeprefix(b"Exif\0\0"))
+        (tmp_path / f"in/IMG_{index:02d}.HEIC").write_bytes(data)
+    assert lens_key(tmp_path / "in/IMG_00.HEIC")[-1] == 26
+    with pytest.warns(Assumption, match="of 10 photographs of the burst IMG_00.HEIC to IMG_09.HEIC are taken"):
+        names = gather_photographs(tmp_path / "in", tmp_path / "out").names
+    assert 3 <= len(names) < 10 and "IMG_03.HEIC" not in names and "IMG_09.HEIC" not in names
 
 
 def test_films_name_the_packages_that_they_take(film, tmp_path, monkeypatch):
