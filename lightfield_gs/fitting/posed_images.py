@@ -228,8 +228,8 @@ class PosedImages:
             tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, self.intrinsics, self.limits)
         )
         fields = [tensor[None] for tensor in gaussians.fields().values()]
-        views = (background[None], poses, intrinsics, limits, width, height, antialiased)
-        arguments = ImageArguments(*fields, *views, model=CAMERA_MODELS.index(self.model))
+        views = (background[None], poses, intrinsics, limits, width, height, antialiased, None)
+        arguments = ImageArguments._make((*fields, *views, CAMERA_MODELS.index(self.model)))
         return ImageRender.from_arguments(arguments, capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
@@ -260,9 +260,9 @@ class PosedImages:
         some = slice(None) if index is None else slice(index, index + 1)
         poses, intrinsics, limits = (t[some] for t in (self.world_to_camera, self.intrinsics, self.limits))
         focal, centre = intrinsics.split(2, -1)
+        edges = limits if self.model == "pinhole" else None
         size = self.width_px, self.height_px
-        limits = limits if self.model == "pinhole" else None
-        return Cameras(poses, focal, centre, *size, limits, self.model, widest_deg=self.widest_deg)
+        return Cameras(poses, focal, centre, *size, edges, self.model, widest_deg=self.widest_deg)
 
     @property
     def count(self) -> int:

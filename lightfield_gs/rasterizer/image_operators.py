@@ -141,8 +141,8 @@ class _DrawnArguments(NamedTuple):
 
 def _of_backward(arguments: Sequence[Any]) -> tuple[ImageArguments, _DrawnArguments]:
     """Return the arguments of a backward pass as those of the render without screen, and those after them."""
-    before, after = arguments[:_SCREEN], arguments[_SCREEN:]
-    return ImageArguments(*before, None, after[0]), _DrawnArguments(*after[1:])
+    before, model, after = arguments[:_SCREEN], arguments[_SCREEN], arguments[_SCREEN + 1 :]
+    return ImageArguments._make((*before, None, model)), _DrawnArguments(*after)
 
 
 def _backward_of_state(*arguments: Any) -> tuple[Tensor, ...]:

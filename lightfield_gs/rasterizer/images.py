@@ -182,7 +182,8 @@ def _render_by_model(
     with_gradients = torch.is_grad_enabled() and asked
     if not with_gradients and not radii and not batched:
         batch = [field.unsqueeze(0) for field in fields]
-        drawn = draw_in_chunks(batch, colour, views, *options, model, alpha=alpha or depth, depth=depth)
+        asked_for: dict[str, Any] = {"alpha": alpha or depth, "depth": depth, "model": model}
+        drawn = draw_in_chunks(batch, colour, views, *options, **asked_for)
         if drawn.depth is not None and drawn.alpha is not None:
             divide_by_alpha(drawn.depth, drawn.alpha)
         return _of_one_scene(RenderedImages(drawn.image, drawn.alpha if alpha else None, drawn.depth))

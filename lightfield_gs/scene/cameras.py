@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -217,7 +217,7 @@ class Cameras:
 
     def select(self, indices: slice | list[int] | torch.Tensor) -> Cameras:
         """Select cameras by their indices along C."""
-        some = {name: value[..., indices, :] for name, value in self._optics().items()}
+        some: dict[str, Any] = {name: value[..., indices, :] for name, value in self._optics().items()}
         return replace(self, world_to_camera=self.world_to_camera[..., indices, :, :], **some)
 
     def _optics(self) -> dict[str, torch.Tensor]:
@@ -242,7 +242,7 @@ class Cameras:
 
     def to(self, *args, **kwargs) -> Cameras:
         """Apply torch.Tensor.to to every tensor."""
-        optics = {name: value.to(*args, **kwargs) for name, value in self._optics().items()}
+        optics: dict[str, Any] = {name: value.to(*args, **kwargs) for name, value in self._optics().items()}
         return replace(self, world_to_camera=self.world_to_camera.to(*args, **kwargs), **optics)
 
 
