@@ -10,6 +10,7 @@ import argparse
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,7 +28,14 @@ PANEL = "65in-8k-96v"
 NARROW = ("DSC_0423", "DSC_0424", "DSC_0425", "DSC_0426", "DSC_0438")  # from -13 to 10 degrees
 EYES_DEG = (-18.0, 0.0, 18.0)
 LONGEST_PX, SHAKEN_PX = 376, 14
-FIT = {"steps": 1200, "cap_max": 15_000, "sh_degree": 2, "device": "cpu", "test_every": None, "background": (1.0,) * 3}
+FIT: dict[str, Any] = {
+    "steps": 1200,
+    "cap_max": 15_000,
+    "sh_degree": 2,
+    "device": "cpu",
+    "test_every": None,
+    "background": (1.0,) * 3,
+}
 WIDTH_PX, LABEL_PX = 420, 40
 
 
