@@ -76,7 +76,8 @@ class PosedImages:
         limits: [C,5] float32, of the Jacobian.
         sizes: width and height of each.
         opacity: [C,H,W] uint8, the target of alpha by the masks; None: masks are no target.
-        widest_deg: of equidistant fisheyes, see Cameras; None: the cameras are pinholes.
+        model: of all cameras, see Cameras; fisheyes are equidistant.
+        widest_deg: of fisheyes, see Cameras.
     """
 
     names: list[str]
@@ -87,6 +88,7 @@ class PosedImages:
     limits: Tensor
     sizes: list[tuple[int, int]]
     opacity: Tensor | None = None
+    model: CameraModel = "pinhole"
     widest_deg: float | None = None
     _staged: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
 
@@ -133,8 +135,8 @@ class PosedImages:
                 opacity[row, :h, :w] = opaque
         focal, principal = torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1)
         poses = torch.from_numpy(normalization.poses(capture.world_to_camera[list(indices)]))
-        widest = _widest_deg(focal, principal, width, height) if capture.fisheye else None
-        cameras = _cameras(poses, focal, principal, width, height, None, widest)
+        widest = _widest_deg(focal, principal, width, height) if capture.model == "fisheye" else None
+        cameras = Cameras(poses, focal, principal, width, height, model=capture.model, widest_deg=widest)
         return cls(
             [capture.names[index] for index in indices],
             torch.from_numpy(photos).to(where),
@@ -144,6 +146,7 @@ class PosedImages:
             cameras.limits().float().to(device),
             sizes,
             None if opacity.size == 0 or opacity.min() == 255 else torch.from_numpy(opacity).to(where),
+            capture.model,
             widest,
         )
 
@@ -226,7 +229,7 @@ class PosedImages:
         )
         fields = [tensor[None] for tensor in gaussians.fields().values()]
         views = (background[None], poses, intrinsics, limits, width, height, antialiased)
-        arguments = ImageArguments(*fields, *views, model=CAMERA_MODELS.index(_model(self.widest_deg)))
+        arguments = ImageArguments(*fields, *views, model=CAMERA_MODELS.index(self.model))
         return ImageRender.from_arguments(arguments, capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
@@ -257,7 +260,9 @@ class PosedImages:
         some = slice(None) if index is None else slice(index, index + 1)
         poses, intrinsics, limits = (t[some] for t in (self.world_to_camera, self.intrinsics, self.limits))
         focal, centre = intrinsics.split(2, -1)
-        return _cameras(poses, focal, centre, self.width_px, self.height_px, limits, self.widest_deg)
+        size = self.width_px, self.height_px
+        limits = limits if self.model == "pinhole" else None
+        return Cameras(poses, focal, centre, *size, limits, self.model, widest_deg=self.widest_deg)
 
     @property
     def count(self) -> int:
@@ -271,26 +276,6 @@ class PosedImages:
     @property
     def width_px(self) -> int:
         return self.photos.shape[2]
-
-
-def _model(widest_deg: float | None) -> CameraModel:
-    """Return the model of cameras with PosedImages.widest_deg."""
-    return "pinhole" if widest_deg is None else "fisheye"
-
-
-def _cameras(
-    poses: Tensor,
-    focal: Tensor,
-    principal: Tensor,
-    width_px: int,
-    height_px: int,
-    limits: Tensor | None,
-    widest_deg: float | None,
-) -> Cameras:
-    """Return cameras with these tensors [C,...]; limits are of pinholes, widest_deg of fisheyes."""
-    model = _model(widest_deg)
-    limits = limits if model == "pinhole" else None
-    return Cameras(poses, focal, principal, width_px, height_px, limits, model, widest_deg=widest_deg)
 
 
 def _widest_deg(focal: Tensor, principal: Tensor, width_px: int, height_px: int) -> float:

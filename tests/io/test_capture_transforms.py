@@ -107,7 +107,7 @@ def test_points_masks_and_reduced_copies(tmp_path):
             lambda d: [frame.pop("transform_matrix") for frame in d["frames"]],
             r"expected some with a pose \(transform_matrix\), got 3 without",
         ),
-        (lambda d: d.update(camera_model="EQUIRECTANGULAR"), "camera_model: expected one of SIMPLE_PINHOLE"),
+        (lambda d: d.update(camera_model="VR180_L"), "camera_model: expected one of SIMPLE_PINHOLE"),
         (lambda d: d.update(k5=0.1), "k5: expected a lens of k1, k2, k3, k4, p1, p2 alone"),
         (lambda d: d.update(k1="x"), "k1 must be a number"),
         (lambda d: d.update(ply_file_path="none.ply"), "ply_file_path: expected the name of a .ply"),

@@ -11,7 +11,7 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.options import TestEvery
+from lightfield_gs.base.options import CameraModel, TestEvery
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.app_captures import read_app_capture
 from lightfield_gs.io.captures.camera_models import Distortion
@@ -51,8 +51,7 @@ class Capture:
         held_out: names of the photographs that the capture itself holds out for tests.
         held_by: the file or field that holds them out.
         is_whole: whether the photographs have the size of their files, because nobody chose another.
-        fisheye: whether images are those of equidistant fisheyes, whose radius is the angle from the axis times the
-            focal length; else of pinholes.
+        model: of all cameras, as in scene.Cameras; fisheyes are equidistant, equirectangular images are half rounds.
     """
 
     folder: Path
@@ -66,7 +65,7 @@ class Capture:
     held_out: tuple[str, ...] = ()
     held_by: str = ""
     is_whole: bool = False
-    fisheye: bool = False
+    model: CameraModel = "pinhole"
 
     def image(self, index: int) -> np.ndarray:
         """Decode a photograph: uint8 [H,W,3], sRGB, undistorted and reduced. Raises InputError."""
@@ -216,7 +215,7 @@ def read_capture(
         layout.held_out,
         layout.held_by,
         is_whole,
-        photographs[0].fisheye,
+        photographs[0].model,
     )
 
 
@@ -318,15 +317,15 @@ def _photographs(
     alphas = [info.has_alpha for info in infos]
     mask_paths = find_capture_masks(layout, posed, folder, masks, alphas)
     photographs, checked = [], set()
-    fisheye = all(photograph.distortion is not None and photograph.distortion.fisheye for photograph in posed)
+    model = _common_model(layout, posed)
     for photograph, info, mask, alpha in zip(posed, infos, mask_paths, alphas):
-        stored = info.width_px, info.height_px
+        stored = info.width_px // (1 if photograph.half is None else 2), info.height_px
         _check_aspect(photograph, stored, info.orientation)
         ratio = np.array(stored) / photograph.camera_px
         intrinsics = tuple((photograph.intrinsics * np.tile(ratio, 2)).tolist())
         if photograph.distortion is not None and (key := (photograph.distortion, intrinsics, stored)) not in checked:
             checked.add(key)
-            _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored, fisheye)
+            _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored, model == "fisheye")
         size = _reduced_size(stored, scale, longest_px)
         photographs.append(
             Photograph(
@@ -339,11 +338,26 @@ def _photographs(
                 alpha,
                 info.orientation,
                 photograph.border_px,
-                fisheye,
+                model,
+                photograph.half,
             )
         )
     _note_resized(posed, photographs)
     return photographs
+
+
+def _common_model(layout: PosedCapture, posed: Sequence[PosedPhotograph]) -> CameraModel:
+    """Return the model that all photographs are drawn by. Raises InputError where halves of rounds meet others."""
+    halves = sum(photograph.half is not None for photograph in posed)
+    if 0 < halves < len(posed):
+        raise InputError(
+            f"{layout.source}: expected photographs of one kind, got {halves // 2} equirectangular ones among others: "
+            "put them into captures of their own"
+        )
+    if halves:
+        return "equirectangular"
+    fisheyes = all(photograph.distortion is not None and photograph.distortion.fisheye for photograph in posed)
+    return "fisheye" if fisheyes else "pinhole"
 
 
 def _usable_points(layout: PosedCapture) -> tuple[np.ndarray, np.ndarray]:

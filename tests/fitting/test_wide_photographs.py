@@ -1,5 +1,6 @@
-"""Fits of photographs by fisheyes: the scene is drawn by the lens itself, also beyond 90 degrees from its axis."""
+"""Fits of photographs by fisheyes and of whole rounds: the scene is drawn by the lens itself, also behind it."""
 
+import json
 import math
 
 import numpy as np
@@ -59,7 +60,7 @@ def test_photographs_beyond_a_half_sphere_are_drawn_where_they_were_seen(tmp_pat
     """The scene that was photographed, drawn by what is read, is the photographs, but for the resampling."""
     scene, _ = _write(tmp_path, 3)
     capture = read_capture(tmp_path)
-    assert capture.fisheye
+    assert capture.model == "fisheye"
     images = PosedImages.load(capture, [0, 1, 2], Normalization((0.0, 0.0, 0.0), 1.0), "cpu", range(3))
     assert images.widest_deg > 108
     drawn = render(scene, images.cameras(), background=(0.0, 0.0, 0.0)).image
@@ -72,3 +73,24 @@ def test_a_fit_of_fisheyes_finds_the_scene(tmp_path):
     _write(tmp_path)
     result = fit(tmp_path, steps=300, cap_max=1500, device="cpu", test_every=7, progress=False)
     assert result.scores.mean_psnr_db > 18 and result.gaussians.means.norm(dim=1).median() > 2
+
+
+def test_rounds_are_drawn_as_two_halves_where_they_were_seen(tmp_path):
+    """What a transforms.json with equirectangular photographs has, drawn by both halves, is the photographs."""
+    scene, frames = _scene(), []
+    for index in range(2):
+        turn = 0.9 * index
+        pose = pose_matrix([math.cos(turn / 2), 0, math.sin(turn / 2), 0], [0.2 * index, 0.1, -0.2])
+        camera = Cameras.equirectangular(torch.tensor(pose)[None].float(), 128)
+        picture = render(scene, camera, background=(0.0, 0.0, 0.0)).image[0].clamp(0, 1)
+        Image.fromarray((255 * picture).round().byte().numpy()).save(tmp_path / f"{index}.png")
+        to_world = np.linalg.inv(pose) @ np.diag([1.0, -1, -1, 1])
+        frames.append({"file_path": f"{index}.png", "transform_matrix": to_world.tolist()})
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_model": "EQUIRECTANGULAR", "frames": frames}))
+    capture = read_capture(tmp_path)
+    assert capture.names == ["0.png", "0.png (behind)", "1.png", "1.png (behind)"]
+    images = PosedImages.load(capture, [0, 1, 2, 3], Normalization((0.0, 0.0, 0.0), 1.0), "cpu", range(4))
+    drawn = render(scene, images.cameras(), background=(0.0, 0.0, 0.0)).image
+    assert (drawn.clamp(0, 1) - images.photos / 255).abs().max() < 0.01
+    fitted = fit(capture, steps=20, cap_max=500, device="cpu", test_every=None, progress=False)
+    assert fitted.gaussians.count > 0
