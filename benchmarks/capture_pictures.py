@@ -28,7 +28,14 @@ PANEL = "65in-8k-96v"
 NARROW = ("DSC_0423", "DSC_0424", "DSC_0425", "DSC_0426", "DSC_0438")  # from -13 to 10 degrees
 EYES_DEG = (-18.0, 0.0, 18.0)
 LONGEST_PX, SHAKEN_PX = 376, 14
-WHITE = (1.0, 1.0, 1.0)
+FIT: dict[str, Any] = {
+    "steps": 1200,
+    "cap_max": 15_000,
+    "sh_degree": 2,
+    "device": "cpu",
+    "test_every": None,
+    "background": (1.0,) * 3,
+}
 WIDTH_PX, LABEL_PX = 420, 40
 
 
@@ -46,14 +53,8 @@ def main() -> None:
             (f"{len(few)} photographs over 22 degrees", selected(capture, few)),
             ("the 14 photographs, blurred by a hand's motion", shaken(capture, Path(folder))),
         ):
-            rows.append(labelled(three_eyes(fitted(photographs), rig), words))
+            rows.append(labelled(three_eyes(lf.fit(photographs, **FIT).gaussians, rig), words))
     save(stack(rows, 0), given.pages / "capturing-fits.webp")
-
-
-def fitted(capture: Capture) -> lf.Gaussians:
-    """Return the scene of a short fit on the CPU."""
-    options: dict[str, Any] = {"sh_degree": 2, "background": WHITE}
-    return lf.fit(capture, steps=1200, cap_max=15_000, device="cpu", test_every=None, **options).gaussians
 
 
 def selected(capture: Capture, indices: list[int]) -> Capture:
@@ -86,8 +87,8 @@ def shaken(capture: Capture, folder: Path) -> Capture:
 def three_eyes(scene: lf.Gaussians, rig: Rig) -> np.ndarray:
     """Return what eyes at EYES_DEG see of a scene, uint8 [H, W, 3], side by side."""
     panel, rig = rig.reduced(lf.Panel.load(PANEL), WIDTH_PX)
-    middle = [panel.views / 2]
-    views = [render_views(scene, panel, orbit(rig, panel, angle), middle, background=WHITE) for angle in EYES_DEG]
+    middle, colour = [panel.views / 2], FIT["background"]
+    views = [render_views(scene, panel, orbit(rig, panel, angle), middle, background=colour) for angle in EYES_DEG]
     images = torch.cat(views)
     return stack(list((images.clamp(0, 1) * 255).round().byte().numpy()), 1)
 
