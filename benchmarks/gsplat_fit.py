@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from benchmarks import peers
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.photo_loss import photo_loss
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.schedule import Schedule
@@ -73,6 +74,10 @@ class PeerFit:
     """A fit by a recipe. It draws random numbers from torch's generators, and seeds them."""
 
     def __init__(self, recipe: Recipe, start: Gaussians, images: PosedImages, settings: FitSettings) -> None:
+        if images.model != "pinhole":
+            raise InputError(
+                f"gsplat's arms fit photographs by pinholes, and these are {images.model}: give --arms ours"
+            )
         torch.manual_seed(settings.seed)
         self._recipe, self._images, self._settings = recipe, images, settings
         self._rasterization = peers.gsplat().rasterization

@@ -59,6 +59,7 @@ _HOMES = {
     "quilt": "encoding.quilt",
     "read_scene": "io.scenes.files",
     "render": "rasterizer.images",
+    "simplify": "simplification.simplify",
     "weave": "encoding.weave",
     "write_scene": "io.scenes.files",
 }
@@ -91,6 +92,7 @@ __all__ = [
     "quilt",
     "read_scene",
     "render",
+    "simplify",
     "weave",
     "write_scene",
 ]

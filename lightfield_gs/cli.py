@@ -52,6 +52,7 @@ COMMAND_GROUPS = {
     },
     "scenes and files": {
         "fit": "make a 3D scene of photographs that show it from many sides",
+        "simplify": "make a scene much smaller: merge what a display cannot show",
         "prune": "make a scene smaller: leave out what hardly shows",
         "info": "say what is in a file",
         "bench": "measure speed and accuracy",

@@ -15,11 +15,14 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import SplatterNet
 from training.command import with_line_errors
+from training.trainer import with_attention
 
 
 @torch.no_grad()
 def average(first: SplatterNet, second: SplatterNet, weight: float) -> SplatterNet:
     """Move the first network's parameters towards the second's, and return the first network.
+
+    Self-attention that the second network alone has counts in the first as self-attention without effect.
 
     Args:
         weight: weight of the second network in the mean, 0..1.
@@ -29,10 +32,24 @@ def average(first: SplatterNet, second: SplatterNet, weight: float) -> SplatterN
     """
     if not 0 <= weight <= 1:
         raise InputError(f"share: expected 0..1, got {weight}")
+    first = _with_attention_of(first, second)
     if first.config != second.config:
         raise InputError("the two checkpoints are of different networks: expected the same configuration in both")
     for parameter, other in zip(first.parameters(), second.parameters()):
         parameter.lerp_(other, weight)
+    return first
+
+
+def _with_attention_of(first: SplatterNet, second: SplatterNet) -> SplatterNet:
+    """Return the first network with the second's self-attention where it has none; its output there is zero."""
+    before, more = first.config.unet.attention_px, second.config.unet.attention_px
+    if not (added := set(more) - set(before)):
+        return first
+    known, first = set(first.state_dict()), with_attention(first, sorted(added))
+    for name, parameter in second.named_parameters():
+        if name not in known:
+            own = first.get_parameter(name)
+            own.zero_() if ".projection." in name else own.copy_(parameter)
     return first
 
 

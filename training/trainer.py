@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -53,7 +54,7 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
     else:
         net = SplatterNet(ModelConfig.from_yaml(config.model))
     if config.attention_px:
-        net = _with_attention(net, config.attention_px)
+        net = with_attention(net, config.attention_px)
     if config.symmetric:  # has no weights of its own
         net.config = dataclasses.replace(net.config, symmetric=True)
     if config.trained == "head":
@@ -61,7 +62,7 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
     return net
 
 
-def _with_attention(net: SplatterNet, sizes_px: list[int]) -> SplatterNet:
+def with_attention(net: SplatterNet, sizes_px: Sequence[int]) -> SplatterNet:
     """Return the network with self-attention at more sizes of its features, which has no effect until it is trained.
 
     Raises:

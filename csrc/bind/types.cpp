@@ -120,14 +120,16 @@ void bind_buffers(py::module_ m) {
            py::arg("opacities"), py::arg("sh"));
   py::class_<Cameras<T>>(m, "Cameras")
       .def(py::init([](int64_t scenes, int64_t per_scene, int64_t width_px, int64_t height_px, Address world_to_camera,
-                       Address intrinsics, Address limits, bool antialiased, double aperture, double zero_depth) {
+                       Address intrinsics, Address limits, bool antialiased, double aperture, double zero_depth,
+                       int model) {
+             require(model >= 0 && model <= int(CameraModel::kEquirectangular), "model must be 0..3");
              return Cameras<T>{
-                 scenes,        per_scene,   width_px, height_px,     at<T>(world_to_camera), at<T>(intrinsics),
-                 at<T>(limits), antialiased, aperture, 1 / zero_depth};
+                 scenes,        per_scene,          width_px,    height_px, at<T>(world_to_camera), at<T>(intrinsics),
+                 at<T>(limits), CameraModel(model), antialiased, aperture,  1 / zero_depth};
            }),
            py::arg("scenes"), py::arg("per_scene"), py::arg("width_px"), py::arg("height_px"),
            py::arg("world_to_camera"), py::arg("intrinsics"), py::arg("limits"), py::arg("antialiased") = false,
-           py::arg("aperture") = 0.0, py::arg("zero_depth") = HUGE_VAL);
+           py::arg("aperture") = 0.0, py::arg("zero_depth") = HUGE_VAL, py::arg("model") = 0);
   py::class_<Splats<T>>(m, "Splats")
       .def(py::init([](int64_t images, int64_t count, int colour_order, Address splats, Address colours, Address orders,
                        Address compensations) {

@@ -5,8 +5,8 @@
 
 #include <algorithm>
 
+#include "math/curved_projection.h"
 #include "math/footprint.h"
-#include "math/projection.h"
 #include "math/saturate.h"
 #include "scene/gaussians.h"
 #include "stages/stages.h"
@@ -25,15 +25,6 @@ void sum_intersections(const Splat<T>& splat, int64_t height_px, int64_t first, 
   int64_t bands = rows.last / kBandRows - rows.first / kBandRows + 1;
   for (int64_t k = 0; k < bands; ++k)
     for (int f = 0; f < size; ++f) sum[f] += double(intersections[(first + k) * size + f]);
-}
-
-// Project a Gaussian; sets `compensation` if its opacity is compensated and it is drawn.
-inline Splat<double> projected(const Camera<double>& camera, const Shape<double>& shape,
-                               Compensation<double>& compensation) {
-  const Projection<double> projection(camera, shape);
-  Splat<double> splat = projection.splat(camera, shape.opacity);
-  if (camera.compensated() && splat.reach_y >= 0) projection.compensate(camera, splat, compensation);
-  return splat;
 }
 
 // Add the gradient of a Gaussian to the gradients of the set.

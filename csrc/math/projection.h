@@ -73,31 +73,62 @@ struct CameraGradient {
   glm::vec<3, R> translation{R(0)};
 };
 
-// Intermediate values of the projection and its backward pass. To compute them again for the backward pass is cheaper
-// than to store them.
+// A Gaussian in the axes of a camera, whatever the camera's model, and its backward pass.
 template <class R>
-struct Projection {
+struct Body {
   glm::vec<3, R> t;                // mean in camera axes
   glm::vec<4, R> unit;             // normalized quaternion
   glm::mat<3, 3, R> turn, factor;  // camera-from-local rotation; the same times the scales
-  Symmetric3<R> V;                 // covariance in camera axes
-  R iz, kx, ky;                    // 1/Z, clamped slopes
-  bool x_free, y_free;             // slopes not clamped
-  R a, b, c, e, g;                 // Jacobian, rows (a, 0, b) and (0, c, e); g = db / ds
-  R qz, yz, xy0, xy1, yy, iy;      // xy(s) = xy0 + s xy1, yy and 1 / yy; qz and yz are terms of xx and xy
   bool drawn;
 
-  LFGS_HD Projection(const Camera<R>& camera, const Shape<R>& shape) {
+  // Nothing but the mean and whether it may be seen, at the depth that `depth_of` finds.
+  template <class Depth>
+  LFGS_HD Body(const Camera<R>& camera, const Shape<R>& shape, const Depth& depth_of) {
     t = camera.rotation * shape.mean + camera.translation;
     const glm::vec<4, R> direction = shape.quaternion / largest_component(shape.quaternion);  // NaN where it is zero
-    drawn = t.z >= R(kNearDepth) && shape.opacity * 255 >= 1 && glm::length(direction) > 0;
+    drawn = depth_of(t) >= R(kNearDepth) && shape.opacity * 255 >= 1 && glm::length(direction) > 0;
     if (!drawn) return;
-
-    // Covariance in camera axes
     unit = glm::normalize(direction);
     turn = camera.rotation * rotation_matrix(unit);
     factor = turn;
     for (int k = 0; k < 3; ++k) factor[k] *= shape.scale[k];
+  }
+
+  // Add the gradients that follow from those of `factor` and of the mean in camera axes. What out.quaternion gets is
+  // the gradient of the unit quaternion: a sum of it over cameras may cancel where quaternion_gradient would be
+  // infinite.
+  LFGS_HD void backward(const Camera<R>& camera, const Shape<R>& shape, const glm::mat<3, 3, R>& g_factor,
+                        const glm::vec<3, R>& g_t, Shape<R>& out, CameraGradient<R>& camera_out) const {
+    glm::mat<3, 3, R> g_turn = g_factor;
+    for (int k = 0; k < 3; ++k) {
+      out.scale[k] += glm::dot(g_turn[k], turn[k]);
+      g_turn[k] *= shape.scale[k];
+    }
+    glm::mat<3, 3, R> local = rotation_matrix(unit);
+    glm::vec<4, R> g_unit = rotation_matrix_backward(unit, glm::transpose(camera.rotation) * g_turn);
+    out.quaternion += g_unit - glm::dot(g_unit, unit) * unit;
+    camera_out.rotation += g_turn * glm::transpose(local);
+
+    out.mean += glm::transpose(camera.rotation) * g_t;
+    camera_out.rotation += glm::outerProduct(g_t, shape.mean);
+    camera_out.translation += g_t;
+  }
+};
+
+// Intermediate values of the projection and its backward pass. To compute them again for the backward pass is cheaper
+// than to store them.
+template <class R>
+struct Projection : Body<R> {
+  using Body<R>::t, Body<R>::factor, Body<R>::drawn;
+  Symmetric3<R> V;             // covariance in camera axes
+  R iz, kx, ky;                // 1/Z, clamped slopes
+  bool x_free, y_free;         // slopes not clamped
+  R a, b, c, e, g;             // Jacobian, rows (a, 0, b) and (0, c, e); g = db / ds
+  R qz, yz, xy0, xy1, yy, iy;  // xy(s) = xy0 + s xy1, yy and 1 / yy; qz and yz are terms of xx and xy
+
+  LFGS_HD Projection(const Camera<R>& camera, const Shape<R>& shape)
+      : Body<R>(camera, shape, [](const glm::vec<3, R>& mean) { return mean.z; }) {
+    if (!drawn) return;
     V = times_own_transpose(factor);
 
     // Jacobian, its slopes clamped at the rig's centre
@@ -203,8 +234,7 @@ struct Projection {
   }
 
   // Add to `out` and `camera_out` the gradients that follow from `s`, the gradient of the splat. For a compensated
-  // splat add also those from `g_D`, the gradient of D before compensate() divides it. What out.quaternion gets is the
-  // gradient of the unit quaternion: a sum of it over cameras may cancel where quaternion_gradient would be infinite.
+  // splat add also those from `g_D`, the gradient of D before compensate() divides it.
   template <bool kCompensated = false>
   LFGS_HD void backward(const Camera<R>& camera, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
                         CameraGradient<R>& camera_out, const Compensation<R>& g_D = {}) const {
@@ -238,7 +268,7 @@ struct Projection {
     R g_e = g_xy0 * a * V.xz + g_yz * V.zz + g_yy * 2 * (c * V.yz + e * V.zz);
     R g_g = gS1 * 2 * qz + gS2 * 2 * g * V.zz + g_xy1 * yz;
 
-    // To the covariance in camera axes, and from there to rotation and scales
+    // To the covariance in camera axes
     Symmetric3<R> gV;
     gV.xx = gS0 * a * a;
     gV.xz = gS0 * 2 * a * b + g_qz * a + g_xy0 * a * e;
@@ -252,15 +282,6 @@ struct Projection {
       gV.zz += square * shear * shear;
       g_iz_of_aperture = square * (4 * iz * shear * V.zz - 2 * (camera.inverse_zero_depth - iz));
     }
-    glm::mat<3, 3, R> g_turn = times_own_transpose_backward(factor, gV);
-    for (int k = 0; k < 3; ++k) {
-      out.scale[k] += glm::dot(g_turn[k], turn[k]);
-      g_turn[k] *= shape.scale[k];
-    }
-    glm::mat<3, 3, R> local = rotation_matrix(unit);
-    glm::vec<4, R> g_unit = rotation_matrix_backward(unit, glm::transpose(camera.rotation) * g_turn);
-    out.quaternion += g_unit - glm::dot(g_unit, unit) * unit;
-    camera_out.rotation += g_turn * glm::transpose(local);
 
     // To the mean in camera axes; b = -fx (kx - offset iz) iz
     R g_kx = -camera.fx * iz * g_b, g_ky = -camera.fy * iz * g_e;
@@ -272,11 +293,7 @@ struct Projection {
     if (x_free) g_t.x += g_kx * iz, g_iz += g_kx * (t.x + camera.offset);
     if (y_free) g_t.y += g_ky * iz, g_iz += g_ky * t.y;
     g_t.z -= g_iz * iz * iz;
-
-    // To the mean and the camera
-    out.mean += glm::transpose(camera.rotation) * g_t;
-    camera_out.rotation += glm::outerProduct(g_t, shape.mean);
-    camera_out.translation += g_t;
+    Body<R>::backward(camera, shape, times_own_transpose_backward(factor, gV), g_t, out, camera_out);
   }
 };
 

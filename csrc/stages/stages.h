@@ -76,18 +76,21 @@ struct Cameras {
   int64_t scenes = 0, per_scene = 0, width_px = 0, height_px = 0;
   const T* world_to_camera = nullptr;  // [I, 4, 4]
   const T* intrinsics = nullptr;       // [I, 4]: fx, fy, cx, cy
-  const T* limits = nullptr;           // [I, 5]: x_low, x_high, y_low, y_high, offset of Camera
-  bool antialiased = false;            // see Camera, as the next two
+  const T* limits = nullptr;           // [I, 5], see make_camera
+  CameraModel model = CameraModel::kPinhole;
+  bool antialiased = false;  // see Camera, as the next two
   double aperture = 0, inverse_zero_depth = 0;
   int64_t images() const { return scenes * per_scene; }
   template <class R = double>
   LFGS_HD Camera<R> camera(int64_t image) const {
-    Camera<R> camera = make_camera<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
+    Camera<R> camera = make_camera<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image, model);
     camera.antialiased = antialiased;
     camera.aperture = R(aperture), camera.inverse_zero_depth = R(inverse_zero_depth);
     return camera;
   }
   bool compensated() const { return antialiased || aperture > 0; }
+  // Whether projection needs double precision: cameras that are no pinholes, and compensated opacities.
+  bool exact() const { return compensated() || model != CameraModel::kPinhole; }
 };
 
 // The output of project, for I images of N splats.

@@ -6,7 +6,7 @@ class Gaussians:
     def __init__(self, count: int, sh_degree: int, means: int, quaternions: int, scales: int, opacities: int, sh: int) -> None:
         ...
 class Cameras:
-    def __init__(self, scenes: int, per_scene: int, width_px: int, height_px: int, world_to_camera: int, intrinsics: int, limits: int, antialiased: bool = False, aperture: float = 0.0, zero_depth: float = ...) -> None:
+    def __init__(self, scenes: int, per_scene: int, width_px: int, height_px: int, world_to_camera: int, intrinsics: int, limits: int, antialiased: bool = False, aperture: float = 0.0, zero_depth: float = ..., model: int = 0) -> None:
         ...
 class Splats:
     def __init__(self, images: int, count: int, colour_order: int, splats: int, colours: int, orders: int, compensations: int = 0) -> None:

@@ -182,12 +182,14 @@ class SceneOptions:
         input: the file.
         skip_invalid: whether to leave out Gaussians without meaning.
         time: the time at which moving Gaussians are drawn.
+        lod: the level of detail of a streamed SOG.
         photo: the options of a photo.
     """
 
     input: Path
     skip_invalid: bool = False
     time: float | None = None
+    lod: int | None = None
     photo: PhotoOptions = field(default_factory=PhotoOptions)
 
 

@@ -114,7 +114,7 @@ def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
     else:
         refuse_unsupported(path)
         reason = f"is for files of Gaussians, and {path} is none"
-        _refuse(options, ("skip_invalid", "time"), reason)
+        _refuse(options, ("skip_invalid", "time", "lod"), reason)
         _refuse(camera, ("up", "camera", "turn", "tilt"), reason)
     if is_file or not has_depth(path, photo):
         _refuse(photo, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
@@ -165,11 +165,11 @@ def check_scene_path(path: Path) -> None:
     check_written_suffix(path)
 
 
-def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
+def read_noted(path: Path, skip_invalid: bool, time: float | None = None, lod: int | None = None) -> SceneFile:
     """Read a file of Gaussians, and note suspicious contents and losses. Raises InputError."""
     from lightfield_gs.io.scenes.files import read_scene
 
-    scene = read_scene(path, skip_invalid=skip_invalid, time=time)
+    scene = read_scene(path, skip_invalid=skip_invalid, time=time, lod=lod)
     for words in scene.notes:
         note(f"{path}: {words}")
     return scene
@@ -186,7 +186,7 @@ def read_source(options: SceneOptions) -> SceneFile | ReadPhoto:
     """Read the files of the input; nothing is computed yet. Raises InputError."""
     path = options.input
     if is_scene_path(path):
-        file = read_noted(path, options.skip_invalid, options.time)
+        file = read_noted(path, options.skip_invalid, options.time, options.lod)
         say_origin(path, file.gaussians)
         return file
     if name := quilt_in_name(path):

@@ -19,6 +19,7 @@ from lightfield_gs.io.depth_names import depth_maps_beside
 from lightfield_gs.io.file_kinds import VIDEO_INPUTS, refuse_unsupported
 from lightfield_gs.io.scenes.files import SUFFIXES, is_scene_path
 from lightfield_gs.io.text_files import parse_json, read_text
+from lightfield_gs.video.scene_sequence import find_scene_sequence
 from lightfield_gs.video.sequence import PICTURES, is_sequence
 
 Command = Literal["encode", "fit", "video"]
@@ -142,7 +143,7 @@ def _find_command(path: Path, is_folder: bool) -> Command | None:
         return "fit"
     if is_scene_path(path):
         return "encode"
-    return "video" if is_sequence(path) else None
+    return "video" if is_sequence(path) or find_scene_sequence(path) else None
 
 
 def _item(

@@ -21,7 +21,7 @@ BENCHMARKS = {
     "dense": "forward and backward of one camera before many Gaussians",
     "webgpu": "frames by WebGPU, tiling by tiling and stage by stage, beside CUDA or the CPU",
     "eyes": "the error of eyes across the cone, with and without --view-filter",
-    "fit": "fits to the photographs of a capture, beside gsplat's",
+    "fit": "fits to photographs of captures, or of published scenes, beside gsplat's",
 }
 _IN_PACKAGE = {DEFAULT, "photo", "pareto", "skips", "dense", "webgpu"}
 _CHECKOUT = Path(__file__).resolve().parents[2]

@@ -37,4 +37,8 @@ def _inputs(options: BenchmarkOptions) -> list:
     """Return the files that the benchmark reads, so that no output overwrites them."""
     texts = [getattr(options, name, None) or "" for name in ("scene", "photo")]
     several = [path for text in texts for path in text.split(",") if path]
-    return [*several, *(getattr(options, name, None) for name in ("model", "panel", "capture"))]
+    return [
+        *several,
+        *(getattr(options, name, None) for name in ("model", "panel", "protocol")),
+        *getattr(options, "captures", ()),
+    ]

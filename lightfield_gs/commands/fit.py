@@ -17,6 +17,7 @@ from lightfield_gs.base.checks import counted
 from lightfield_gs.base.cli_messages import say_next
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.options import POSED_FRAMES, Device, Masks
 from lightfield_gs.base.system import stop_signals
 from lightfield_gs.commands.options.fit import CaptureOptions, FitOptions, read_names
 from lightfield_gs.commands.options.parser import read_options
@@ -42,12 +43,13 @@ def fit_scene(options: FitOptions) -> int:
     choose_device(options.device)
     held_out = None if source.test_list is None else read_names(source.test_list)
     options.cone.check()
+    _check_choice(source, options.optimisation.masks)
 
     from lightfield_gs.base.torchrun import is_first
     from lightfield_gs.fitting.fit import fit
 
     with Interrupts() as interrupts:
-        capture = _read_capture(source, folder)
+        capture = _read_capture(source, folder, options.device)
         if held_out is not None:
             with named(source.test_list):
                 capture.split(None, held_out)
@@ -74,22 +76,43 @@ def fit_scene(options: FitOptions) -> int:
     return 128 + interrupts.number if result.stopped and interrupts.number is not None else 0
 
 
-def _read_capture(options: CaptureOptions, folder: Path) -> Capture:
+def _check_choice(options: CaptureOptions, masks: Masks) -> None:
+    """Raise InputError where options of --sfm are given without it, or masks of people beside others."""
+    alone = {
+        "--frames": options.frames,
+        "--keep-blurred": options.keep_blurred,
+        "--mask-people": options.mask_people,
+        "--pose-model": options.pose_model,
+    }
+    if not options.sfm and (given := [name for name, value in alone.items() if value]):
+        raise InputError(f"{given[0]} takes --sfm, which poses photographs: those of a capture have poses")
+    if options.mask_people and masks == "alpha":
+        raise InputError("--mask-people takes no --masks alpha: the scene would be transparent behind people")
+    if options.mask_people and options.mask_folder is not None:
+        raise InputError("--mask-people makes the masks: leave out --mask-folder, or paint people in its masks")
+
+
+def _read_capture(options: CaptureOptions, folder: Path, device: Device) -> Capture:
     """Read the capture; with --sfm find its cameras first."""
     from lightfield_gs.io.captures.capture import folder_in, read_capture
-    from lightfield_gs.io.captures.sfm import structure_from_motion
+    from lightfield_gs.pose_estimation.find_poses import find_poses, folder_of_photographs
+    from lightfield_gs.pose_estimation.options import PoseOptions
 
     where, images, masks = options.input, options.images, options.mask_folder
     if options.sfm:
         if images is not None:
             raise InputError("--sfm: CAPTURE itself is the folder of photographs; leave out --images")
-        where, images = folder / "sfm", options.input.absolute()
+        where, source = folder / "sfm", options.input.absolute()
         if masks is not None:
-            masks = folder_in("masks", images, masks).absolute()
+            masks = folder_in("masks", source, masks).absolute()
         if not (where / "sparse/0").exists():
             if "RANK" in os.environ:
                 raise InputError("--sfm: find the cameras in one process first: leave torchrun out, or use pycolmap")
-            structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True), masks)
+            choice = PoseOptions(
+                options.frames or POSED_FRAMES, options.keep_blurred, options.mask_people, options.pose_model, device
+            )
+            find_poses(source, make_folder(where), choice, lambda words: print(words, flush=True), masks)
+        images = folder_of_photographs(source, where)
     return read_capture(where, images=images, masks=masks, scale=options.scale, longest_px=options.longest_px)
 
 

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> None:
         if args.report:
             _print_report()
         return
-    for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up, args.time):
+    for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up, args.time, args.lod):
         print(f"{key}: {value}")
 
 
@@ -66,7 +66,12 @@ def describe_devices() -> list[tuple[str, str]]:
 
 
 def describe(
-    path: Path, serial: str | None = None, skip_invalid: bool = False, up: str | None = None, time: float | None = None
+    path: Path,
+    serial: str | None = None,
+    skip_invalid: bool = False,
+    up: str | None = None,
+    time: float | None = None,
+    lod: int | None = None,
 ) -> list[tuple[str, object]]:
     """Return facts about a file.
 
@@ -76,6 +81,7 @@ def describe(
         skip_invalid: of a scene, see `read_scene`.
         up: the axis that points up in a scene, in place of the file's.
         time: of a scene, see `read_scene`.
+        lod: of a scene, see `read_scene`.
 
     Raises:
         InputError: the file cannot be read, or does not take an option.
@@ -84,8 +90,8 @@ def describe(
     if serial is not None and suffix != ".json":
         raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if is_scene_path(path):
-        return _scene(path, skip_invalid, up, time)
-    for option, value in (("--up", up), ("--time", time)):
+        return _scene(path, skip_invalid, up, time, lod)
+    for option, value in (("--up", up), ("--time", time), ("--lod", lod)):
         if value is not None:
             raise InputError(f"{option} is for files of Gaussians, and {path} is none; leave it out")
     if suffix == ".safetensors":
@@ -100,14 +106,16 @@ def describe(
     return _image(path)
 
 
-def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -> list[tuple[str, object]]:
+def _scene(
+    path: Path, skip_invalid: bool, up: str | None, time: float | None, lod: int | None
+) -> list[tuple[str, object]]:
     import torch
 
     from lightfield_gs.app.cameras import fit_and_cameras, scene_up
     from lightfield_gs.app.scene import read_noted
     from lightfield_gs.scene.gaussians import scene_hash
 
-    file = read_noted(path, skip_invalid, time)
+    file = read_noted(path, skip_invalid, time, lod)
     scene = file.gaussians
     centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
     quantile = [centres[int(fraction * (scene.count - 1))].tolist() for fraction in (0.01, 0.5, 0.99)]

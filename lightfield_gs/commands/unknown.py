@@ -10,8 +10,8 @@ from pathlib import Path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.suggestions import did_you_mean, nearest
 from lightfield_gs.base.system import quoted
+from lightfield_gs.io.file_kinds import SCENE_SUFFIXES
 
-_SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
 _PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".exr", ".mpo", ".jps")
 _VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".gif")
 _MOST_NAMES = 5000  # of files beside, that are compared
@@ -56,7 +56,7 @@ def _for_file(path: Path) -> list[str]:
         return ["video", name, "-o", f"{path.stem}-3d.mp4"]
     if suffix in (".png", ".tif", ".tiff", ".exr") and _is_encoded(path):
         return ["show", name]
-    if suffix in (*_SCENES, *_PHOTOS):
+    if suffix in (*SCENE_SUFFIXES, *_PHOTOS):
         return ["encode", name, "-o", f"{path.stem}-3d.png"]
     if suffix in _DESCRIBED:
         return ["info", name]

@@ -50,15 +50,19 @@ def make_frames(options: VideoOptions, watch: Stopwatch) -> None:
         check_bridge(options.bridge)
     import torch
 
+    from lightfield_gs.app.scene_film import scene_film_shots
     from lightfield_gs.app.shots import sequence_shots, still_shots
     from lightfield_gs.video.rendering import render_frames
+    from lightfield_gs.video.scene_sequence import find_scene_sequence
     from lightfield_gs.video.sequence import is_sequence
 
     if options.threads is not None:
         torch.set_num_threads(options.threads)
     watch.lap("start")
     with torch.inference_mode(), ExitStack() as stack:
-        take_shots = sequence_shots if is_sequence(options.scene.input) else still_shots
+        source = options.scene.input
+        take_shots = sequence_shots if is_sequence(source) else still_shots
+        take_shots = scene_film_shots if find_scene_sequence(source) else take_shots
         shots = take_shots(options, panel, device, watch, stack)
         drawer = frame_drawer(options, panel, target, shots)
         sink = frame_sink(options, panel, target, shots, drawer.size_px)

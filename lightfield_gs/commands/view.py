@@ -6,6 +6,8 @@ import argparse
 import time
 import webbrowser
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 
 import torch
@@ -23,7 +25,9 @@ from lightfield_gs.app.options import (
 )
 from lightfield_gs.app.panel import connected_position
 from lightfield_gs.app.scene import check_scene_options, load_framed
+from lightfield_gs.app.scene_film import frame_scenes
 from lightfield_gs.app.stereo import panel_of, refuse_files
+from lightfield_gs.app.video import DEFAULT_FPS
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.arguments.view import add_arguments
@@ -33,13 +37,15 @@ from lightfield_gs.commands.view_command import ShownPicture
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.scenes.files import is_scene_path
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
 from lightfield_gs.show.page.exports import exports
 from lightfield_gs.show.page.gallery import Gallery
 from lightfield_gs.show.page.looks import LookStore, looks_path
-from lightfield_gs.show.page.stage import Controls, Stage, StagedScene
+from lightfield_gs.show.page.stage import Controls, Film, Stage, StagedScene
 from lightfield_gs.show.page.steering import steering_routes
 from lightfield_gs.show.page.stereo_stage import StereoStage
+from lightfield_gs.video.scene_sequence import SceneSequence, find_scene_sequence
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
@@ -53,6 +59,7 @@ class ViewOptions:
     """A scene that a page shows, or a folder of them.
 
     Attributes:
+        fps: of scenes in a row.
         device: Device that draws the scene.
         stereo: for a screen of two eyes, in place of a panel.
         stats: whether to print the times of the stages.
@@ -65,6 +72,7 @@ class ViewOptions:
     look: LookOptions
     render: RenderOptions
     serving: ServingOptions
+    fps: Fraction | None = None
     device: str = "auto"
     stereo: StereoOptions = field(default_factory=StereoOptions)
     stats: bool = False
@@ -95,11 +103,11 @@ def run(args: argparse.Namespace) -> None:
 
 def _view(options: ViewOptions, watch: Stopwatch) -> None:
     given = options.scene.input
-    is_folder = given.is_dir() and not is_scene_path(given)
+    is_folder = given.is_dir() and not is_shown_alone(given)
     paths = photos_and_scenes(given) if is_folder else [given]
     if not paths:
         raise InputError(f"{given} is a folder without photos and scenes; give one that has them, or a file")
-    if not is_folder:
+    if not is_folder and find_scene_sequence(given) is None:
         check_scene_options(options.scene, options.camera)
     refuse_files(options.stereo.stereo, "a screen")
     panel, screen = panel_of(options.stereo, options.panel)
@@ -116,7 +124,7 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     watch.say_if(options.stats)
     say(*device.messages, *screen, *reader.messages)
     with scratch_folder() as dropped:
-        gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_scene_path, OPENED_SUFFIXES, dropped)
+        gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_shown_alone, OPENED_SUFFIXES, dropped)
         on_display = _OnDisplay.found(panel, options)
         looks, display = LookStore(looks_path()), None if on_display is None else on_display.show
         routes = steering_routes(stage, exports(stage), gallery, looks, reader.command, display)
@@ -159,6 +167,11 @@ class _OnDisplay:
             self.browser.open(f"{self.url}panel")
 
 
+def is_shown_alone(path: Path) -> bool:
+    """Tell whether a path is a scene, or a folder of scenes in a row, which the page shows as one thing."""
+    return is_scene_path(path) or find_scene_sequence(path) is not None
+
+
 def _first(reader: _Reader, paths: list[Path]) -> tuple[int, StagedScene]:
     """Return the first picture that can be read, and its place. Raises InputError where none can."""
     for place, path in enumerate(paths):
@@ -184,6 +197,10 @@ class _Reader:
     def read(self, path: Path, is_dropped: bool = False) -> StagedScene:
         """Read a picture, and print what is to be said of it later. Raises InputError."""
         own = self._options.of(path, is_dropped)
+        if (sequence := find_scene_sequence(path)) is not None:
+            return self._read_film(own, sequence)
+        if own.fps is not None and not is_dropped:
+            raise InputError(f"--fps is of numbered scenes in a folder, and {path} is none; leave it out")
         check_scene_options(own.scene, own.camera)
         choice, watch = read_camera(own.camera, self._panel), Stopwatch(time.perf_counter())
         with torch.no_grad():
@@ -196,6 +213,28 @@ class _Reader:
         return StagedScene(
             framed.scene.gaussians, framed.rig, path.name, render.background, render.antialiased, render.view_filter
         )
+
+    def _read_film(self, own: ViewOptions, sequence: SceneSequence) -> StagedScene:
+        """Open scenes in a row. Raises InputError."""
+        check_scene_options(replace(own.scene, input=sequence.files[0]), own.camera)
+        choice = read_camera(own.camera, self._panel)
+        with torch.no_grad():
+            framed = frame_scenes(
+                sequence, own.scene, choice, own.render, own.look, self._panel, self._device, holds_many=True
+            )
+        count, reader, render = len(sequence.files), framed.reader, framed.scene.render
+
+        @lru_cache(2)  # a picture that moves and one at rest
+        def at(number: int) -> Gaussians:
+            return reader.at(number, [(number + step) % count for step in (1, 2)]).to(self._device)
+
+        self.messages = framed.messages
+        self._shown = ShownPicture(
+            sequence.path, self._panel, framed.rig, own.look, list(self._typed), frames=sequence.files
+        )
+        film = Film(count, float(own.fps or DEFAULT_FPS), at)
+        name = sequence.path.name
+        return StagedScene(at(0), framed.rig, name, render.background, render.antialiased, render.view_filter, film)
 
     def command(self, controls: Controls) -> list[str]:
         """Return the command line of the picture that was read last."""

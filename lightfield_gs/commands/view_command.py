@@ -16,7 +16,7 @@ from lightfield_gs.show.page.stage import Controls
 Typed = Iterable[tuple[str, tuple[str, ...]]]
 _LOOK = {"focus", "depth_amount", "cone", "zoom", "pan"}
 _CAMERA = {"rig", "camera", "up", "turn", "tilt"}
-_OF_THE_PAGE = {"port", "host", "no_open", "stats"}
+_OF_THE_PAGE = {"port", "host", "no_open", "stats", "fps"}
 _RELATIVE = 1e-6  # of numbers that a browser sent back as they were
 
 
@@ -30,6 +30,7 @@ class ShownPicture:
         rig: The rig that it opened with.
         look: The options of the look by which it opened.
         typed: The options by which it opened, as Parser.typed returns them.
+        frames: The files of scenes in a row, which the rig that the page saves frames together.
     """
 
     input: Path
@@ -37,11 +38,12 @@ class ShownPicture:
     rig: Rig
     look: LookOptions
     typed: Typed
+    frames: tuple[Path, ...] = ()
 
     def command(self, controls: Controls) -> list[str]:
         """Return the command line that makes its picture with these controls.
 
-        A turned picture needs the rig that the page saves.
+        A turned picture needs the rig that the page saves, and so does one of scenes in a row.
         """
         own, replaced = self._camera_words(controls)
         if controls.background:
@@ -49,12 +51,12 @@ class ShownPicture:
         if controls.quality != "exact":
             own.append(f"--quality={controls.quality}")
         kept = [word for name, words in self.typed if name not in replaced | _OF_THE_PAGE for word in words]
-        name = self.input.name
-        return ["lightfield-gs", "encode", str(self.input), "-o", saved_name(name, "native.png"), *kept, *own]
+        shown = self.frames[min(controls.frame, len(self.frames) - 1)] if self.frames else self.input
+        return ["lightfield-gs", "encode", str(shown), "-o", saved_name(shown.name, "native.png"), *kept, *own]
 
     def _camera_words(self, controls: Controls) -> tuple[list[str], set[str]]:
         """Return the options of cameras and look, and the names of those that they take the place of."""
-        if controls.yaw_deg or controls.pitch_deg:
+        if controls.yaw_deg or controls.pitch_deg or self.frames:
             return [f"--rig={saved_name(self.input.name, 'rig.yaml')}"], _LOOK | _CAMERA
         cone = self.rig.cone_deg or self.panel.cone_deg
         now = controls.focus or self.rig.zero_depth, controls.cone_deg or cone

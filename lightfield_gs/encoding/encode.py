@@ -251,6 +251,8 @@ def check_together(
     for name, value in {"memory_budget": memory_budget, "cameras": cameras, **given}.items():
         if value is not None and method != (only := ONLY_FOR[name]):
             raise InputError(f"{name}= is for method {only!r}, not {method!r}{_WHY_NOT[name]}")
+    if cameras is not None and cameras.model != "pinhole":
+        raise InputError(f"cameras=: the views of a panel are by pinhole cameras, and these are {cameras.model}")
     if method != "sorted" and rig is None:
         raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
     if memory_budget is not None and views == "continuous":

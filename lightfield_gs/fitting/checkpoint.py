@@ -62,13 +62,12 @@ class Identity:
         """
         parts = {
             "names of photographs": json.dumps(capture.names).encode(),
-            "sizes": np.asarray(capture.sizes_px, np.int64).tobytes(),
             "cameras": capture.world_to_camera.tobytes() + capture.intrinsics.tobytes(),
             "points": capture.points.tobytes() + capture.colours.tobytes(),
             "photographs held out": json.dumps(list(train)).encode(),
             "cone": json.dumps(weights).encode(),
         }
-        digests = {name: hashlib.sha256(data).hexdigest()[:16] for name, data in parts.items()}
+        digests = {name: _digest(data) for name, data in parts.items()} | {"sizes": sizes_digest(capture)}
         return cls(json.loads(json.dumps(asdict(settings))), digests, len(train) if weights is None else sum(weights))
 
     def check_file(self, path: Path, fresh: bool) -> None:
@@ -94,6 +93,27 @@ class Identity:
         changed += [f"other {name}" for name in names if capture.get(name) != self.capture.get(name)]
         if changed:
             raise InputError(f"{path}: this run was begun otherwise: {'; '.join(changed)}; {_WAY_OUT}")
+
+
+def sizes_digest(capture: Capture) -> str:
+    """Return the digest of the photographs' sizes, as an Identity has it."""
+    return _digest(np.asarray(capture.sizes_px, np.int64).tobytes())
+
+
+def stored_sizes_digest(path: Path) -> str | None:
+    """Return the digest of the sizes of a checkpoint's photographs; None where there is no checkpoint.
+
+    Raises:
+        InputError: the file is no checkpoint.
+    """
+    if not path.exists():
+        return None
+    with _explain_damage(path):
+        return str(_read(path, with_tensors=False)[0]["capture"]["sizes"])
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def save(path: Path, trainer: Trainer, identity: Identity, history: list[dict[str, Any]]) -> None:

@@ -31,7 +31,7 @@ from lightfield_gs.fitting.run import Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over
-from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.io.captures.capture import SMALLEST_PX, Capture, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
 from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
@@ -75,7 +75,7 @@ class FitResult:
     front: Display | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Write the scene as .ply, .spz or .splat, see Gaussians.save.
+        """Write the scene as .ply, .glb, .usd, .spz or .splat, see Gaussians.save.
 
         The header of a .ply holds the settings and the framing. The rig and the background are beside the scene of a
         display, and beside other formats: scene.rig.yaml for scene.spz.
@@ -163,6 +163,7 @@ def fit(
     read, train, test = _read_photographs(capture, test_every, test_names)
     cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     with join_group(choose_device(device)) as (group, own):
+        read = read if group.size > 1 else _fit_memory(read, chosen, own, options)
         run, normalization, display = _prepare(
             read, train, test, chosen, options, own, group, (cone, centre, score_cone)
         )
@@ -196,6 +197,34 @@ def _read_photographs(
     expect("capture", capture, str, Path, Capture)
     read = capture if isinstance(capture, Capture) else read_capture(capture)
     return read, *read.split(test_every, None if test_names is None else list(test_names))
+
+
+def _fit_memory(capture: Capture, settings: FitSettings, device: str, options: RunOptions) -> Capture:
+    """Reduce photographs of their files' size, with a note, until the memory suffices.
+
+    A fit that goes on takes the size that it began with. Where no size suffices, the photographs stay as they are, and
+    the fit is refused.
+    """
+    if not capture.is_whole:
+        return capture
+
+    def estimate(one: Capture) -> memory.MemoryEstimate:
+        return memory.estimate_memory(settings, len(one.names), *map(int, one.sizes_px.max(0)))
+
+    path = None if options.folder is None or options.fresh else options.folder / checkpoint.FILE
+    begun = None if path is None else checkpoint.stored_sizes_digest(path)
+    if begun == checkpoint.sizes_digest(capture) or begun is None and memory.suffices(estimate(capture), device):
+        return capture
+    for longest in memory.smaller_sizes(int(capture.sizes_px.max()), SMALLEST_PX):
+        smaller = capture.reduced(longest)
+        if begun == checkpoint.sizes_digest(smaller) or begun is None and memory.suffices(estimate(smaller), device):
+            need, (width, height) = estimate(capture), map(int, capture.sizes_px.max(0))
+            assume(
+                f"photographs are reduced to {longest} pixels on the longer side: as they are, {width} x {height}, the "
+                f"fit needs {memory.to_words(need.total)} of memory; longest_px= or scale= sets another size"
+            )
+            return smaller
+    return capture
 
 
 def make_settings(**values: Any) -> FitSettings:

@@ -1,4 +1,4 @@
-"""The memory that a fit needs: checked before it begins, and refused where clearly less is free.
+"""The memory that a fit needs: photographs are reduced until it suffices, or a fit is refused before it begins.
 
 With N Gaussians of K harmonics, V photographs of H x W pixels in a step, and C photographs in all, in bytes:
 
@@ -24,6 +24,8 @@ from lightfield_gs.base.system import free_host_memory
 from lightfield_gs.fitting.settings import FitSettings
 
 REMEDIES = "use a smaller cap_max=, a smaller scale= or a lower sh_degree="
+_SHRINK = 0.8  # factor from one size of photographs to the next smaller one
+_SPARE = 0.8  # of the free memory that a fit with reduced photographs may take
 _NUMBER_BYTES, _SHAPE_NUMBERS, _COPIES = 4, 11, 6  # of means, scales, quaternions and opacity; see above
 _WORK_PER_GAUSSIAN, _WORK_PER_PIXEL = 450, 90
 _MOST_PHOTOGRAPHS = 0.5  # of the free memory of a GPU
@@ -60,6 +62,24 @@ def estimate_memory(settings: FitSettings, photographs: int, width_px: int, heig
     return MemoryEstimate(photos, _COPIES * parameters, parameters, work)
 
 
+def smaller_sizes(longest_px: int, least_px: int) -> list[int]:
+    """Return the sizes that photographs are reduced to, pixels of the longer side, the largest first."""
+    sizes = [longest_px]
+    while (size := round(_SHRINK * sizes[-1])) >= least_px:
+        sizes.append(size)
+    return sizes[1:]
+
+
+def suffices(need: MemoryEstimate, device: str) -> bool:
+    """Return whether the memory of a device, and of the host for photographs that stay there, clearly suffices.
+
+    True where the system does not state it.
+    """
+    on_host = need.photographs if keeps_photos_on_host(need, device) else 0
+    needs = {device: need.total - on_host, **({"cpu": on_host} if on_host else {})}
+    return all((free := free_bytes(where)) is None or bytes_ <= _SPARE * free for where, bytes_ in needs.items())
+
+
 def keeps_photos_on_host(need: MemoryEstimate, device: str) -> bool:
     """Return whether photographs take too much of a GPU's memory and should stay in the host's memory.
 
@@ -82,14 +102,14 @@ def check_memory(need: MemoryEstimate, device: str, is_certain: bool) -> str:
     """
     free = free_bytes(device)
     words = (
-        f"{_to_words(need.total)} of memory (photographs {_to_words(need.photographs)}, Gaussians and moments "
-        f"{_to_words(need.parameters)}, gradients {_to_words(need.gradients)}, work {_to_words(need.work)})"
+        f"{to_words(need.total)} of memory (photographs {to_words(need.photographs)}, Gaussians and moments "
+        f"{to_words(need.parameters)}, gradients {to_words(need.gradients)}, work {to_words(need.work)})"
     )
     if free is None:
         return words
     if is_certain and need.total > _TOLERANCE * free:
-        raise InputError(f"the fit needs {words}, and {device} has {_to_words(free)} free; {REMEDIES}")
-    return f"{words} of {_to_words(free)} free"
+        raise InputError(f"the fit needs {words}, and {device} has {to_words(free)} free; {REMEDIES}")
+    return f"{words} of {to_words(free)} free"
 
 
 def free_bytes(device: str) -> int | None:
@@ -97,5 +117,6 @@ def free_bytes(device: str) -> int | None:
     return free_host_memory() if device == "cpu" else free_memory(torch.device(device))
 
 
-def _to_words(count: int) -> str:
+def to_words(count: int) -> str:
+    """Return a number of bytes in words, as 1.5 GB."""
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"

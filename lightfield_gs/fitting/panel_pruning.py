@@ -20,6 +20,7 @@ from torch import Tensor
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.base.options import CameraModel
 from lightfield_gs.fitting.cone import Display
 from lightfield_gs.fitting.evaluate import Scores
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
@@ -242,7 +243,9 @@ class PanelWindow:
         low, high = (-cx / fx, -cy / fy), ((panel.width_px - cx) / fx, (panel.height_px - cy) / fy)
         return cls(pose, rig.zero_depth / normalization.extent, low, high)
 
-    def mask(self, world_to_camera: Tensor, intrinsics: Tensor, width_px: int, height_px: int) -> Tensor:
+    def mask(
+        self, world_to_camera: Tensor, intrinsics: Tensor, width_px: int, height_px: int, model: CameraModel = "pinhole"
+    ) -> Tensor:
         """Return [H,W] bool, the pixels of a photograph whose rays go through the window.
 
         Args:
@@ -250,6 +253,7 @@ class PanelWindow:
             intrinsics: [4], fx, fy, cx, cy.
             width_px: W.
             height_px: H.
+            model: of the camera; a fisheye is an equidistant one.
         """
         device = world_to_camera.device
         to_rig = torch.from_numpy(self.pose).to(device) @ torch.linalg.inv(world_to_camera.double())
@@ -257,12 +261,23 @@ class PanelWindow:
         x = (torch.arange(width_px, dtype=torch.float64, device=device) + 0.5 - cx) / fx
         y = (torch.arange(height_px, dtype=torch.float64, device=device) + 0.5 - cy) / fy
         y, x = torch.meshgrid(y, x, indexing="ij")
-        rays = torch.stack([x, y, torch.ones_like(x)], -1)
+        rays = torch.stack(_direction(x, y, model), -1)
         rays, origin = rays @ to_rig[:3, :3].T, to_rig[:3, 3]
         steps = (self.depth - origin[2]) / rays[..., 2]
         met = (origin[:2] + steps[..., None] * rays[..., :2]) / self.depth
         low, high = (torch.tensor(corner, dtype=torch.float64, device=device) for corner in (self.low, self.high))
         return ((met >= low) & (met <= high)).all(-1) & (steps > 0) & (rays[..., 2] > 0)
+
+
+def _direction(x: Tensor, y: Tensor, model: CameraModel) -> tuple[Tensor, Tensor, Tensor]:
+    """Return x, y and z of the rays through places of an image, in focal lengths from the principal point."""
+    if model == "fisheye":
+        angle = torch.hypot(x, y)
+        radius = torch.sinc(angle / torch.pi)
+        return x * radius, y * radius, torch.cos(angle)
+    if model == "equirectangular":
+        return torch.sin(x) * torch.cos(y), torch.sin(y), torch.cos(x) * torch.cos(y)
+    return x, y, torch.ones_like(x)
 
 
 def mask_to_window(
@@ -280,7 +295,8 @@ def mask_to_window(
     """
     weights = torch.zeros(images.photos.shape[:3], dtype=torch.uint8, device=images.photos.device)  # perhaps the host's
     for index, (width, height) in enumerate(images.sizes):
-        seen = window.mask(images.world_to_camera[index], images.intrinsics[index], width, height)
+        camera = images.world_to_camera[index], images.intrinsics[index]
+        seen = window.mask(*camera, width, height, images.model)
         counts = 255 if images.weights is None else images.weights[index, :height, :width]
         weights[index, :height, :width] = seen.to(weights.device) * counts
     kept = [index for index, is_inside in enumerate(inside) if is_inside and bool(weights[index].any())]

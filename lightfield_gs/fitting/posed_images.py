@@ -6,6 +6,7 @@ cameras about the origin with an extent of 1; float32 also has the most digits t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,11 +16,14 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.options import CAMERA_MODELS, CameraModel
 from lightfield_gs.fitting.settings import Masks
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageRender
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
+
+_BEYOND = 1.1  # times the angle of the farthest corner of a fisheye: Gaussians beyond the edge reach into the image
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,8 @@ class PosedImages:
         limits: [C,5] float32, of the Jacobian.
         sizes: width and height of each.
         opacity: [C,H,W] uint8, the target of alpha by the masks; None: masks are no target.
+        model: of all cameras, see Cameras; fisheyes are equidistant.
+        widest_deg: of fisheyes, see Cameras.
     """
 
     names: list[str]
@@ -82,6 +88,8 @@ class PosedImages:
     limits: Tensor
     sizes: list[tuple[int, int]]
     opacity: Tensor | None = None
+    model: CameraModel = "pinhole"
+    widest_deg: float | None = None
     _staged: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -127,7 +135,8 @@ class PosedImages:
                 opacity[row, :h, :w] = opaque
         focal, principal = torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1)
         poses = torch.from_numpy(normalization.poses(capture.world_to_camera[list(indices)]))
-        cameras = Cameras(poses, focal, principal, width, height)
+        widest = _widest_deg(focal, principal, width, height) if capture.model == "fisheye" else None
+        cameras = Cameras(poses, focal, principal, width, height, model=capture.model, widest_deg=widest)
         return cls(
             [capture.names[index] for index in indices],
             torch.from_numpy(photos).to(where),
@@ -137,6 +146,8 @@ class PosedImages:
             cameras.limits().float().to(device),
             sizes,
             None if opacity.size == 0 or opacity.min() == 255 else torch.from_numpy(opacity).to(where),
+            capture.model,
+            widest,
         )
 
     def targets(self, indices: Tensor, background: Tensor) -> tuple[Tensor, Tensor | None]:
@@ -218,7 +229,8 @@ class PosedImages:
         )
         fields = [tensor[None] for tensor in gaussians.fields().values()]
         views = (background[None], poses, intrinsics, limits, width, height, antialiased, None)
-        return ImageRender.from_arguments(ImageArguments._make((*fields, *views)), capacity=capacity)
+        arguments = ImageArguments._make((*fields, *views, CAMERA_MODELS.index(self.model)))
+        return ImageRender.from_arguments(arguments, capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
         """Return [H,W] float32, the weights 0..1 of a photograph's pixels."""
@@ -248,7 +260,9 @@ class PosedImages:
         some = slice(None) if index is None else slice(index, index + 1)
         poses, intrinsics, limits = (t[some] for t in (self.world_to_camera, self.intrinsics, self.limits))
         focal, centre = intrinsics.split(2, -1)
-        return Cameras(poses, focal, centre, self.width_px, self.height_px, jacobian_limits=limits)
+        edges = limits if self.model == "pinhole" else None
+        size = self.width_px, self.height_px
+        return Cameras(poses, focal, centre, *size, edges, self.model, widest_deg=self.widest_deg)
 
     @property
     def count(self) -> int:
@@ -262,3 +276,10 @@ class PosedImages:
     @property
     def width_px(self) -> int:
         return self.photos.shape[2]
+
+
+def _widest_deg(focal: Tensor, principal: Tensor, width_px: int, height_px: int) -> float:
+    """Return the angle of what is farthest from the axis in an image of equidistant fisheyes, and a little beyond."""
+    corners = torch.tensor([[0, 0], [width_px, 0], [0, height_px], [width_px, height_px]], dtype=focal.dtype)
+    angles = ((corners - principal[:, None]) / focal[:, None]).norm(dim=-1)
+    return min(180.0, math.degrees(_BEYOND * float(angles.max())))

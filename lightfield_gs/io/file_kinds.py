@@ -61,8 +61,9 @@ _VIDEOS = (
     (re.compile(rb"\x06\x0e\x2b\x34\x02\x05\x01\x01"), ".mxf"),
 )
 
-SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
-SCENE_STARTS = (b"ply\n", b"ply\r", b"NGSP")  # of .ply and SPZ version 4; other formats share theirs with other kinds
+SCENE_SUFFIXES = (".ply", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".spz", ".splat", ".ksplat", ".sog")
+# Of .ply, SPZ version 4, .glb and OpenUSD; other formats share theirs with other kinds
+SCENE_STARTS = (b"ply\n", b"ply\r", b"NGSP", b"glTF", b"#usd", b"PXR-")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif", ".exr", ".dng")
 _SCENE_ENDS = (*SCENE_SUFFIXES, "meta.json")
 _CAPTURE_NAMES = {"sparse", "transforms.json", "transforms_train.json", "database.db", "images.bin", "images.txt"}
@@ -71,7 +72,7 @@ _POINT_FILES = ("input.ply", "points3d.ply", "sparse_pc.ply")  # of COLMAP, the 
 _MOST_LISTED = 20_000  # entries of a folder
 _EXPORT = "export a .ply, .spz or .sog from the program that wrote it"
 _CONVERT = "convert it to a .ply with splat-transform, or export one from the program that wrote it"
-_FIT = "fit Gaussians to photographs of the thing: lightfield-gs fit"
+FIT_ADVICE = "fit Gaussians to photographs of the thing: lightfield-gs fit"
 _UNPACK = "unpack it, and give the scene in it"
 
 
@@ -104,15 +105,6 @@ ARRAYS = FileKind(
     (".npz", ".npy", ".h5", ".hdf5"),
     (b"\x93NUMPY", b"\x89HDF"),
 )
-GLTF = FileKind(
-    "glTF, and Gaussians in it (KHR_gaussian_splatting) are not read", _EXPORT, (".glb", ".gltf"), (b"glTF",)
-)
-USD = FileKind(
-    "OpenUSD, and Gaussians in it (ParticleField3DGaussianSplat) are not read",
-    _EXPORT,
-    (".usd", ".usda", ".usdc", ".usdz"),
-    (b"#usda", b"PXR-USDC"),
-)
 ARCHIVE = FileKind(
     "an archive",
     _UNPACK,
@@ -128,8 +120,6 @@ PROJECT = FileKind(
 _KINDS = (
     CHECKPOINT,
     ARRAYS,
-    GLTF,
-    USD,
     ARCHIVE,
     PROJECT,
     FileKind("weights of a network, or a trainer's tensors", CHECKPOINT.advice, (".safetensors",)),
@@ -150,7 +140,7 @@ _KINDS = (
     ),
     FileKind(
         "a mesh, and no Gaussians",
-        _FIT,
+        FIT_ADVICE,
         (
             *(".obj", ".fbx", ".dae", ".stl", ".off", ".3ds", ".3mf", ".abc", ".x3d", ".wrl", ".vrm", ".ifc"),
             *(".step", ".stp", ".mtl"),
@@ -364,8 +354,8 @@ def _refuse_folder(path: Path) -> None:
     lower = {name.lower() for name in names}
     if len(scenes) > 1:
         raise InputError(
-            f"{path} is a folder of {len(scenes)} scenes ({scenes[0]} to {scenes[-1]}), and no sequence of scenes is "
-            "played; give one of them, or the folder to lightfield-gs batch, which draws each"
+            f"{path} is a folder of {len(scenes)} scenes ({scenes[0]} to {scenes[-1]}); give one of them, or the "
+            "folder to lightfield-gs batch, which draws each; video and view play scenes that are numbered"
         )
     if scenes:
         raise InputError(f"{path} is a folder with one scene in it; give {path / scenes[0]}")

@@ -201,9 +201,14 @@ def _read_binary(path: Path, file: BinaryIO, header: Header) -> dict[str, np.nda
 
 def _read_text(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
     """Read elements whose numbers are text, a line for each row."""
-    size = path.stat().st_size - header.size_bytes
     file.seek(header.size_bytes)
-    lines = (line for line in io.TextIOWrapper(file, "latin-1") if not line.isspace())
+    with io.TextIOWrapper(file, "latin-1") as text:
+        return _read_lines(path, header, (line for line in text if not line.isspace()))
+
+
+def _read_lines(path: Path, header: Header, lines: Iterator[str]) -> dict[str, np.ndarray]:
+    """Read elements from the lines after the header that are not empty."""
+    size = path.stat().st_size - header.size_bytes
     found: dict[str, np.ndarray] = {}
     for element in header.elements:
         if element.count * 2 * len(element.properties) > size + 1:  # a digit and a space each

@@ -19,6 +19,7 @@ import numpy as np
 from lightfield_gs.base.checks import is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.captures.camera_files import FileCamera
+from lightfield_gs.io.scenes.files import keeps_comments
 from lightfield_gs.io.text_files import parse_json, read_mapping, write_mapping
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import RIG_KEYS, RIG_OPTIONAL, SCENE_KEYS, SIZE_KEY, Rig, checked_size
@@ -26,7 +27,6 @@ from lightfield_gs.panels.rig import RIG_KEYS, RIG_OPTIONAL, SCENE_KEYS, SIZE_KE
 _KEY = "lightfield-gs rig:"
 _PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and their numbers of values
 _WAY_OUT = "give up=, camera= or rig=, which go before it"
-_HEADERS = (".ply",)  # formats that keep a framing themselves
 
 
 # Files of rigs
@@ -56,7 +56,7 @@ def rig_path(scene: Path) -> Path:
 
 def needs_rig_beside(scene: Path) -> bool:
     """Return whether the format of a scene has no place for its framing."""
-    return scene.suffix.lower() not in _HEADERS
+    return not keeps_comments(scene)
 
 
 def read_rig_file(path: Path) -> RigFile:

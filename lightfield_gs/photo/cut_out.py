@@ -63,23 +63,35 @@ def rembg_alpha(rgb: np.ndarray) -> np.ndarray:
     Raises:
         InputError: The package or its weights are missing.
     """
+    pixels = np.round(rgb * 255).astype(np.uint8)
+    return rembg_mask(pixels, _MODEL, "removes backgrounds", "give a cut-out with mask=FILE").astype(np.float32) / 255
+
+
+def rembg_mask(pixels: np.ndarray, model: str, does: str, remedy: str) -> np.ndarray:
+    """Return how much of each pixel one of rembg's networks takes as its object, uint8 [H, W].
+
+    rembg downloads the weights (176 MB) at first use.
+
+    Args:
+        pixels: uint8 [H, W, 3].
+        model: rembg's name of the network.
+        does: The purpose of rembg, for the message.
+        remedy: Another way, for the message.
+
+    Raises:
+        InputError: The package or its weights are missing.
+    """
     try:
         import rembg
     except (ImportError, SystemExit) as error:  # without onnxruntime it exits
-        raise InputError(
-            f"rembg, which removes backgrounds, could not be imported ({error}): {_INSTALL}; or give a "
-            "cut-out with mask=FILE"
-        ) from None
+        raise InputError(f"rembg, which {does}, could not be imported ({error}): {_INSTALL}; or {remedy}") from None
     try:
-        session = rembg.new_session(_MODEL)
-        mask = rembg.remove(np.round(rgb * 255).astype(np.uint8), session=session, only_mask=True)
+        return np.asarray(rembg.remove(pixels, session=rembg.new_session(model), only_mask=True))
     except Exception as error:  # of the download, its file, or the inference: it may be anything
         raise InputError(
-            f"rembg could not remove the background: run it again with a connection, if its weights {_MODEL} (176 MB, "
-            "fetched at first use) are not on this machine; or give a cut-out with mask=FILE. It failed with: "
-            f"{' '.join(str(error).split())[:200]}"
+            f"rembg, which {does}, failed: run it again with a connection, if its weights {model} (176 MB, fetched at "
+            f"first use) are not on this machine; or {remedy}. It failed with: {' '.join(str(error).split())[:200]}"
         ) from None
-    return mask.astype(np.float32) / 255
 
 
 _OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[photo]')"

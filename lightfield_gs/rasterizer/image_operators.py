@@ -6,6 +6,7 @@ number of threads. All arguments are checked, and all buffers are torch tensors.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -17,7 +18,7 @@ from lightfield_gs.rasterizer.operators import differentiable_once, is_eager, op
 from lightfield_gs.rasterizer.workspace import GradientRequest, RenderState
 
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
-_DIFFERENTIABLE = 12  # the arguments of a render without screen, which its backward takes too
+_SCREEN = ImageArguments._fields.index("screen")  # the argument of a render that its backward does not take
 
 
 def draw_images(*arguments: Any) -> _Images:
@@ -75,7 +76,7 @@ def render_scene(
         fields: means, quaternions, scales, opacities and sh.
         background: [1, V, 3].
         cameras: world_to_camera, intrinsics and limits, with B = 1.
-        options: the other arguments of ImageArguments, from width to screen.
+        options: the other arguments of ImageArguments, from width on.
 
     Returns:
         The images of render_images.
@@ -138,6 +139,12 @@ class _DrawnArguments(NamedTuple):
     cameras: bool
 
 
+def _of_backward(arguments: Sequence[Any]) -> tuple[ImageArguments, _DrawnArguments]:
+    """Return the arguments of a backward pass as those of the render without screen, and those after them."""
+    before, model, after = arguments[:_SCREEN], arguments[_SCREEN], arguments[_SCREEN + 1 :]
+    return ImageArguments._make((*before, None, model)), _DrawnArguments(*after)
+
+
 def _backward_of_state(*arguments: Any) -> tuple[Tensor, ...]:
     """Return the gradients of render_images's first seven arguments and of screen.
 
@@ -146,7 +153,7 @@ def _backward_of_state(*arguments: Any) -> tuple[Tensor, ...]:
     Args:
         arguments: of render_images without screen, then of _DrawnArguments.
     """
-    given, drawn = ImageArguments(*arguments[:_DIFFERENTIABLE]), _DrawnArguments(*arguments[_DIFFERENTIABLE:])
+    given, drawn = _of_backward(arguments)
     render = ImageRender.from_arguments(given, state=RenderState(drawn.splats, drawn.colours, drawn.lists))
     found = render.backward(
         ImageBuffers(drawn.image, drawn.alpha, drawn.depth),
@@ -171,13 +178,13 @@ render_images_backward = torch.library.custom_op(
 
 @render_images_backward.register_fake
 def _(*arguments):
-    given, drawn = ImageArguments(*arguments[:_DIFFERENTIABLE]), _DrawnArguments(*arguments[_DIFFERENTIABLE:])
+    given, drawn = _of_backward(arguments)
     screen = given.means.new_empty(*given.world_to_camera.shape[:2], given.means.shape[1], drawn.screen_numbers)
     return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in given[:7]), screen)
 
 
 def _setup_context(ctx, inputs, output):
-    *tensors, ctx.width, ctx.height, ctx.antialiased, screen = inputs
+    *tensors, ctx.width, ctx.height, ctx.antialiased, screen, ctx.model = inputs
     ctx.screen_numbers = 0 if screen is None else screen.shape[-1]
     ctx.save_for_backward(*tensors, *output)
     ctx.mark_non_differentiable(*output[3:])
@@ -190,8 +197,8 @@ def _backward(ctx, *grads):
     g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
     backward = _backward_of_state if is_eager(saved) else torch.ops.lightfield_gs.render_images_backward
     drawn = (*saved[9:], g_image, *grads[1:3], ctx.screen_numbers, ctx.needs_input_grad[6])
-    *out, g_screen = backward(*saved[:9], ctx.width, ctx.height, ctx.antialiased, *drawn)
-    return (*out, None, None, None, None, None, g_screen if ctx.screen_numbers else None)
+    *out, g_screen = backward(*saved[:9], ctx.width, ctx.height, ctx.antialiased, ctx.model, *drawn)
+    return (*out, *(None,) * 5, g_screen if ctx.screen_numbers else None, None)
 
 
 render_images_with_state.register_autograd(_backward, setup_context=_setup_context)
@@ -233,6 +240,7 @@ def _render_in_two_nodes(
     height: int,
     antialiased: bool,
     screen: Tensor | None,
+    model: int = 0,
 ) -> _Images:
     """Return the images of render_images by two nodes of autograd.
 
@@ -243,7 +251,7 @@ def _render_in_two_nodes(
         width: as in ImageArguments, and so are the others.
     """
     made: list[ImageRender] = []
-    options = (width, height, antialiased)
+    options = (width, height, antialiased, model)
     state = _Project.apply(*fields, *cameras, background.detach(), options, screen, made)
     absolute = screen is not None and screen.shape[-1] == 4
     return _Composite.apply(*state, background, made.pop(), absolute)

@@ -38,10 +38,11 @@ class ImageArguments(NamedTuple):
         background: [B, V, 3].
         world_to_camera: [B, V, 4, 4].
         intrinsics: [B, V, 4], fx, fy, cx and cy in pixels.
-        limits: [B, V, 5], of the projection's Jacobian; see Cameras.limits.
+        limits: [B, V, 5], of the projection's Jacobian, or the lens; see Cameras.limits.
         width, height: Size of all images, 1..65536 pixels.
         antialiased: See images.render.
         screen: [B, V, N, 2 or 4], whose gradient is asked for; see images.render. No stage reads it.
+        model: of all cameras, see Cameras.model_number.
     """
 
     means: Tensor
@@ -57,6 +58,7 @@ class ImageArguments(NamedTuple):
     height: int
     antialiased: bool = False
     screen: Tensor | None = None
+    model: int = 0
 
 
 class ImageBuffers(NamedTuple):
@@ -77,6 +79,7 @@ class ImageInputs:
         width: int,
         height: int,
         antialiased: bool = False,
+        model: int = 0,
         *,
         aperture: Aperture = PINHOLE,
     ):
@@ -88,6 +91,7 @@ class ImageInputs:
             width: of all images, 1..65536 pixels.
             height: likewise.
             antialiased: see images.render.
+            model: see ImageArguments.
             aperture: of all cameras.
 
         Raises:
@@ -108,7 +112,9 @@ class ImageInputs:
             check_tensor("limits", limits, (*lead, 5), scene.dtype, scene.device),
         ]
         poses, optics, edges = (t.data_ptr() for t in self._camera_tensors)
-        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
+        self.cameras = scene.core.Cameras(
+            *lead, width, height, poses, optics, edges, antialiased, *aperture, model=model
+        )
 
     def without_values(self) -> ImageInputs:
         """Return a copy that keeps no tensors alive: see SceneTensors.without_values."""
@@ -170,7 +176,7 @@ class ImageRender:
     def from_arguments(cls, arguments: ImageArguments, *, aperture: Aperture = PINHOLE, **options: Any) -> ImageRender:
         """Return the render of an operator's arguments. options: of ImageRender."""
         fields, cameras, size = arguments[:5], arguments[6:9], arguments[9:11]
-        inputs = ImageInputs(fields, cameras, *size, arguments.antialiased, aperture=aperture)
+        inputs = ImageInputs(fields, cameras, *size, arguments.antialiased, arguments.model, aperture=aperture)
         return cls(inputs, arguments.background, **options)
 
     @property
@@ -243,6 +249,7 @@ def draw_in_chunks(
     width: int,
     height: int,
     antialiased: bool,
+    model: int = 0,
     *,
     alpha: bool = False,
     depth: bool = False,
@@ -262,6 +269,7 @@ def draw_in_chunks(
         width: of all images, pixels.
         height: likewise.
         antialiased: see images.render.
+        model: see ImageArguments.
         alpha: whether alpha is asked for.
         depth: whether depth, the sum of weight * z, is asked for.
         stats: filled with times and counts.
@@ -274,7 +282,8 @@ def draw_in_chunks(
     Raises:
         InputError: for other shapes, types, devices or sizes.
     """
-    whole = ImageInputs(fields, cameras, width, height, antialiased, aperture=aperture)
+    options = width, height, antialiased, model
+    whole = ImageInputs(fields, cameras, *options, aperture=aperture)
     scene, count = whole.scene, whole.images
     image = scene.new(1, count, height, width, 3)
     found = [scene.new(1, count, height, width) if asked else None for asked in (alpha, depth)]
@@ -286,7 +295,7 @@ def draw_in_chunks(
         chunk_stats = Stats(device=None if stats is None else stats.device)
         inputs = whole
         if step < count:
-            inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], width, height, antialiased, aperture=aperture)
+            inputs = ImageInputs(fields, [t[:, chunk] for t in cameras], *options, aperture=aperture)
         render = ImageRender(inputs, background[:, chunk], stats=chunk_stats, threads=threads)
         drawn = render.draw(ImageBuffers(image[:, chunk], *(None if t is None else t[:, chunk] for t in found)))
         if stats is not None:

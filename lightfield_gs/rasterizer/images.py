@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -59,7 +61,8 @@ def render(
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
             [C, ...] for every set. float32 or float64.
-        cameras: C pinhole cameras.
+        cameras: C cameras of any model. Those of other models than the pinhole draw each Gaussian by the model's
+            Jacobian at its mean (Zwicker et al. 2001), so Gaussians of many degrees are only roughly in shape.
         background: three numbers in 0..1, or a tensor that broadcasts to [..., C, 3], whose values need only be finite.
         alpha: also return alpha.
         depth: also return depth.
@@ -81,6 +84,73 @@ def render(
     expect("cameras", cameras, Cameras)
     for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased), ("radii", radii)):
         expect(name, value, bool)
+    if cameras.is_all_round:
+        if screen is not None:
+            raise InputError("screen: equirectangular images are drawn in two halves, and have no screen: leave it out")
+        draw_half = partial(_render_by_model, gaussians, alpha=alpha, depth=depth, antialiased=antialiased, radii=radii)
+        return _render_all_round(draw_half, cameras, background)
+    return _render_by_model(
+        gaussians,
+        cameras,
+        background=background,
+        alpha=alpha,
+        depth=depth,
+        antialiased=antialiased,
+        screen=screen,
+        radii=radii,
+    )
+
+
+def _render_all_round(draw_half: Callable[..., RenderedImages], cameras: Cameras, background: Colour) -> RenderedImages:
+    """Return equirectangular images of two halves, 90 degrees to either side of z and of -z: a seam in the middle of a
+    half would cut Gaussians in two.
+
+    Args:
+        draw_half: draws images before cameras and background.
+        cameras: of the whole images.
+        background: of `render`.
+    """
+    quarter = cast(int, cameras.width_px) // 4
+    poses, centres = cameras.world_to_camera, cast(Tensor, cameras.principal_point_px)
+    behind = torch.diag(poses.new_tensor([-1.0, 1, -1, 1])) @ poses
+    both = replace(
+        cameras.select(list(range(cameras.count)) * 2),
+        world_to_camera=torch.cat([poses, behind], -3),
+        principal_point_px=torch.cat([centres, centres], -2) - centres.new_tensor([quarter, 0]),
+        width_px=2 * quarter,
+    )
+    if isinstance(background, Tensor) and background.dim() > 1 and background.shape[-2] > 1:
+        background = torch.cat([background, background], -2)
+    image, alpha, depth, radii = draw_half(both, background=background)
+
+    def joined(picture: Tensor | None, columns: int, camera: int) -> Tensor | None:
+        if picture is None:
+            return None
+        ahead, back = picture.chunk(2, camera)
+        right, left = back.split(quarter, columns)
+        return torch.cat([left, ahead, right], columns)
+
+    whole = cast(Tensor, joined(image, -2, -4))
+    return RenderedImages(
+        whole,
+        joined(alpha, -1, -3),
+        joined(depth, -1, -3),
+        None if radii is None else torch.maximum(*radii.chunk(2, -2)),
+    )
+
+
+def _render_by_model(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour,
+    alpha: bool,
+    depth: bool,
+    antialiased: bool,
+    radii: bool,
+    screen: Tensor | None = None,
+) -> RenderedImages:
+    """Render as `render` does, each image whole."""
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
@@ -105,30 +175,29 @@ def render(
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
     fields = (means, *others)
     options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
+    model = cameras.model_number
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)
     asked = screen is not None or any(t.requires_grad for t in (*fields, colour, *views))
     with_gradients = torch.is_grad_enabled() and asked
     if not with_gradients and not radii and not batched:
         batch = [field.unsqueeze(0) for field in fields]
-        drawn = draw_in_chunks(batch, colour, views, *options, alpha=alpha or depth, depth=depth)
+        asked_for: dict[str, Any] = {"alpha": alpha or depth, "depth": depth, "model": model}
+        drawn = draw_in_chunks(batch, colour, views, *options, **asked_for)
         if drawn.depth is not None and drawn.alpha is not None:
             divide_by_alpha(drawn.depth, drawn.alpha)
         return _of_one_scene(RenderedImages(drawn.image, drawn.alpha if alpha else None, drawn.depth))
     splats: list[Tensor] = []
     if with_gradients and not radii and not batched:
-        image, coverage, weighted_depth = render_scene(fields, colour, (*views,), (*options, screen))
+        image, coverage, weighted_depth = render_scene(fields, colour, (*views,), (*options, screen, model))
     else:
         draw: Callable[..., tuple[Tensor, ...]]
         if with_gradients:
-            draw, options = (
-                render_images_and_splats if radii else torch.ops.lightfield_gs.render_images,
-                [*options, screen],
-            )
+            draw = render_images_and_splats if radii else torch.ops.lightfield_gs.render_images
         else:  # at the first call of an operator with a backward torch spends a second on imports
             draw = draw_images_and_splats if radii else draw_images
         batch = list(fields) if batched else [field.unsqueeze(0) for field in fields]
-        image, coverage, weighted_depth, *splats = draw(*batch, colour, *views, *options)
+        image, coverage, weighted_depth, *splats = draw(*batch, colour, *views, *options, screen, model)
     images = RenderedImages(
         image,
         coverage if alpha else None,

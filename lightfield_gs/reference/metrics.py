@@ -17,7 +17,7 @@ def psnr_db(images: Tensor, references: Tensor) -> Tensor:
     return -10 * (images - references).square().mean((-3, -2, -1)).clamp_min(1e-10).log10()
 
 
-def gradient_psnr_db(images: Tensor, references: Tensor) -> Tensor:
+def gradient_psnr_db(images: Tensor, references: Tensor, weights: Tensor | None = None) -> Tensor:
     """Return the PSNR in dB between the gradients of each image and of its reference, at most 100.
 
     Gradients are the differences to the right and to the lower neighbour. The result is 10 log10(1 / e), with e the
@@ -28,15 +28,20 @@ def gradient_psnr_db(images: Tensor, references: Tensor) -> Tensor:
     Args:
         images: [...,C,H,W] in 0..1, H and W at least 2.
         references: The same.
+        weights: [...,H,W] in 0..1, of pixels; a difference has the smaller weight of its two pixels. None: all are 1.
 
     Returns:
         [...].
     """
     errors = images - references
-    across, down = errors.diff(dim=-1).square(), errors.diff(dim=-2).square()
-    count = math.prod(across.shape[-3:]) + math.prod(down.shape[-3:])
-    mean = (across.sum((-3, -2, -1)) + down.sum((-3, -2, -1))) / count
-    return -10 * mean.clamp_min(1e-10).log10()
+    weights = torch.ones_like(errors[..., 0, :, :]) if weights is None else weights
+    total = count = errors.new_zeros(())
+    for axis in (-1, -2):
+        length = errors.shape[axis] - 1
+        weight = torch.minimum(weights.narrow(axis, 0, length), weights.narrow(axis, 1, length))
+        total = total + (errors.diff(dim=axis).square().mean(-3) * weight).sum((-2, -1))
+        count = count + weight.sum((-2, -1))
+    return -10 * (total / count.clamp_min(1e-12)).clamp_min(1e-10).log10()
 
 
 def _blur_matrix(size: int, dtype: torch.dtype, device: torch.device) -> Tensor:

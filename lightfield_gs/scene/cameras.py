@@ -1,23 +1,26 @@
-"""Batches of pinhole cameras."""
+"""Batches of cameras: pinhole, orthographic, fisheye, equirectangular."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
 from torch.nn import functional
 
-from lightfield_gs.base.checks import expect, shown, whole_number, wrong_type
+from lightfield_gs.base.checks import expect, real_number, shown, whole_number, wrong_type
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import CAMERA_MODELS, CameraModel
 from lightfield_gs.scene.gaussians import check_finite
 
 # Largest deviation from orthonormal rows: rotations written with three decimals deviate by up to 1.7e-3
 _ORTHONORMAL = 2e-3
+_WIDEST_DEG = 100.0  # of fisheyes that do not say what they see: lenses of 200 degrees are common
 _BOTTOM = 1e-5  # largest deviation of the bottom row: checks of gradients move every number by 1e-6
 
 if TYPE_CHECKING:
@@ -39,7 +42,14 @@ class Cameras:
         height_px: height of the images, 1..65536 pixels.
         jacobian_limits: [..., C, 5] (low_x, high_x, low_y, high_y, offset), limits of X/Z and Y/Z in the projection's
             Jacobian. They hold at the centre of a rig; the camera stands `offset` to the right of the centre. None: the
-            camera's frustum and 15 % of the image beyond each edge (Kerbl et al.).
+            camera's frustum and 15 % of the image beyond each edge (Kerbl et al.). Pinhole cameras alone have them.
+        model: of all cameras, one of CAMERA_MODELS (csrc/math/camera_model.h has the formulas). "orthographic":
+            focal_px is in pixels per scene unit. "fisheye": focal_px is in pixels per radian. "equirectangular":
+            likewise; see the method of this name.
+        distortion: [..., C, 4], k1 to k4 of a fisheye as OpenCV has them (Kannala & Brandt 2006); None: zeros.
+        widest_deg: 0..180, of a fisheye: what lies at larger angles from the axis is not drawn. None: 100, or where the
+            distortion turns the image inside out, if that is less. Up to 90 Gaussians are ordered by z, else by their
+            distance.
 
     Raises:
         InputError: shapes or values make no camera. Values on a device are not checked, for a check would wait for the
@@ -52,13 +62,17 @@ class Cameras:
     width_px: int | None = None
     height_px: int | None = None
     jacobian_limits: torch.Tensor | None = None
+    model: CameraModel = "pinhole"
+    distortion: torch.Tensor | None = None
+    widest_deg: float | None = None
 
     def __post_init__(self) -> None:
         if self.principal_point_px is None:
             self.focal_px, self.principal_point_px = _split_intrinsics(self.focal_px)
-        for name in ("world_to_camera", "focal_px", "principal_point_px", "jacobian_limits"):
+        optional = ("jacobian_limits", "distortion")
+        for name in ("world_to_camera", "focal_px", "principal_point_px", *optional):
             value = getattr(self, name)
-            if name != "jacobian_limits" or value is not None:
+            if name not in optional or value is not None:
                 if not isinstance(value, torch.Tensor):
                     raise wrong_type(f"cameras: {name}", value, torch.Tensor)
                 if not value.is_floating_point() or value.layout != torch.strided or value.is_meta:
@@ -68,8 +82,9 @@ class Cameras:
                     )
         lead = self.world_to_camera.shape[:-2]
         expected = {"world_to_camera": (*lead, 4, 4), "focal_px": (*lead, 2), "principal_point_px": (*lead, 2)}
-        if self.jacobian_limits is not None:
-            expected["jacobian_limits"] = (*lead, 5)
+        for name, numbers in zip(optional, (5, 4)):
+            if getattr(self, name) is not None:
+                expected[name] = (*lead, numbers)
         for name, shape in expected.items():
             found = tuple(getattr(self, name).shape)
             if found != shape or len(lead) not in (1, 2):
@@ -86,6 +101,60 @@ class Cameras:
                     f"cameras: {name} is missing; no matrix says how large the image is: give width_px and height_px"
                 )
             setattr(self, name, whole_number(f"cameras: {name}", getattr(self, name), 1, 65536))
+        self._check_model()
+
+    def _check_model(self) -> None:
+        """Check what belongs to the model. Raises InputError."""
+        if self.model not in CAMERA_MODELS:
+            raise InputError(f"cameras: model: expected one of {', '.join(CAMERA_MODELS)}, got {shown(self.model)}")
+        if self.jacobian_limits is not None and self.model != "pinhole":
+            raise InputError(f"cameras: jacobian_limits are for pinhole cameras, and these are {self.model}")
+        if self.model != "fisheye" and not (self.distortion is None and self.widest_deg is None):
+            raise InputError(
+                f"cameras: distortion and widest_deg are for fisheyes, and these cameras are {self.model}: undistort "
+                "the images, or leave both out"
+            )
+        if self.widest_deg is not None:
+            self.widest_deg = real_number("cameras: widest_deg", self.widest_deg, 0.1, 180)
+        elif self.model == "fisheye":
+            self.widest_deg = _widest_deg(self.distortion)
+
+    @property
+    def is_all_round(self) -> bool:
+        """Whether equirectangular images show 360 degrees. It reads values, and waits for a device.
+
+        Raises:
+            InputError: they do, but their middle is not in the middle, or their columns are no multiple of 4.
+        """
+        if self.model != "equirectangular":
+            return False
+        width, (turn, middle) = cast(int, self.width_px), torch.stack([self.focal_px, self._centres()])[..., 0].cpu()
+        if not bool(((turn * math.tau - width).abs() <= 1e-4 * width).all()):
+            return False
+        if width % 4 or not bool(((middle * 2 - width).abs() <= 1e-4 * width).all()):
+            raise InputError(
+                "cameras: expected equirectangular images of 360 degrees with a multiple of 4 columns and the middle "
+                f"in the middle, got {width} columns: make them with Cameras.equirectangular"
+            )
+        return True
+
+    @classmethod
+    def equirectangular(cls, world_to_camera: torch.Tensor, width_px: int) -> Cameras:
+        """Return cameras that see all around: 360 degrees in `width_px` columns, 180 in half as many rows.
+
+        The middle of an image is the direction of z. Columns go with the azimuth, rows with the elevation.
+
+        Args:
+            world_to_camera: [..., C, 4, 4], as of Cameras.
+            width_px: a multiple of 4, 4..65536, since an image is drawn in two halves.
+
+        Raises:
+            InputError: another width.
+        """
+        width = whole_number("cameras: width_px", width_px, 4, 65536)
+        ones = world_to_camera.new_ones(*world_to_camera.shape[:-2], 2)
+        focal, centre = ones * (width / math.tau), ones * ones.new_tensor([width / 2, width / 4])
+        return cls(world_to_camera, focal, centre, width, width // 2, model="equirectangular")
 
     @classmethod
     def from_inria(cls, path: str | Path, index: int | None = None) -> Cameras:
@@ -127,8 +196,19 @@ class Cameras:
         """Return fx, fy, cx and cy, [..., C, 4]."""
         return torch.cat([self.focal_px, self._centres()], -1)
 
+    @property
+    def model_number(self) -> int:
+        """Return the number of the model in the core (csrc/scene/camera.h)."""
+        return CAMERA_MODELS.index(self.model)
+
     def limits(self) -> torch.Tensor:
-        """Return jacobian_limits, or their default, [..., C, 5]."""
+        """Return jacobian_limits, or their default, [..., C, 5].
+
+        Of other models than the pinhole return the lens: k1 to k4, and the widest angle in radians.
+        """
+        if self.model != "pinhole":
+            bend = self.focal_px.new_zeros(*self.focal_px.shape[:-1], 4) if self.distortion is None else self.distortion
+            return functional.pad(bend, (0, 1), value=math.radians(self.widest_deg or 0))
         if self.jacobian_limits is not None:
             return self.jacobian_limits
         centre, focal = self._centres(), self.focal_px
@@ -137,15 +217,14 @@ class Cameras:
 
     def select(self, indices: slice | list[int] | torch.Tensor) -> Cameras:
         """Select cameras by their indices along C."""
-        limits = None if self.jacobian_limits is None else self.jacobian_limits[..., indices, :]
-        return Cameras(
-            self.world_to_camera[..., indices, :, :],
-            self.focal_px[..., indices, :],
-            self._centres()[..., indices, :],
-            self.width_px,
-            self.height_px,
-            limits,
-        )
+        some: dict[str, Any] = {name: value[..., indices, :] for name, value in self._optics().items()}
+        return replace(self, world_to_camera=self.world_to_camera[..., indices, :, :], **some)
+
+    def _optics(self) -> dict[str, torch.Tensor]:
+        """Return the tensors [..., C, numbers] by name."""
+        named = {"focal_px": self.focal_px, "principal_point_px": self._centres()}
+        others = {"jacobian_limits": self.jacobian_limits, "distortion": self.distortion}
+        return named | {name: value for name, value in others.items() if value is not None}
 
     def _centres(self) -> torch.Tensor:
         """Return principal_point_px, which is None only before K is split."""
@@ -163,15 +242,8 @@ class Cameras:
 
     def to(self, *args, **kwargs) -> Cameras:
         """Apply torch.Tensor.to to every tensor."""
-        limits = None if self.jacobian_limits is None else self.jacobian_limits.to(*args, **kwargs)
-        return Cameras(
-            self.world_to_camera.to(*args, **kwargs),
-            self.focal_px.to(*args, **kwargs),
-            self._centres().to(*args, **kwargs),
-            self.width_px,
-            self.height_px,
-            limits,
-        )
+        optics: dict[str, Any] = {name: value.to(*args, **kwargs) for name, value in self._optics().items()}
+        return replace(self, world_to_camera=self.world_to_camera.to(*args, **kwargs), **optics)
 
 
 _FAR = 64  # units, and times the cameras' extent: cameras farther from the origin are moved to it
@@ -220,6 +292,17 @@ def _edges(width_px: int, height_px: int, dtype: torch.dtype, device: torch.devi
     with torch.inference_mode(False):  # they may be part of a graph of gradients later
         sides = [[-0.15 * size, 1.15 * size] for size in (width_px, height_px)]
         return torch.tensor(sides, dtype=dtype, device=device)
+
+
+def _widest_deg(distortion: torch.Tensor | None) -> float:
+    """Return the angle up to which fisheyes with this distortion [..., 4] see more at larger angles, at most 100."""
+    if distortion is None:
+        return _WIDEST_DEG
+    angles = np.radians(np.linspace(0, _WIDEST_DEG, 1001))
+    rows = distortion.detach().double().cpu().numpy().reshape(-1, 4)
+    slope = 1 + sum((2 * k + 3) * rows[:, k : k + 1] * angles ** (2 * k + 2) for k in range(4))
+    turned = (slope <= 0).any(0)
+    return float(np.degrees(angles[int(turned.argmax()) - 1])) if turned.any() else _WIDEST_DEG
 
 
 def _check_poses(poses: torch.Tensor) -> None:

@@ -179,18 +179,20 @@ class Gaussians:
             real_number("origin", value, -1e300, 1e300)
 
     @staticmethod
-    def load(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> Gaussians:
+    def load(
+        path: str | Path, *, skip_invalid: bool = False, time: float | None = None, lod: int | None = None
+    ) -> Gaussians:
         """Read a file of Gaussians: float32 on the CPU. Suspicious contents and an origin are warnings.
 
         lightfield_gs.read_scene describes the formats and arguments, and returns more of the file.
         """
-        scene = lightfield_gs.read_scene(path, skip_invalid=skip_invalid, time=time)
+        scene = lightfield_gs.read_scene(path, skip_invalid=skip_invalid, time=time, lod=lod)
         for words in scene.warnings():
             warnings.warn(f"{path}: {words}", stacklevel=2)
         return scene.gaussians
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Write one set of Gaussians as .ply, .spz or .splat. Losses by the format are warnings.
+        """Write one set of Gaussians as .ply, .glb, .usd, .spz or .splat. Losses by the format are warnings.
 
         lightfield_gs.write_scene describes the arguments.
         """

@@ -26,7 +26,7 @@ def rotated_fields(
     rotated = matrix.detach().cpu() @ torch.tensor(origin, dtype=torch.float64)
     return (
         means @ matrix.T.to(means),
-        _product(unit_quaternions(matrix).to(means), quaternions),
+        rotated_quaternions(matrix, quaternions),
         harmonics_rotation(matrix, sh.shape[-2]).to(means) @ sh,
         tuple((rotated + 0.0).tolist()),
     )
@@ -86,22 +86,24 @@ def _inverses() -> tuple[np.ndarray, ...]:
     return tuple(np.linalg.pinv(values[:, first:last]) for first, last in zip((0, *SH_COEFFICIENTS), SH_COEFFICIENTS))
 
 
-def unit_quaternions(matrices: Tensor) -> Tensor:
+def rotated_quaternions(rotation: Tensor, quaternions: Tensor) -> Tensor:
+    """Rotate Gaussians with quaternions [..., N, 4] (wxyz) by a rotation [3, 3]."""
+    return _product(rotation_quaternions(rotation).to(quaternions), quaternions)
+
+
+def rotation_quaternions(matrices: Tensor) -> Tensor:
     """Convert rotations [..., 3, 3] to unit quaternions [..., 4] (wxyz), by the longest column of the outer product."""
-    rows = (matrices[..., i, j] for i in range(3) for j in range(3))
-    xx, xy, xz, yx, yy, yz, zx, zy, zz = rows
-    outer = torch.stack(
-        [
-            torch.stack([1 + xx + yy + zz, zy - yz, xz - zx, yx - xy], -1),
-            torch.stack([zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx], -1),
-            torch.stack([xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy], -1),
-            torch.stack([yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz], -1),
-        ],
-        -2,
+    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in matrices.unbind(-2))
+    rows = (
+        (1 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1 + a - e - i, b + d, c + g),
+        (c - g, b + d, 1 - a + e - i, f + h),
+        (d - b, c + g, f + h, 1 - a - e + i),
     )
-    index = outer.detach().diagonal(dim1=-2, dim2=-1).argmax(-1)
-    longest = torch.take_along_dim(outer, index[..., None, None], -2).squeeze(-2)
-    return longest / longest.norm(dim=-1, keepdim=True)
+    outer = torch.stack([torch.stack(row, -1) for row in rows], -2)
+    longest = outer.detach().diagonal(dim1=-2, dim2=-1).argmax(-1)
+    column = outer.gather(-2, longest[..., None, None].expand(*longest.shape, 1, 4))[..., 0, :]
+    return column / column.norm(dim=-1, keepdim=True)
 
 
 def _product(first: Tensor, others: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
-from lightfield_gs.scene.rotation import unit_quaternions
+from lightfield_gs.scene.rotation import rotation_quaternions
 from lightfield_gs.simplification.footprints import Eyes, Footprints, camera_moments, overlap, project
 
 NEIGHBOURS = 8
@@ -252,7 +252,7 @@ def _axes(covariances: Tensor, rotation: Tensor) -> tuple[Tensor, Tensor]:
     axes = rotation.double().T @ axes
     axes = axes * torch.linalg.det(axes).sign()[:, None, None]
     least = (1e-8 * variances[:, 2:]).clamp_min(1e-24)  # rounding of the sums may leave less than nothing
-    return variances.clamp_min(least).sqrt().float(), unit_quaternions(axes).float()
+    return variances.clamp_min(least).sqrt().float(), rotation_quaternions(axes).float()
 
 
 def _replaced(values: Tensor, indices: Tensor, new: Tensor) -> Tensor:

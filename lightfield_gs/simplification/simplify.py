@@ -1,8 +1,16 @@
-"""A scene with fewer Gaussians: a panel shows almost the same light field."""
+"""A scene with fewer Gaussians, whose light field on a panel stays within a bound of its error."""
 
 from __future__ import annotations
 
-from lightfield_gs.base.checks import whole_number
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.checks import expect, real_number, whole_number
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
@@ -10,22 +18,112 @@ from lightfield_gs.simplification.footprints import Eyes
 from lightfield_gs.simplification.merging import MergedScene
 from lightfield_gs.simplification.pruning import contributions
 
+MOST_DB = 100.0  # of light fields that are equal
+_STEP = 0.75  # fraction of the Gaussians that each step of the search keeps
+_HALVINGS = 3  # of the last step, once it is too large: the count is then exact to 3 %
 
-def merge_to_count(gaussians: Gaussians, panel: Panel, rig: Rig, count: int, antialiased: bool = False) -> Gaussians:
-    """Return a scene of at most `count` Gaussians by merging and dropping, the cheapest for the light field first.
+
+@dataclass(frozen=True)
+class SimplifiedScene:
+    """The result of simplify.
+
+    Attributes:
+        gaussians: the scene, on the device of the whole one.
+        psnr_db: of its light field against the whole scene's, dB, 100 at most.
+    """
+
+    gaussians: Gaussians
+    psnr_db: float
+
+
+def simplify(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    *,
+    psnr_db: float | None = None,
+    count: int | None = None,
+    background: Colour = (1.0, 1.0, 1.0),
+    antialiased: bool = False,
+    view_filter: float = 0.0,
+    progress: Callable[[int, float], None] = lambda count, psnr_db: None,
+) -> SimplifiedScene:
+    """Merge and drop Gaussians, the cheapest for the light field of a panel first.
+
+    The error is measured, not predicted: the whole panel is drawn at each step of the search. Viewpoints outside the
+    rig may show gaps.
 
     Args:
-        gaussians: one scene, [N, ...].
+        gaussians: one scene, [N, ...], float32.
         panel: the panel of the image.
         rig: the viewpoints.
-        count: largest number of Gaussians, 1 or more.
+        psnr_db: the least PSNR of the light field against the whole scene's, 0..100 dB, over all sub-pixels.
+        count: the most Gaussians that are left, 1 or more. With both the count is kept, and so is the PSNR where it
+            asks for more Gaussians.
+        background: of the light field.
         antialiased: for scenes trained with anti-aliasing, see `render`.
+        view_filter: of the light field, see `encode`.
+        progress: called with the count and the PSNR of every step.
 
     Raises:
         InputError: for arguments of other types or values.
     """
-    count = whole_number("count", count, 1, 1 << 31)
-    weights = contributions(gaussians, panel, rig, antialiased) / 3  # three sub-pixels of a pixel
-    merged = MergedScene(gaussians.detach().to(dtype=gaussians.dtype), weights, Eyes.of(panel, rig, gaussians.device))
-    merged.reduce(count)
-    return merged.scene()
+    expect("gaussians", gaussians, Gaussians)
+    least = 0.0 if psnr_db is None else real_number("psnr_db", psnr_db, 0.0, MOST_DB)
+    target = 1 if count is None else whole_number("count", count, 1, 1 << 31)
+    source = gaussians.detach().to(dtype=torch.float32)
+
+    def drawn(scene: Gaussians) -> Tensor:
+        return encode(
+            scene, panel, rig, output="float32", background=background, antialiased=antialiased, view_filter=view_filter
+        )
+
+    weights = contributions(source, panel, rig, antialiased, view_filter) / 3  # three sub-pixels of a pixel
+    merged = MergedScene(source, weights, Eyes.of(panel, rig, source.device))
+    truth, best = drawn(source), SimplifiedScene(source, MOST_DB)
+    if psnr_db is None:
+        merged.reduce(target)
+        scene = merged.scene()
+        return SimplifiedScene(scene, light_field_psnr_db(drawn(scene), truth))
+    low, kept = target, merged  # the count that is known to be too small, or the least asked for
+    while True:
+        trial = kept.copy()
+        wanted = max(low, int(trial.count * _STEP), 1)
+        trial.reduce(wanted)
+        scene = trial.scene()
+        psnr = light_field_psnr_db(drawn(scene), truth)
+        progress(scene.count, psnr)
+        if psnr < least:
+            return _between(kept, trial.count, least, best, drawn, truth, progress)
+        kept, best = trial, SimplifiedScene(scene, psnr)
+        if scene.count <= target or scene.count <= 1:
+            return best
+
+
+def _between(
+    kept: MergedScene,
+    too_few: int,
+    least: float,
+    best: SimplifiedScene,
+    drawn: Callable[[Gaussians], Tensor],
+    truth: Tensor,
+    progress: Callable[[int, float], None],
+) -> SimplifiedScene:
+    """Return the smallest scene found between one that is good enough and a count that is not."""
+    for _ in range(_HALVINGS):
+        trial = kept.copy()
+        trial.reduce((kept.count + too_few) // 2)
+        scene = trial.scene()
+        psnr = light_field_psnr_db(drawn(scene), truth)
+        progress(scene.count, psnr)
+        if psnr < least:
+            too_few = trial.count
+        else:
+            kept, best = trial, SimplifiedScene(scene, psnr)
+    return best
+
+
+def light_field_psnr_db(image: Tensor, truth: Tensor) -> float:
+    """Return the PSNR of a light-field image against another, colours of 0..1, dB; MOST_DB at most."""
+    error = sum(float((a.double() - b.double()).square().sum()) for a, b in zip(image.split(64), truth.split(64)))
+    return float(-10 * torch.tensor(error / image.numel()).clamp_min(10 ** (-MOST_DB / 10)).log10())

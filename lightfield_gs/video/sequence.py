@@ -83,7 +83,7 @@ def is_sequence(path: str | Path) -> bool:
     path = checked_path(path)
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_INPUTS
-    return not (path / "meta.json").exists() and bool(_files(path, PICTURES))
+    return not (path / "meta.json").exists() and bool(files_in(path, PICTURES))
 
 
 def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) -> ImageSequence:
@@ -102,7 +102,7 @@ def open_sequence(path: str | Path, maps: bool = False, in_time: bool = True) ->
         seen = timeline(path, in_time)
         return ImageSequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes, seen.pair)
     pictures, beside = pictures_and_maps(path)
-    files = (beside or _files(path, _MAPS)) if maps else pictures
+    files = (beside or files_in(path, _MAPS)) if maps else pictures
     if not files:
         raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else PICTURES)}), got none")
     return ImageSequence(path, len(files), tuple(files))
@@ -113,7 +113,7 @@ def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
 
     Either every image has a map, or no image has one. Raises InputError where only some images have one.
     """
-    files = _files(folder, _MAPS)
+    files = files_in(folder, _MAPS)
     beside = depth_maps_beside(path.name for path in files)
     maps = {name for names in beside.values() for name in names}
     pictures = [path for path in files if path.suffix.lower() in PICTURES and path.name not in maps]
@@ -126,7 +126,8 @@ def pictures_and_maps(folder: Path) -> tuple[list[Path], list[Path]]:
     return pictures, [folder / beside[path.name][0] for path in pictures if beside]
 
 
-def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+def files_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Return the files of a folder with these suffixes, in natural order, without hidden ones. Raises InputError."""
     with reading(folder):
         files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")]
     return sorted(files, key=natural_order)

@@ -10,8 +10,9 @@ import torch
 from bench_cases import arguments
 from fit_capture import write_capture
 
-from benchmarks import fit, fit_report, peers
-from benchmarks.fit import Photographs
+from benchmarks import fit_arms, fit_report, fit_runs, peers
+from benchmarks.fit_photographs import Photographs, hold_out
+from benchmarks.fit_scores import scores
 from benchmarks.gsplat_fit import RATES
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import dense, timing
@@ -76,7 +77,8 @@ def gsplat(monkeypatch):
 
 @pytest.fixture
 def photographs(tmp_path):
-    return Photographs.load(read_capture(write_capture(tmp_path / "capture")), 8, "cpu")
+    capture = read_capture(write_capture(tmp_path / "capture"))
+    return Photographs.load(capture, hold_out(capture, 8), "cpu", 40.0, "capture")
 
 
 def test_the_dense_scene_is_as_described():
@@ -137,7 +139,8 @@ def test_a_fit_is_scored_and_its_rows_are_kept(tmp_path, capsys):
     words = f"fit {capture} --steps 40 --gaussians 200 --seeds 2 --json {path} --plot {picture} --threads 1"
     assert command.run(arguments(*words.split())) == 0
     result = json.loads(path.read_text())
-    assert result["protocol"]["held_out"] == ["04.png"] and result["protocol"]["photographs"] == 7
+    (described,) = result["captures"]
+    assert described["held_out"] == described["in_cone"] == ["04.png"] and described["photographs"] == 7
     assert [(row["arm"], row["seed"], row["step"]) for row in result["rows"]] == [("ours", 0, 40), ("ours", 1, 40)]
     for row in result["rows"]:
         assert row["gaussians"] <= 200 and row["seconds"] > 0 and row["peak_bytes"] is None
@@ -148,25 +151,29 @@ def test_a_fit_is_scored_and_its_rows_are_kept(tmp_path, capsys):
 
 
 def test_marks_are_those_within_the_fit_and_its_end():
-    assert fit.marks(7000) == [1000, 2000, 4000, 7000] and fit.marks(30) == [30] and fit.marks(1500) == [1000, 1500]
+    assert (
+        fit_runs.marks(7000) == [1000, 2000, 4000, 7000]
+        and fit_runs.marks(30) == [30]
+        and fit_runs.marks(1500) == [1000, 1500]
+    )
 
 
 def test_scores_are_those_of_a_fit(photographs):
-    ours = fit.ARMS["ours"](photographs, FitSettings(steps=10, cap_max=200))
+    ours = fit_arms.ARMS["ours"](photographs, FitSettings(steps=10, cap_max=200))
     ours.advance(10)
     expected = evaluate(ours.gaussians(), photographs.test, (0.0, 0.0, 0.0))
-    found = fit.scores(ours, photographs.test)
+    found = scores(ours, photographs)
     assert found["psnr_db"] == pytest.approx(expected.mean_psnr_db, abs=1e-4)
     assert found["ssim"] == pytest.approx(expected.mean_ssim, abs=1e-6)
 
 
 @pytest.mark.not_sanitized  # most of it is torch
-@pytest.mark.parametrize("arm", list(fit.RECIPES))
+@pytest.mark.parametrize("arm", list(fit_arms.PEER_ARMS))
 def test_a_fit_in_the_peers_loop_learns(arm, photographs, gsplat):
     settings = FitSettings(steps=60, cap_max=200)
-    rows = list(fit._fit_rows(photographs, arm, settings))
-    peer = fit.ARMS[arm](photographs, settings)
-    assert rows[-1]["psnr_db"] > fit.scores(peer, photographs.test)["psnr_db"] + 1
+    rows = list(fit_runs.rows(photographs, arm, settings))
+    peer = fit_arms.ARMS[arm](photographs, settings)
+    assert rows[-1]["psnr_db"] > scores(peer, photographs)["psnr_db"] + 1
     strategy = Strategy.made[0]
     assert [step for step, _ in strategy.calls] == list(range(60)) and strategy.options["refine_start_iter"] == 1
     if "mcmc" in arm:
@@ -185,7 +192,7 @@ def test_the_peers_loss_is_ours(photographs, gsplat):
             photographs.train.weights[:, :, :30] = 255
         losses = []
         for arm in ("gsplat-default", "gsplat-default-our-loss"):
-            peer = fit.ARMS[arm](photographs, settings)
+            peer = fit_arms.ARMS[arm](photographs, settings)
             losses.append(float(peer._loss(peer.draw(peer._cameras[0]), 0).detach()))
         # Where weights are, the SSIM of pixels without any counts for the one and not for the other: they see the edge
         assert losses[0] == pytest.approx(losses[1], rel=2e-2 if masked else 1e-5)
@@ -193,20 +200,22 @@ def test_the_peers_loss_is_ours(photographs, gsplat):
 
 def test_peers_take_the_photographs_in_the_order_of_ours(photographs, gsplat):
     settings = FitSettings(steps=20, cap_max=200, seed=3)
-    peer = fit.ARMS["gsplat-mcmc"](photographs, settings)
+    peer = fit_arms.ARMS["gsplat-mcmc"](photographs, settings)
     assert peer._order == Schedule.make(settings, photographs.train.count, "cpu").order[:, 0].tolist()
 
 
 def test_ours_is_compared_with_every_other_arm():
     def row(arm, step, psnr_db, seconds, seed=0):
-        common = {"psnr_db_by_ours": psnr_db, "ssim": 0.9, "gaussians": 10, "ms_step": 1.0, "ms_step_lately": 1.0}
+        common = dict.fromkeys(fit_report._NUMBERS) | {"psnr_db_by_ours": psnr_db, "ssim": 0.9, "gaussians": 10}
         what = {"arm": arm, "seed": seed, "step": step, "psnr_db": psnr_db, "seconds": seconds, "peak_bytes": 10}
-        return common | what
+        return {"capture": "c", **common, "ms_step": 1.0, "ms_step_lately": 1.0, **what}
 
     rows = [row("ours", 1000, 27.0, 2.0), row("ours", 2000, 29.0, 4.0), row("other", 1000, 25.0, 9.0)]
     rows += [row("other", 2000, 26.5, 16.0), row("other", 2000, 27.0, 18.0, 1), row("other", 2000, 26.0, 12.0, 2)]
-    protocol = {"capture": "c", "photographs": 7, "width_px": 4, "height_px": 3, "held_out": ["a"], "points": 5}
-    shown = fit_report.table(rows, protocol | {"steps": 2000, "gaussians": 10})
+    capture = {"capture": "c", "photographs": 7, "width_px": 4, "height_px": 3, "held_out": ["a"], "points": 5}
+    protocol = {"steps": 2000, "gaussians": 10, "cone_deg": 40.0, "scores": "means"}
+    captures = [capture | {"centre": None, "in_cone": []}]
+    shown = fit_report.table({"rows": rows, "captures": captures, "protocol": protocol})
     assert "26.00..27.00" in shown
     assert "ours against other: +2.50 dB in 0.25 times its seconds; as good as its end after 1000 steps, 2.0 s" in shown
 
@@ -221,6 +230,9 @@ def test_ours_is_compared_with_every_other_arm():
         "fit CAPTURE --gaussians 100,200",
         "fit CAPTURE --test-every 16",
         "fit CAPTURE --plot rows.txt",
+        "fit CAPTURE CAPTURE",
+        "fit CAPTURE --resume",
+        "fit CAPTURE --cone round",
         "fit CAPTURE --size 4x4",
         "fit CAPTURE --repeats 2",
         "fit CAPTURE --steps 0",
@@ -235,7 +247,7 @@ def test_ours_is_compared_with_every_other_arm():
     ],
 )
 def test_bad_arguments_are_refused_before_any_work(words, tmp_path, monkeypatch):
-    monkeypatch.setattr(fit, "rows", None)
+    monkeypatch.setattr(fit_runs, "rows", None)
     monkeypatch.setattr(dense, "rows", None)
     if torch.cuda.is_available() and "gsplat" in words:
         pytest.skip("gsplat may be here")

@@ -1,4 +1,4 @@
-"""Anti-aliased scenes and filtered views on CUDA, against the oracle and the CPU. Needs a GPU."""
+"""Anti-aliased scenes, filtered views and all models of cameras on CUDA, against oracle and CPU. Needs a GPU."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from rasterizer_cases import MIRRORED
 from test_cuda import BACKGROUND, LENS, PANELS, far_apart, most_apart, on_gpu, rig
 
 from lightfield_gs import Encoder, Panel, encode, prune, reference, render
+from lightfield_gs.base.options import CAMERA_MODELS
 
 SOFTER = [
     dict(antialiased=True),
@@ -74,7 +75,12 @@ def test_an_encoder_a_view_and_pruning_do_the_same():
 
 
 @pytest.mark.parametrize(
-    ("sensor", "softer"), [*(("direct", softer) for softer in SOFTER), ("images", dict(antialiased=True))]
+    ("sensor", "softer"),
+    [
+        *(("direct", softer) for softer in SOFTER),
+        *(("images" if model == "pinhole" else model, dict(antialiased=True)) for model in CAMERA_MODELS),
+        *((model, {}) for model in cases.CURVED),
+    ],
 )
 @pytest.mark.parametrize("scene", [lambda: cases.fine(1), cases.beams])
 def test_gradients_are_those_of_float64(sensor, softer, scene):

@@ -11,7 +11,7 @@ from lightfield_gs import reference
 
 pytestmark = EMULATED
 
-DRAWN = ("images", "capacities", "gradients", "antialiased gradients", "view filter", "fit")
+DRAWN = ("images", "capacities", "gradients", "antialiased gradients", "camera models", "view filter", "fit")
 
 
 def test_images_and_gradients_are_those_of_float64(drawn):
@@ -49,6 +49,16 @@ def test_antialiased_images_and_gradients_are_those_of_float64(drawn):
             for name, expected in cases.gradients(scene, sensor, torch.float64, antialiased=True).items():
                 error = (have[name].double() - expected).norm() / expected.norm()
                 assert error < (1e-5 if name == "image" else 5e-3), (sensor, name)
+
+
+def test_images_and_gradients_by_other_cameras_are_those_of_float64(drawn):
+    found = iter(drawn("camera models"))
+    for model in cases.CURVED:
+        for antialiased in (False, True):
+            have = next(found)
+            for name, expected in cases.gradients(cases.fine(1), model, torch.float64, antialiased).items():
+                error = (have[name].double() - expected).norm() / expected.norm()
+                assert error < (1e-5 if name == "image" else 5e-3), (model, name)
 
 
 def test_filtered_views_and_their_gradients_are_those_of_the_oracle(drawn):

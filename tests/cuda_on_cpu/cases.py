@@ -190,10 +190,16 @@ def short_quaternions() -> Gaussians:
 HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("direct", "images")]
 
 
+CURVED = ("orthographic", "fisheye", "equirectangular")  # models of cameras that are no pinholes
+
+
 def gradients(
     scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bool = False, view_filter: float = 0.0
 ) -> dict[str, Tensor]:
-    """Return the gradients of a loss on a light-field image (direct) or on ordinary images, and the image."""
+    """Return the gradients of a loss on a light-field image (direct) or on ordinary images, and the image.
+
+    sensor: direct, images, or a model of CURVED.
+    """
     panel = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0})
     scene, rig = scene.to(dtype=dtype), rig_of(panel)
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
@@ -203,9 +209,11 @@ def gradients(
         options = dict(antialiased=antialiased, view_filter=view_filter)
         image = encode(given, panel, rig, background=BACKGROUND, output=output, **options)
     else:
-        image = render(
-            given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND, antialiased=antialiased
-        ).image
+        cameras = rig.cameras(panel, [23, 11, 0]).to(dtype=dtype)
+        if sensor != "images":
+            focal = cameras.focal_px / (rig.zero_depth if sensor == "orthographic" else 1)
+            cameras = replace(cameras, model=sensor, focal_px=focal, jacobian_limits=None)
+        image = render(given, cameras, background=BACKGROUND, antialiased=antialiased).image
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
     return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
 

@@ -240,6 +240,12 @@ def main(what: str) -> object:
             for scene in (cases.fine(1), cases.beams())
             for sensor in ("direct", "images")
         ]
+    if what == "camera models":
+        return [
+            cases.gradients(cases.fine(1), model, torch.float32, antialiased)
+            for model in cases.CURVED
+            for antialiased in (False, True)
+        ]
     if what == "chosen":
         return [chosen(*case) for case in cases.wide_frames()]
     if what == "widest":

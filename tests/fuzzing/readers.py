@@ -174,6 +174,8 @@ READERS = {
     "ply": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply"),
     "ply-valid": Reader(".ply", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ply"),
     "ply-compressed": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply-compressed"),
+    "glb": Reader(".glb", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "glb"),
+    "gltf": Reader(".gltf", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "gltf"),
     "splat": Reader(".splat", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "splat"),
     "ksplat": Reader(".ksplat", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ksplat"),
     "spz": Reader(".spz", lambda path: read_scene(path).gaussians.validate(), "spz"),

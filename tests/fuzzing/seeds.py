@@ -17,6 +17,7 @@ import numpy as np
 import scene_formats
 import torch
 from capture_scene import MODELS, parameters, ring, write_model
+from gltf_maker import Gltf, attributes
 from heic_maker import heic
 from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
 from PIL import Image
@@ -85,6 +86,12 @@ def _scene_formats(folders: dict[str, Path]) -> None:
         (folders["spz"] / f"v{version}.spz").write_bytes(scene_formats.spz(version, 3))
         (folders["spz-inside"] / f"v{version}.bin").write_bytes(scene_formats.spz_plain(version, 3))
     (folders["spz"] / "v4.spz").write_bytes(scene_formats.spz4(import_zstd().compress))
+    (folders["glb"] / "degree1.glb").write_bytes(Gltf().gaussians(attributes(1)).glb())
+    packed = Gltf()
+    packed.extension["extensions"] = {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}
+    packed.view(scene_formats.spz(2))
+    (folders["glb"] / "spz.glb").write_bytes(packed.gaussians({}).glb())
+    (folders["gltf"] / "inside.gltf").write_bytes(Gltf().gaussians(attributes(0)).gltf())
     (folders["splat"] / "small.splat").write_bytes(scene_formats.splat())
     for level in (0, 1, 2):
         (folders["ksplat"] / f"level{level}.ksplat").write_bytes(scene_formats.ksplat(level))

@@ -87,6 +87,9 @@ def _write_scene() -> None:
     moved = scene()
     moved.means[:, 2] += 3  # before cameras at the origin that look along z
     moved.save("scene.ply")
+    Path("dance").mkdir()
+    for number in range(2):
+        moved.save(f"dance/frame_{number}.ply")
     camera = {"width": 96, "height": 60, "fx": 90.0, "fy": 90.0, "position": [0, 0, 0], "rotation": np.eye(3).tolist()}
     cameras = [{**camera, "id": number, "img_name": f"{number:03d}"} for number in range(13)]
     Path("cameras.json").write_text(json.dumps(cameras))
@@ -141,7 +144,7 @@ def _small_bench(words: list[str]) -> list[str]:
 
 def _run_lightfield_gs(words: list[str]) -> None:
     words = _with_small_panel(words)
-    if words[0] in SHORTENED:
+    if words[0] in SHORTENED and "dance" not in words:  # scenes in a row are as many frames as files
         words = [*words, *SHORTENED[words[0]]]
     assert cli.main(_small_bench(words) if words[0] == "bench" else words) == 0, words
 
@@ -153,6 +156,7 @@ SHORTENED = {
 }
 SHORT_RUN = "--stages [{steps:~1,~image_size_px:~32,~objects:~2}] --targets 1 --validation_objects 1 --validate_every 1"
 SHORTER = {
+    "benchmarks.make_captures": "--photographs 3 --width 32",
     "training.data.make_small": "--objects 1",
     "training.train": f"{SHORT_RUN} --optimizer.warmup_steps 1",
     "training.compare": f"{SHORT_RUN} --optimizer.warmup_steps 1 --model tiny.yaml",
@@ -161,7 +165,7 @@ SHORTER = {
 
 
 def _run_module(module: str, words: list[str]) -> None:
-    """A command of training/, as long as it takes to try it."""
+    """A command of training/ or benchmarks/, as long as it takes to try it."""
     words = words + [word.replace("~", " ") for word in SHORTER.get(module, "").split()]
     if module == "training.train" and "configs/training/finetune.yaml" not in words:
         words += ["--model", "tiny.yaml"]

@@ -27,6 +27,7 @@ ROOMS = (
     "lightfield_gs.show",
     "lightfield_gs.displays",
     "lightfield_gs.video",
+    "lightfield_gs.pose_estimation",
     "lightfield_gs.view_sets",
     "lightfield_gs.fitting",
     "training",

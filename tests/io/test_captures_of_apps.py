@@ -186,10 +186,12 @@ def test_files_that_are_no_capture_are_named(tmp_path):
         archive.writestr("sparse/0/images.txt", "")
     (tmp_path / "images.bin").write_bytes(bytes(8))
     (tmp_path / "film.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + bytes(16))
+    (tmp_path / "notes.txt").write_text("table")
     for name, words in (
         ("capture.zip", "is an archive: unpack it, and give the folder"),
         ("images.bin", "is one file of a COLMAP model: give the folder"),
-        ("film.mp4", "expected a capture, got a file of another kind"),
+        ("film.mp4", "is a film without cameras: sfm=True chooses frames and finds their cameras"),
+        ("notes.txt", "expected a capture, got a file of another kind"),
     ):
         with pytest.raises(InputError, match=f"{name}: {words}"):
             read_capture(tmp_path / name)

@@ -9,6 +9,7 @@ import tarfile
 import pytest
 import scene_formats as made
 from command_line import PANEL, complaint, run
+from gltf_maker import Gltf
 from test_scene_kinds import plain_ply
 
 from lightfield_gs import InputError
@@ -23,12 +24,21 @@ def tarred() -> bytes:
     return file.getvalue()
 
 
+def mesh_only() -> bytes:
+    gltf = Gltf()
+    gltf.root["meshes"] = [{"primitives": [{"attributes": {}}]}]
+    return gltf.glb()
+
+
+# With usd-core and without
+USD_WAY = r"lightfield-gs fit|export it or download it again|pip install --upgrade 'lightfield-gs\[usd\]'"
 UNSUPPORTED = {  # file name: content, and the message on its kind
-    "a.glb": (b"glTF\2\0\0\0", "glTF.*KHR_gaussian_splatting"),
-    "a.gltf": (b"{}", "glTF"),
-    "renamed.png": (b"glTF\2\0\0\0", "glTF"),
-    "a.usda": (b"#usda 1.0\n", "OpenUSD"),
-    "a.usdz": (made.zipped({"a.usdc": b"PXR-USDC"}), "OpenUSD"),
+    "a.glb": (b"glTF\2\0\0\0", ".glb has a header of 20 bytes, and it has 8; it is cut"),
+    "a.gltf": (b"{}", "expected glTF of version 2"),
+    "mesh.glb": (mesh_only(), "glTF without Gaussians.*KHR_gaussian_splatting.*lightfield-gs fit"),
+    "renamed.png": (b"glTF\2\0\0\0", ".glb has a header"),
+    "a.usda": (b"#usda 1.0\n", f"OpenUSD.*({USD_WAY})"),
+    "a.usdz": (made.zipped({"a.usdc": b"PXR-USDC"}), f"OpenUSD.*({USD_WAY})"),
     "ckpt_29999_rank0.pt": (made.zipped({"ckpt/data.pkl": b"", "ckpt/data/0": b""}), "checkpoint.*--save_ply"),
     "step-29999.ckpt": (b"\x80\x02\x8a\x0al\xfc\x9cF", "checkpoint.*ns-export"),
     "ckpt.zip": (made.zipped({"ckpt/data.pkl": b"", "ckpt/data/0": b""}), "checkpoint"),
@@ -41,7 +51,7 @@ UNSUPPORTED = {  # file name: content, and the message on its kind
     "a.rad": (b"RAD0", "Spark"),
     "mesh.obj": (b"v 0 0 0\n", "mesh.*fit"),
     "a.fbx": (b"Kaydara FBX Binary  \0", "mesh"),
-    "a.vrm": (b"glTF", "glTF"),
+    "a.vrm": (b"glTF", "a mesh, and no Gaussians"),
     "scan.laz": (b"LASF", "point cloud"),
     "scan.e57": (b"ASTM-E57", "point cloud"),
     "a.xyz": (b"0 0 0\n", "point cloud"),
@@ -54,12 +64,13 @@ UNSUPPORTED = {  # file name: content, and the message on its kind
     "points3D.bin": (bytes(64), "COLMAP"),
     "two.zip": (made.zipped({"a.ply": plain_ply(), "b.spz": b""}), "holds 2 scenes.*unpack"),
     "photos.zip": (made.zipped({"in/a.jpg": b"", "in/b.jpg": b""}), "2 pictures.*lightfield-gs fit"),
-    "models.zip": (made.zipped({"a.glb": b"glTF"}), "ZIP.*glTF"),
+    "models.zip": (made.zipped({"a.glb": b"glTF"}), "models.zip .a.glb.: a .glb has a header"),
+    "text.zip": (made.zipped({"a.gltf": b"{}", "a.bin": b""}), "ZIP of a .gltf.*unpack"),
     "empty.zip": (made.zipped({}), "is an empty ZIP"),
     "empty.ply": (b"", "is empty; export it"),
     "notes.zip": (made.zipped({"a.txt": b""}), r"ZIP without a scene \('a.txt'\)"),
     "film.MP4": (b"\0\0\0\x18ftypmp42", "a video.*lightfield-gs video"),
-    "really.ply": (b"glTF\2\0\0\0", "glTF"),
+    "really.ply": (b"glTF\2\0\0\0", ".glb has a header"),
     "capture.zip": (
         made.zipped({"images/a.jpg": b"", "images/b.jpg": b"", "sparse/0/points3D.ply": b"ply\n"}),
         "2 pictures.*lightfield-gs fit",
@@ -86,10 +97,9 @@ def test_files_that_are_not_read_are_named_with_a_way_out(name, folder, capsys):
 
 
 NON_IMAGES = {  # file name: content, and the message on its kind
-    **{
-        name: UNSUPPORTED[name]
-        for name in ("a.glb", "a.gltf", "ckpt_29999_rank0.pt", "params.npz", "a.tar", "film.MP4")
-    },
+    **{name: UNSUPPORTED[name] for name in ("ckpt_29999_rank0.pt", "params.npz", "a.tar", "film.MP4")},
+    "a.glb": (b"glTF\2\0\0\0", "is a scene or points.*encode"),
+    "a.gltf": (b"{}", "is a scene or points.*encode"),
     "a.ply": (plain_ply(), "is a scene or points.*encode"),
     "a.ply.txt": (plain_ply(), "is a scene or points.*encode"),
     "a.splat": (made.splat(), "is a scene or points.*encode"),
@@ -127,7 +137,7 @@ def test_an_spz_with_another_ending_is_given_its_name(folder, capsys):
     [
         ("a.ply", plain_ply(), "is not a list of inputs; batch takes a folder"),
         ("a.JPG", b"\xff\xd8\xff", "is not a list of inputs; batch takes a folder"),
-        ("a.gltf", b"{}", "glTF"),
+        ("a.gltf", b"{}", "is not a list of inputs; batch takes a folder"),
         ("a.pt", b"\x80\x02", "checkpoint"),
     ],
 )
@@ -160,7 +170,7 @@ def test_folders_that_are_not_read_are_named_with_a_way_out(name, folder, capsys
         (folder / name / each).parent.mkdir(parents=True, exist_ok=True)
         (folder / name / each).write_bytes(b"ply\n")
     lines = [f"encode {name} -o o.png --panel p.yaml", f"quilt {name} -o q.png", f"prune {name} -o o.ply"]
-    lines += [f"info {name}", *([] if name in ("photos", "lcc") else [f"video {name} -o v --panel p.yaml"])]
+    lines += [f"info {name}", *([] if name in ("photos", "lcc", "sequence") else [f"video {name} -o v --panel p.yaml"])]
     for line in lines:
         assert re.search(words, complaint(capsys, line)), line
 

@@ -14,7 +14,7 @@ from lightfield_gs.io.scenes.files import read_arrays
 READERS = {
     read_image: (".png", ".jpg", ".exr", ".hdr", ".tif", ".webp", ".heic", ".avif", ".tga", ".npy"),
     read_info: (".png", ".exr"),
-    read_arrays: (".spz", ".ksplat", ".splat", ".sog", ".ply"),
+    read_arrays: (".spz", ".ksplat", ".splat", ".sog", ".ply", ".glb", ".gltf", ".usda", ".usdc", ".usdz"),
     stored_arrays: (".npz",),
     open_array: (".npy",),
 }
@@ -45,6 +45,7 @@ def test_four_gigabytes_of_zeros(tmp_path, reader, suffix):
         (".spz", b"NGSP\x04\x00\x00\x00\xff\xff\x00\x00\x00\x0c\x00\x05\x20"),
         (".ksplat", b"\x00\x01\x00\x00\x01"),
         (".sog", b"PK\x03\x04"),
+        (".glb", b"glTF\2\0\0\0\xff\xff\xff\x7f\xff\xff\xff\x7fJSON"),
         (".ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"),
     ],
 )

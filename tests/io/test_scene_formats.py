@@ -277,4 +277,6 @@ def test_commands_take_and_give_every_format(folder, capsys):
     assert "format: SOG version 2, a folder" in run(capsys, "info sog/meta.json")
     said = run(capsys, "prune s.ply -o b.spz --panel p.yaml")
     assert "lost: b.spz: a .spz holds no comments" in said and "SPZ version 3" in run(capsys, "info b.spz")
-    assert "expected a name that ends in .ply, .spz, .splat" in complaint(capsys, "prune s.ply -o b.sog --panel p.yaml")
+    assert "expected a name that ends in .ply, .glb, .gltf, .spz, .splat" in complaint(
+        capsys, "prune s.ply -o b.sog --panel p.yaml"
+    )

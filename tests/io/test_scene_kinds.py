@@ -300,7 +300,31 @@ def test_the_finest_level_of_a_streamed_sog_is_read_with_its_environment(tmp_pat
         scene = read_scene(path)
         one = read_scene(tmp_path / "0_0").gaussians.means
         assert torch.equal(scene.gaussians.means, torch.cat([one[1:3], one, one]))
-        assert scene.gaussians.sh_degree == 3 and "level 0, the finest of 2" in scene.notes[0]
+        assert scene.gaussians.sh_degree == 3
+        assert scene.notes[0] == (
+            "level 0 of 0..1 is read of a streamed SOG, 6 Gaussians (the finest; another: lod=N); its environment is "
+            "read too"
+        )
+
+
+def test_a_level_of_a_streamed_sog_is_chosen_by_option_or_by_memory(tmp_path, monkeypatch, capsys):
+    made.streamed(tmp_path)
+    one = read_scene(tmp_path / "1_0").gaussians.means
+    coarse = torch.cat([one, one[:1], one])  # a leaf without the level has its own coarsest; files in their order
+    scene = read_scene(tmp_path, lod=1)
+    assert torch.equal(scene.gaussians.means, coarse) and "level 1 of 0..1" in scene.notes[0]
+    monkeypatch.setattr("lightfield_gs.io.scenes.sog.free_host_memory", lambda: 2 * 5 * 1024)
+    scene = read_scene(tmp_path)
+    assert torch.equal(scene.gaussians.means, coarse)
+    assert (
+        "level 1 of 0..1 is read of a streamed SOG, 5 Gaussians (the finest that fits: level 0 has 6" in scene.notes[0]
+    )
+    monkeypatch.undo()
+    assert "level 1 of 0..1" in run_noted(capsys, f"info {tmp_path} --lod 1")
+    with pytest.raises(InputError, match="lod must be 0..1, got 2"):
+        read_scene(tmp_path, lod=2)
+    with pytest.raises(InputError, match="no levels of detail; leave out lod="):
+        read_scene(tmp_path / "env", lod=0)
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,7 @@ def test_a_state_of_another_render_is_refused():
         (splats, colours, lists.int()),
     ]:
         with pytest.raises(InputError, match="state"):
-            torch.ops.lightfield_gs.render_images_backward(*moving, *fixed, False, *images, *state, *images, 0, True)
+            torch.ops.lightfield_gs.render_images_backward(*moving, *fixed, False, 0, *images, *state, *images, 0, True)
 
 
 # ---- light-field images

@@ -28,3 +28,13 @@ def test_brightness_costs_nothing_and_a_soft_edge_does():
     expected = -10 * math.log10(8 * 2 * 0.25**2 / (8 * 8 + 7 * 9))
     assert float(gradient_psnr_db(soft, edge)) == pytest.approx(expected, abs=1e-9)
     assert gradient_psnr_db(edge.flip(-1), edge).shape == (1,)
+
+
+def test_pixels_without_weight_are_in_no_gradient():
+    """As if the picture ended before them; half of all weights change nothing."""
+    generator = torch.Generator().manual_seed(0)
+    images, wanted = torch.rand(2, 4, 3, 8, 9, generator=generator, dtype=torch.float64)
+    weights = torch.full((4, 8, 9), 0.5, dtype=torch.float64)
+    weights[..., 5:] = 0
+    expected = gradient_psnr_db(images[..., :5], wanted[..., :5])
+    torch.testing.assert_close(gradient_psnr_db(images, wanted, weights), expected)

@@ -4,12 +4,11 @@ import numpy as np
 import torch
 from rasterizer_cases import panel, rig
 
-from lightfield_gs import encode
+from lightfield_gs import encode, simplify
 from lightfield_gs.base.harmonics import rotations
 from lightfield_gs.bench.scenes import benchmark_rig, sheet
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import map_fields
-from lightfield_gs.simplification.simplify import merge_to_count
 
 
 def _psnr_db(image, other):
@@ -22,7 +21,7 @@ def test_equal_counts_by_merging_beat_the_most_visible_and_random_ones():
     scene, whole = sheet(64), Panel.load("toy-8v")
     fan = benchmark_rig("sheet:64", scene, whole, None)
     exact = encode(scene, whole, fan, output="float32")
-    fewer = merge_to_count(scene, whole, fan, 2048)
+    fewer = simplify(scene, whole, fan, count=2048).gaussians
     kept = contributions(scene, whole, fan).argsort(descending=True)[:2048]
     random = torch.randperm(scene.count, generator=torch.Generator().manual_seed(0))[:2048]
     rivals = [map_fields(scene, lambda field, rows=rows: field[rows]) for rows in (kept, random)]
@@ -35,7 +34,7 @@ def test_a_pair_has_the_moments_of_its_mixture():
     scene = map_fields(sheet(8), lambda field: field[27:28].repeat(2, *[1] * (field.ndim - 1)))
     scene.means[1, 0] += 0.3 * scene.scales[0].min()
     scene.scales[1] *= 1.2
-    merged = merge_to_count(scene, shown, rig(shown), 1)
+    merged = simplify(scene, shown, rig(shown), count=1).gaussians
     means = scene.means.double().numpy()
     line, place = means[1] - means[0], merged.means[0].double().numpy() - means[0]
     share = place @ line / (line @ line)
@@ -45,3 +44,27 @@ def test_a_pair_has_the_moments_of_its_mixture():
     expected = (1 - share) * parts[0] + share * parts[1] + share * (1 - share) * np.outer(line, line)
     found = (rotations(merged.quaternions.double()) * merged.scales.double()[:, None]).numpy()[0]
     assert np.allclose(found @ found.T, expected, atol=1e-5 * np.abs(expected).max() + 1e-8)
+
+
+def test_the_bound_holds_and_is_used():
+    """The light field is as near as was asked for, the scene is not much larger, and views between are near too."""
+    scene, whole = sheet(48), Panel.load("toy-8v")
+    fan = benchmark_rig("sheet:48", scene, whole, None)
+    exact = encode(scene, whole, fan, output="float32")
+    found = {least: simplify(scene, whole, fan, psnr_db=least) for least in (35.0, 45.0)}
+    for least, small in found.items():
+        assert abs(_psnr_db(encode(small.gaussians, whole, fan, output="float32"), exact) - small.psnr_db) < 0.01
+        assert least <= small.psnr_db < least + 5 and small.gaussians.count < scene.count
+    assert found[35.0].gaussians.count < found[45.0].gaussians.count
+    between = {"views": "continuous", "output": "float32"}
+    truth = encode(scene, whole, fan, **between)
+    assert _psnr_db(encode(found[45.0].gaussians, whole, fan, **between), truth) > 42
+
+
+def test_equal_gaussians_become_one_with_the_alpha_of_both():
+    """Two equal Gaussians of opacity a cover 1 - (1 - a)^2, and no light is made or lost beyond the bound."""
+    shown = panel(width_px=160, height_px=80)
+    scene = map_fields(sheet(8), lambda field: field[27:28].repeat(2, *[1] * (field.ndim - 1)))
+    scene.opacities[:] = 0.3
+    merged = simplify(scene, shown, rig(shown), count=1)
+    assert merged.gaussians.count == 1 and merged.psnr_db > 40

@@ -1,5 +1,6 @@
 """The weights after a step: the schedule, the average, and the start of a network."""
 
+import copy
 import dataclasses
 
 import pytest
@@ -19,7 +20,7 @@ from training.drawing import draw, drawings, seen_by_network
 from training.loop import make_planner, plans
 from training.losses import total_loss
 from training.schedule import WeightAverage, learning_rate, progress
-from training.trainer import Trainer
+from training.trainer import Trainer, with_attention
 
 
 def test_a_stage_draws_what_a_photo_shows_beside_the_cloud(small_set):
@@ -111,15 +112,15 @@ def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(smal
 
 
 def test_attention_that_is_added_begins_without_effect(small_set, tmp_path):
-    """The packaged network with attention at 32 px too fits into 15 MB, and predicts as before."""
+    """The packaged network with attention at 8 px too fits into 15 MB, and predicts as before."""
     path = run_config(small_set, "unused", stages=[{"steps": 1, "image_size_px": 128, "objects": 1}])
     config = train.read_config(["--config", str(path), "--initial_weights", "pretrained"])
     alone, size = Team(torch.device("cpu")), 128
     pictures = torch.rand(1, 4, size, size), torch.tensor([[1.4 * size] * 2 + [size / 2] * 2])
     former, more = (
-        Trainer(dataclasses.replace(config, attention_px=sizes), alone).average.average for sizes in ([], [32])
+        Trainer(dataclasses.replace(config, attention_px=sizes), alone).average.average for sizes in ([], [8])
     )
-    assert more.config.unet.attention_px == (32, 16)
+    assert more.config.unet.attention_px == (32, 16, 8)
     with torch.no_grad():
         torch.testing.assert_close(more(*pictures).means, former(*pictures).means)
     more.save(tmp_path / "more.safetensors")
@@ -138,6 +139,19 @@ def test_a_head_is_trained_on_features_without_dropout(small_set):
         torch.nn.init.normal_(weights, std=0.1)
     images, intrinsics = torch.rand(1, 4, 16, 16), torch.tensor([[16.0, 16, 8, 8]])
     assert torch.equal(net(images, intrinsics).means, net(images, intrinsics).means) and net.head.training
+
+
+@torch.no_grad()
+def test_the_mean_with_a_network_that_has_more_attention_lies_between_both():
+    """Without weight the second network changes nothing; with all of it the mean is the second network."""
+    first, second = tiny_net(), with_attention(tiny_net(), [32])
+    for parameter in second.parameters():
+        parameter += 0.02 * torch.randn_like(parameter)
+    pictures = torch.rand(1, 4, 32, 32), torch.tensor([[40.0, 40.0, 16.0, 16.0]])
+    for weight, expected in ((0.0, first), (1.0, second)):
+        mean = average.average(copy.deepcopy(first), second, weight)
+        assert mean.config == second.config
+        torch.testing.assert_close(mean(*pictures).means, expected(*pictures).means)
 
 
 def test_two_checkpoints_have_a_mean(tmp_path, capsys):

@@ -24,6 +24,7 @@ from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.captures.colmap import ColmapModel, model_folder, read_model
 from lightfield_gs.io.captures.colmap_files import ColmapCamera
 from training.command import with_line_errors
+from training.data.text_model import joined_numbers, write_text_model
 
 LONGEST_PX, QUALITY = 564, 88
 
@@ -67,18 +68,11 @@ def _write_model(folder: Path, model: ColmapModel, sizes: dict[str, tuple[int, i
     images = [image for image in model.images if image.world_to_camera is not None and image.name in sizes]
     size_of = {image.camera: sizes[image.name] for image in images}
     cameras = [_camera_line(key, model.cameras[key], size) for key, size in sorted(size_of.items())]
-    poses = []
-    for number, image in enumerate(sorted(images, key=lambda image: image.name), 1):
-        pose = capture.world_to_camera[capture.names.index(image.name)]
-        place = _numbers([*to_quaternion(pose[:3, :3]), *pose[:3, 3]], 9)
-        poses.append(f"{number} {place} {image.camera} {_jpeg(image.name)}\n")  # and a line for its observations
-    points = [
-        f"{number} {_numbers(point, 6)} {' '.join(map(str, colour))} 0"
-        for number, (point, colour) in enumerate(zip(capture.points, capture.colours), 1)
+    poses = [
+        (_jpeg(image.name), capture.world_to_camera[capture.names.index(image.name)], image.camera)
+        for image in sorted(images, key=lambda image: image.name)
     ]
-    (folder / "cameras.txt").write_text("\n".join(["# number, model, width, height, parameters", *cameras, ""]))
-    (folder / "images.txt").write_text("\n".join(["# number, qw qx qy qz, tx ty tz, camera, name", *poses, ""]))
-    (folder / "points3D.txt").write_text("\n".join(["# number, x y z, r g b, error (not kept)", *points, ""]))
+    write_text_model(folder, cameras, poses, capture.points, capture.colours)
 
 
 def _camera_line(number: int, camera: ColmapCamera, size: tuple[int, int]) -> str:
@@ -88,34 +82,11 @@ def _camera_line(number: int, camera: ColmapCamera, size: tuple[int, int]) -> st
     if COLMAP_MODELS[camera.model].focal_lengths == 1:
         focal = np.array([math.sqrt(focal[0] * focal[1])])
     parameters = [*focal, *camera.intrinsics[2:] * ratio, *camera.coefficients]
-    return f"{number} {camera.model} {size[0]} {size[1]} {_numbers(parameters, 10)}"
-
-
-def to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Return the unit quaternion [4] of a rotation [3,3], w, x, y, z with w >= 0.
-
-    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's entries. Source:
-    Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", 2000.
-    """
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    matrix = np.array(
-        [
-            [a + e + i, h - f, c - g, d - b],
-            [h - f, a - e - i, b + d, c + g],
-            [c - g, b + d, e - a - i, f + h],
-            [d - b, c + g, f + h, i - a - e],
-        ]
-    )
-    quaternion = np.linalg.eigh(matrix)[1][:, 3]
-    return quaternion if quaternion[0] >= 0 else -quaternion
+    return f"{number} {camera.model} {size[0]} {size[1]} {joined_numbers(parameters, 10)}"
 
 
 def _jpeg(name: str) -> str:
     return PurePosixPath(name).with_suffix(".jpg").as_posix()
-
-
-def _numbers(values, digits: int) -> str:
-    return " ".join(f"{value:.{digits}g}" for value in values)
 
 
 @with_line_errors("training.data.reduce_capture")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import defaultdict
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,13 +109,16 @@ def _tensor(values: np.ndarray, device: torch.device | str) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values)).to(device)
 
 
-def read_meshes(folder: Path, split: str = "train", names: list[str] | None = None) -> Meshes:
+def read_meshes(
+    folder: Path, split: str = "train", names: list[str] | None = None, more: Sequence[dict[str, Any]] = ()
+) -> Meshes:
     """Return the objects of a split.
 
     Args:
         folder: Folder of packs with their index.
         split: Value of the index's column "split".
         names: Names of the wanted objects; None: all.
+        more: Further objects, of plain_mesh, which come last.
 
     Raises:
         InputError: the folder has no index or pack that can be read, or no such object.
@@ -128,8 +132,31 @@ def read_meshes(folder: Path, split: str = "train", names: list[str] | None = No
         for one in objects:
             one["rectangles"][:, 0] += np.where(one["rectangles"][:, 4] > 0, first, 0)
         first += len(texels)
-    nothing = np.zeros((1, 4), np.uint8)  # for materials without a texture in a folder without any
-    return _joined([one for objects, _ in packs for one in objects], np.concatenate([nothing, *(p[1] for p in packs)]))
+    return join_meshes([*(one for objects, _ in packs for one in objects), *more], [p[1] for p in packs])
+
+
+def plain_mesh(name: str, positions: np.ndarray, normals: np.ndarray, corners: np.ndarray) -> dict[str, Any]:
+    """Return the fields of Meshes of one object of one material without colours of its own.
+
+    Args:
+        name: Name of the object.
+        positions, normals: float32 [N,3].
+        corners: int32 [T,3].
+    """
+    return {
+        "names": name,
+        "positions": positions,
+        "normals": normals,
+        "uvs": np.zeros((len(positions), 2), np.float32),
+        "colours": np.full((len(positions), 3), 255, np.uint8),
+        "corners": corners,
+        "material_of": np.zeros(len(corners), np.int32),
+        "base_colours": np.ones((1, 3), np.float32),
+        "rectangles": np.zeros((1, 6), np.int32),
+        "cut": np.zeros(1, bool),
+        "supports": _supports(positions).T,
+        "grey": True,
+    }
 
 
 def _read_pack(path: Path, numbers: list[int]) -> tuple[list[dict[str, Any]], np.ndarray]:
@@ -266,7 +293,15 @@ def _supports(positions: np.ndarray) -> np.ndarray:
     return considered[(_DIRECTIONS @ considered.T).argmax(1)]
 
 
-def _joined(objects: list[dict[str, Any]], texels: np.ndarray) -> Meshes:
+def join_meshes(objects: Sequence[dict[str, Any]], texels: Sequence[np.ndarray] = ()) -> Meshes:
+    """Return Meshes of the fields of each object.
+
+    Args:
+        objects: Objects of packs, and of plain_mesh.
+        texels: [P,4] of each pack, from the second texel of all on.
+    """
+    nothing = np.zeros((1, 4), np.uint8)  # for materials without a texture
+
     def starts(name: str) -> np.ndarray:
         return np.cumsum([0, *(len(one[name]) for one in objects)])
 
@@ -276,7 +311,7 @@ def _joined(objects: list[dict[str, Any]], texels: np.ndarray) -> Meshes:
         vertices=starts("positions"),
         triangles=starts("corners"),
         materials=starts("base_colours"),
-        texels=texels,
+        texels=np.concatenate([nothing, *texels]),
         supports=np.stack([one["supports"] for one in objects]),
         grey=np.array([one["grey"] for one in objects]),
         **{name: np.concatenate([one[name] for one in objects]) for name in joined},

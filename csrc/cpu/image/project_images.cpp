@@ -69,14 +69,8 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
         // From the splat to the Gaussian and the camera
         const Shape<double> shape = load_shape<double>(scene, i);
         Shape<double>& g = over_views[i - begin];
-        const Projection<double> projection(camera, shape);
-        Splat<double> g_splat = g_intersection.splat();
-        if (camera.compensated()) {
-          const Compensation<double> g_compensation = projection.compensate_backward(camera, g_splat);
-          projection.backward<true>(camera, shape, g_splat, g, g_camera, g_compensation);
-        } else {
-          projection.backward(camera, shape, g_splat, g, g_camera);
-        }
+        const Splat<double>& g_splat = g_intersection.splat();
+        projected_backward(camera, shape, g_splat, g, g_camera);
 
         if (place) place[0] = saturated<T>(g_splat.u0), place[1] = saturated<T>(g_splat.v0);
         for (int k = 2; place && k < screen_numbers; ++k) place[k] = saturated<T>(g_intersection.absolute()[k - 2]);

@@ -6,6 +6,8 @@
 //
 // Harmonics are four fifths of the bytes read and written. A thread's own lie far from its neighbours', so each warp
 // moves the harmonics of its 32 Gaussians together, through shared memory.
+#include <type_traits>
+
 #include "cuda/common/blend.cuh"
 #include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
@@ -80,28 +82,43 @@ struct Gradients {
 };
 
 // Return `so_far` plus the gradients of the projection of Gaussian `i` of a scene into an image. They are computed in
-// double and then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything
-// once more, and gradients go in and out by value: addresses would force them into memory for ordinary splats too.
-template <bool kCompensated>
+// double and then rounded. It is not inlined, since it is rarely called and takes many registers; kCurved is for
+// cameras that are no pinholes, so that these take none from the others. It reads everything once more, and gradients
+// go in and out by value: addresses would force them into memory for ordinary splats too.
+template <bool kCompensated, bool kCurved>
 __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const float>& gaussians,
                                                       const Cameras<float>& cameras, const AllSums& sums, int64_t image,
                                                       int64_t i, Gradients so_far) {
   const int64_t n = gaussians.count;
-  const Camera<float> camera = cameras.camera<float>(image);
   const Shape<float> shape = load_shape<float>(gaussians.slice(image / cameras.per_scene * n), i);
   const Camera<double> exact = cameras.camera<double>(image);
   const Shape<double> wide = widened(shape);
-  Splat<double> gradient = splat_gradient<double>(projected<kCompensated>(cameras, image, camera, shape),
-                                                  SplatSums::of(sums, image * n + i), so_far.colour);
+  using Projected = std::conditional_t<kCurved, CurvedProjection<double>, Projection<double>>;
+  const Projected projection(exact, wide);
+
+  // The gradient of the splat, which is computed once more as it was drawn
+  Splat<float> splat;
+  if constexpr (kCurved) {
+    splat = splat_cast<float>(projection.splat(exact, wide.opacity));
+  } else if constexpr (kCompensated) {
+    Compensation<float> of_one_camera;
+    splat = compensated_splat(exact, shape, of_one_camera);
+  } else {
+    splat = projected<false>(cameras, image, cameras.camera<float>(image), shape);
+  }
+  Splat<double> gradient = splat_gradient<double>(splat, SplatSums::of(sums, image * n + i), so_far.colour);
   so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   CameraGradient<double> of_camera;
 
   // The backward pass, in double
-  const Projection<double> projection(exact, wide);
-  Compensation<double> g_D{};
-  if (kCompensated) g_D = projection.compensate_backward(exact, gradient);
-  projection.backward<kCompensated>(exact, wide, gradient, sum, of_camera, g_D);
+  if constexpr (kCurved) {
+    projection.backward(exact, wide, gradient, sum, of_camera);
+  } else {
+    Compensation<double> g_D{};
+    if (kCompensated) g_D = projection.compensate_backward(exact, gradient);
+    projection.template backward<kCompensated>(exact, wide, gradient, sum, of_camera, g_D);
+  }
 
   // Add it to the gradients of other cameras
   Shape<float>& g = so_far.shape;
@@ -248,10 +265,10 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
 }
 
 // Write all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
-// leave, or four without the gradients of cameras (kCameras). Needles, and all compensated splats (see
-// compensated_splat()), go through with_exact_backward() instead. kOneCamera: there is one camera a scene, so that the
-// gradients of harmonics can overwrite the harmonics.
-template <bool kCompensated, bool kOneCamera, bool kCameras>
+// leave, or four without the gradients of cameras (kCameras). Needles go through with_exact_backward() instead, and
+// with kExact (see Cameras::exact) all do. kOneCamera: there is one camera a scene, so that the gradients of harmonics
+// can overwrite the harmonics.
+template <bool kExact, bool kOneCamera, bool kCameras>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     project_images_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
                                    const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
@@ -288,8 +305,10 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     if (of_splat.any()) {
       const Projection<float> projection(camera, shape);
       const Splat<float> splat = projection.splat(camera, shape.opacity);
-      if (kCompensated || is_needle(splat)) {
-        g = with_exact_backward<kCompensated>(gaussians, cameras, sums, image, i, g);
+      if (kExact || is_needle(splat)) {
+        g = kExact && cameras.model != CameraModel::kPinhole
+                ? with_exact_backward<false, true>(gaussians, cameras, sums, image, i, g)
+                : with_exact_backward<kExact, false>(gaussians, cameras, sums, image, i, g);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, of_splat, g.colour);
         projection.backward(camera, shape, g_splat, g.shape, g.camera);
@@ -317,13 +336,13 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
 
 using Kernel = decltype(&project_images_backward_kernel<false, true, false>);
 
-template <bool kCompensated>
+template <bool kExact>
 Kernel select_kernel(bool one_camera, bool cameras) {
   if (one_camera)
-    return cameras ? project_images_backward_kernel<kCompensated, true, true>
-                   : project_images_backward_kernel<kCompensated, true, false>;
-  return cameras ? project_images_backward_kernel<kCompensated, false, true>
-                 : project_images_backward_kernel<kCompensated, false, false>;
+    return cameras ? project_images_backward_kernel<kExact, true, true>
+                   : project_images_backward_kernel<kExact, true, false>;
+  return cameras ? project_images_backward_kernel<kExact, false, true>
+                 : project_images_backward_kernel<kExact, false, false>;
 }
 
 }  // namespace
@@ -337,7 +356,7 @@ void project_images_backward(const Gaussians<const float>& gaussians, const Came
   const dim3 blocks(unsigned(camera_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
   const auto kernel =
-      cameras.compensated() ? select_kernel<true>(one, camera_partials) : select_kernel<false>(one, camera_partials);
+      cameras.exact() ? select_kernel<true>(one, camera_partials) : select_kernel<false>(one, camera_partials);
   const size_t bytes = size_t(one ? 1 : 2) * kThreads * HarmonicRows::padded(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
         "project_images_backward: shared memory");

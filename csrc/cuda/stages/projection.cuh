@@ -2,7 +2,7 @@
 // rather than keep all splats.
 #pragma once
 
-#include "math/projection.h"
+#include "math/curved_projection.h"
 #include "stages/stages.h"
 
 namespace lfgs::cuda {
@@ -32,13 +32,13 @@ __device__ inline float log2_compensation(const Compensation<float>& c, float s,
   return 0.5f * log2f(unfiltered(c, s) / S);
 }
 
-// The splat of a Gaussian in an image, `camera` its camera. It is in float, but in double where it is compensated.
-template <bool kCompensated>
+// The splat of a Gaussian in an image, `camera` its camera. kExact: it is in double, see Cameras::exact; else in float.
+template <bool kExact>
 __device__ Splat<float> projected(const Cameras<float>& cameras, int64_t image, const Camera<float>& camera,
                                   const Shape<float>& shape) {
-  if constexpr (kCompensated) {
-    Compensation<float> of_one_camera;  // not needed: with one camera it is in the opacity
-    return compensated_splat(cameras.camera<double>(image), shape, of_one_camera);
+  if constexpr (kExact) {
+    Compensation<double> of_one_camera;  // not needed: with one camera it is in the opacity
+    return splat_cast<float>(lfgs::projected(cameras.camera<double>(image), widened(shape), of_one_camera));
   } else {
     return Projection<float>(camera, shape).splat(camera, shape.opacity);
   }

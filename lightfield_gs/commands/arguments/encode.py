@@ -9,6 +9,7 @@ from lightfield_gs.commands.options.groups import in_group
 from lightfield_gs.commands.options.messages import add_quiet, add_stats
 from lightfield_gs.commands.options.panel import add_drawing_device, add_encoding
 from lightfield_gs.commands.options.parser import Parser
+from lightfield_gs.commands.options.scene import SAVED_FORMATS, SCENE_FORMATS, SCENES
 from lightfield_gs.commands.options.stereo import add_stereo
 
 
@@ -30,10 +31,9 @@ def add_arguments(parser: Parser) -> None:
         "input",
         type=Path,
         metavar="INPUT",
-        short="a photo; a scene: .ply .spz .sog .splat .ksplat",
+        short=f"a photo; {SCENES}",
         help="a photo of an object (RGBA, or RGB with a plain background, --mask "
-        "or --remove-background), a photo of a scene with --depth, or a file of Gaussians (.ply, "
-        ".spz, .sog or its folder, .splat, .ksplat)",
+        f"or --remove-background), a photo of a scene with --depth, or a file of Gaussians ({SCENE_FORMATS})",
     )
     add(
         "-o",
@@ -50,8 +50,8 @@ def add_arguments(parser: Parser) -> None:
         "--save-gaussians",
         type=Path,
         metavar="SCENE",
-        help="write the scene as .ply, .spz or .splat; a .ply also has the framing, so that its encoding gives "
-        "the same picture",
+        help=f"write the scene as {SAVED_FORMATS}; a .ply, .glb or .usd also has the framing, so that its encoding "
+        "gives the same picture",
     )
     add(
         "--preview",

@@ -9,6 +9,7 @@ from lightfield_gs.commands.options.fit import add_capture, add_cone, add_optimi
 from lightfield_gs.commands.options.groups import in_group
 from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.parser import Parser
+from lightfield_gs.commands.options.scene import SAVED_FORMATS
 
 
 def add_arguments(parser: Parser) -> None:
@@ -20,7 +21,7 @@ def add_arguments(parser: Parser) -> None:
         "machine give the same file."
     )
     parser.text.examples = (
-        ("fit photos -o scene.ply --sfm --cone 27", "photographs alone"),
+        ("fit photos -o scene.ply --sfm --cone 27", "photographs alone, or a film"),
         ("fit capture -o scene.ply", "a capture with cameras"),
     )
     add = in_group(parser.add_argument, groups.OWN)
@@ -30,7 +31,8 @@ def add_arguments(parser: Parser) -> None:
         metavar="CAPTURE",
         short="a folder with COLMAP's sparse/0 or transforms.json",
         help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; a .json of this kind with "
-        "another name; an export of Polycam or Record3D; with --sfm, a folder of photographs alone",
+        "another name; an export of Polycam, Record3D or NeRFCapture; with --sfm, a folder of photographs alone, or "
+        "a film",
     )
     add(
         "-o",
@@ -38,8 +40,8 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         required=True,
         metavar="SCENE",
-        short="the scene: .ply, .spz or .splat",
-        help="the scene: .ply, .spz or .splat",
+        short="the scene: .ply, .glb, .usd, .spz or .splat",
+        help=f"the scene: {SAVED_FORMATS}",
     )
     add_capture(add)
     add_optimisation(add)

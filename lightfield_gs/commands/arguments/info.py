@@ -8,7 +8,7 @@ from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group, rarely
 from lightfield_gs.commands.options.panel import add_device_serial, add_up
 from lightfield_gs.commands.options.parser import Parser
-from lightfield_gs.commands.options.scene import add_reading
+from lightfield_gs.commands.options.scene import SCENE_FORMATS, add_reading
 
 
 def add_arguments(parser: Parser) -> None:
@@ -28,7 +28,7 @@ def add_arguments(parser: Parser) -> None:
         nargs="?",
         metavar="FILE",
         short="a scene, a picture, a .yaml, visual.json, a display",
-        help="a file of Gaussians (.ply, .spz, .sog or its folder, .splat, .ksplat), an image, a panel or "
+        help=f"a file of Gaussians ({SCENE_FORMATS}), an image, a panel or "
         "rig (.yaml, visual.json, panel name) or a .safetensors file",
     )
     add(

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from lightfield_gs.base.options import DEVICES
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import in_group
-from lightfield_gs.commands.options.messages import add_messages
-from lightfield_gs.commands.options.panel import add_camera, add_filters, add_look, add_panel
 from lightfield_gs.commands.options.parser import Parser, within
-from lightfield_gs.commands.options.scene import add_reading
+from lightfield_gs.commands.options.smaller import add_drawing, add_scenes
 
 
 def add_arguments(parser: Parser) -> None:
@@ -24,23 +19,7 @@ def add_arguments(parser: Parser) -> None:
         ("prune scene.ply -o small.spz --panel 27", "for a Looking Glass 27"),
     )
     add = in_group(parser.add_argument, groups.OWN)
-    add(
-        "input",
-        type=Path,
-        metavar="INPUT",
-        short="a scene: .ply .spz .sog .splat .ksplat",
-        help="a file of Gaussians: .ply, .spz, .sog, .splat, .ksplat",
-    )
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="SCENE",
-        short="the smaller scene: .ply, .spz or .splat",
-        help="the pruned scene: .ply, .spz or .splat",
-    )
-    add_reading(add)
+    add_scenes(add)
     add(
         "--contribution-cut",
         type=within(0, 1),
@@ -49,15 +28,4 @@ def add_arguments(parser: Parser) -> None:
         short="0..1: allowed mean error (default 3e-4)",
         help="0..1, allowed mean error of colours in 0..1 (default 3e-4: 50 dB and more)",
     )
-    add_filters(add)
-    add_panel(add, "for framing, as `encode` takes it")
-    add_camera(add)
-    add_look(add)
-    add(
-        "--save-rig",
-        type=Path,
-        metavar="YAML",
-        help="write the rig of the unpruned scene; automatic framing of a pruned scene may differ",
-    )
-    add("--device", choices=DEVICES, default="auto", help="device that draws the scene (default auto)")
-    add_messages(add)
+    add_drawing(add)

@@ -36,9 +36,9 @@ def add_arguments(parser: Parser) -> None:
         "input",
         type=Path,
         metavar="INPUT",
-        short="a scene or a photo; a folder of photos; a video",
-        help="a scene or a photo, as `encode` takes it; or a sequence: a folder of photos or of RGB-D pictures, or a "
-        "video of either",
+        short="a scene or a photo; a folder of photos or scenes; a video",
+        help="a scene or a photo, as `encode` takes it; or a sequence: a folder of photos, of RGB-D pictures or of "
+        "numbered scenes, or a video of one of the first two",
     )
     add(
         "-o",

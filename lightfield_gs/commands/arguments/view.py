@@ -10,6 +10,7 @@ from lightfield_gs.commands.options.parser import Parser
 from lightfield_gs.commands.options.scene import add_input, add_scene
 from lightfield_gs.commands.options.serving import add_serving
 from lightfield_gs.commands.options.stereo import add_stereo
+from lightfield_gs.commands.options.video import add_fps
 
 
 def add_arguments(parser: Parser) -> None:
@@ -23,10 +24,16 @@ def add_arguments(parser: Parser) -> None:
         ("view photo.jpg", "for the connected display"),
         ("view scene.ply --panel 27", "for a Looking Glass 27"),
         ("view holidays", "all photos and scenes of a folder"),
+        ("view dance --fps 24", "numbered scenes as a film"),
         ("view photo.jpg --stereo half-sbs", "for a 3D television"),
     )
     add = in_group(parser.add_argument, groups.OWN)
-    add_input(add, "a photo, a scene, or a folder of them", "; or a folder of such, of which the page opens each")
+    add_input(
+        add,
+        "a photo, a scene, or a folder of them",
+        "; or a folder of such, of which the page opens each, or of numbered scenes, which it plays",
+    )
+    add_fps(add, "numbered scenes a second (default 30)")
     add_stereo(add)
     add_panel(add, "for framing, and for the eye on the page")
     add_camera(add)

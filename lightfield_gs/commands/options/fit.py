@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DENSITIES, DEVICES, MASKS, Density, Device, Masks, TestEvery
+from lightfield_gs.base.options import (
+    DENSITIES,
+    DEVICES,
+    MASKS,
+    POSE_MODEL,
+    POSED_FRAMES,
+    Density,
+    Device,
+    Masks,
+    TestEvery,
+)
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import Add, in_group
 from lightfield_gs.commands.options.parser import background, whole, within
@@ -22,7 +32,7 @@ class CaptureOptions:
     """The photographs of a scene.
 
     Attributes:
-        input: the capture, or with sfm a folder of photographs.
+        input: the capture, or with sfm a folder of photographs or a film.
         images: folder of the photographs.
         mask_folder: folder of their masks.
         scale: factor of their width.
@@ -30,6 +40,10 @@ class CaptureOptions:
         test_every: number of photographs of which the middle one is held out.
         test_list: file with the names of the held-out photographs.
         sfm: whether pycolmap finds the cameras.
+        frames: of a film, at most, for sfm; None: POSED_FRAMES.
+        keep_blurred: whether sfm takes blurred photographs too.
+        mask_people: whether sfm leaves people out.
+        pose_model: network that poses where sfm fails.
     """
 
     input: Path
@@ -40,6 +54,10 @@ class CaptureOptions:
     test_every: TestEvery = "own"
     test_list: Path | None = None
     sfm: bool = False
+    frames: int | None = None
+    keep_blurred: bool = False
+    mask_people: bool = False
+    pose_model: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +200,7 @@ def add_capture(add: Add) -> None:
         instead_of="size",
         type=whole(16, 1 << 20),
         metavar="PIXELS",
-        help="shrink photographs whose longer side has more pixels",
+        help="shrink photographs whose longer side has more pixels (default: as far as the memory takes them)",
     )
     add(
         "--test-every",
@@ -203,9 +221,33 @@ def add_capture(add: Add) -> None:
     add(
         "--sfm",
         action="store_true",
-        short="CAPTURE has photographs alone: find their cameras",
-        help="CAPTURE is a folder of photographs with unknown cameras. pycolmap finds them first (pip install "
-        "'lightfield-gs[sfm]'), and stores them in the folder of the run",
+        short="CAPTURE is photographs or a film: find the cameras",
+        help="CAPTURE is a folder of photographs, or a film, with unknown cameras. pycolmap finds them first (pip "
+        "install 'lightfield-gs[sfm,video]'), and stores them in the folder of the run",
+    )
+    add(
+        "--frames",
+        type=whole(3, 10_000),
+        metavar="N",
+        help=f"with --sfm, frames of a film or a burst at most: the sharpest of each step of parallax (default "
+        f"{POSED_FRAMES})",
+    )
+    add(
+        "--keep-blurred",
+        action="store_true",
+        help="with --sfm, take blurred photographs and frames too (default: they are left out)",
+    )
+    add(
+        "--mask-people",
+        action="store_true",
+        help="with --sfm, leave people who walk by out of the photographs, by rembg (pip install "
+        "'lightfield-gs[photo]')",
+    )
+    add(
+        "--pose-model",
+        metavar="NAME",
+        help=f"with --sfm, a network that poses photographs where COLMAP poses fewer than half: {POSE_MODEL}, "
+        "DA3-SMALL, DA3-LARGE, DA3-GIANT, or a folder of its files (pip install 'lightfield-gs[poses]')",
     )
 
 

@@ -17,9 +17,14 @@ from lightfield_gs.base.options import (
 )
 from lightfield_gs.commands.options import groups
 from lightfield_gs.commands.options.groups import Add, in_group
-from lightfield_gs.commands.options.parser import numbers, within
+from lightfield_gs.commands.options.parser import numbers, whole, within
 
+# Formats in help, short and in full
+SCENES = "a scene: .ply .glb .usd .spz .sog .splat"
+SCENE_FORMATS = ".ply, .glb, .gltf, .usd*, .spz, .sog or its folder, .splat, .ksplat"
+SAVED_FORMATS = ".ply, .glb, .gltf, .usd*, .spz or .splat"
 _time = within(-1e6, 1e6)
+_lod = whole(0, 9999)
 _depth_range = numbers(2)
 _pixel_aspect = within(0.1, 10)
 _intrinsics = numbers(4)
@@ -83,6 +88,13 @@ def add_reading(add: Add) -> None:
         metavar="T",
         help="time at which moving Gaussians (Spacetime Gaussians) are drawn, mostly 0..1 of their film "
         "(default: the middle; a note states it)",
+    )
+    add(
+        "--lod",
+        type=_lod,
+        metavar="N",
+        help="level of detail of a streamed SOG, 0 being the finest (default: the finest that fits half of the free "
+        "memory; a note states it)",
     )
 
 

@@ -27,6 +27,17 @@ if TYPE_CHECKING:
 _MOST_SECONDS = 1e5
 
 
+def add_fps(add: Add, short: str = "frames a second (default 30)") -> None:
+    """Add the frames a second of a film."""
+    add(
+        "--fps",
+        type=_rate,
+        metavar="RATE",
+        short=short,
+        help="frames a second, 1..1000, for example 30 or 30000/1001 (default 30)",
+    )
+
+
 def add_motion(add: Add) -> None:
     """Add the options of the cameras' motion and of the number of frames."""
     add = in_group(add, groups.MOTION)
@@ -58,13 +69,7 @@ def add_motion(add: Add) -> None:
         action="store_true",
         help="of a sequence: frame each picture by itself (default: all like the first, so that nothing jumps)",
     )
-    add(
-        "--fps",
-        type=_rate,
-        metavar="RATE",
-        short="frames a second (default 30)",
-        help="frames a second, 1..1000, for example 30 or 30000/1001 (default 30)",
-    )
+    add_fps(add)
     add(
         "--frames",
         type=whole(1, MOST_FRAMES),

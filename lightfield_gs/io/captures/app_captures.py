@@ -2,11 +2,12 @@
 
 Source: github.com/PolyCam/polyform (README, "Camera Poses"). keyframes/corrected_cameras and corrected_images hold the
 refined poses; cameras and images hold the phone's own tracking. t_00 to t_23 are camera to world, 3 rows of 4, OpenGL
-axes.
+axes. depth has millimetres in 16 bits, confidence 255 where a depth is sure. corrected_images have a black border,
+which undistortion left.
 
 Source: github.com/marek-simonik/record3d and nerfstudio's process_data/record3d_utils.py. metadata.json holds w, h, K
 (9 numbers, column by column) and perFrameIntrinsicCoeffs (fx, fy, cx, cy). poses are a quaternion x, y, z, w and a
-position, camera to world, OpenGL axes. The photographs are rgb/0.jpg and so on.
+position, camera to world, OpenGL axes. The photographs are rgb/0.jpg and so on, depth/0.exr the depths in metres.
 
 camera_files.py describes cameras.json.
 """
@@ -14,8 +15,8 @@ camera_files.py describes cameras.json.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.captures.camera_files import read_inria
-from lightfield_gs.io.captures.photo_files import find_photographs, first_names
+from lightfield_gs.io.captures.depth_points import DepthFile, depth_points
+from lightfield_gs.io.captures.photo_files import PhotoFiles, find_photographs, first_names
 from lightfield_gs.io.captures.photograph import PosedCapture, PosedPhotograph, readable_files
 from lightfield_gs.io.captures.pinhole import TO_OPENCV, check_intrinsics, check_pose, nearest_rotation, pose_matrix
 from lightfield_gs.io.captures.point_files import find_points
@@ -32,6 +34,7 @@ from lightfield_gs.io.text_files import read_json, read_object
 
 _LIMIT_BYTES = 256 << 20
 _POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
+_BORDER_PX = 15  # of Polycam's corrected images, as nerfstudio crops them
 _KEYS = ("fx", "fy", "cx", "cy")
 _IMAGES = ("images", "input", "")
 
@@ -71,10 +74,11 @@ def read_app_capture(folder: Path, images: Path | None) -> PosedCapture | None:
         for cameras, pictures in _POLYCAM if folder.is_dir() else ():
             if (files := _json_files(keyframes / cameras)) and (keyframes / pictures).is_dir():
                 found = [_read_polycam(path) for path in files]
-                return _posed_capture(keyframes / cameras, found, [images or keyframes / pictures], [root])
+                capture = _posed_capture(keyframes / cameras, found, [images or keyframes / pictures], [root])
+                return _with_depths(_without_border(capture), keyframes / "depth", 1e-3, keyframes / "confidence")
     if (path := _find_json(folder, "metadata.json")) and "poses" in (data := _object(path)):
         folders = [images] if images else [root / "rgb", root / "rgbd", root]
-        return _posed_capture(path, _record3d_cameras(path, data), folders, [root])
+        return _with_depths(_posed_capture(path, _record3d_cameras(path, data), folders, [root]), root / "depth", 1.0)
     if path := _find_json(folder, "cameras.json"):
         return _posed_capture(
             path, _inria_cameras(path), [images] if images else [root / name for name in _IMAGES], [root]
@@ -119,6 +123,31 @@ def _posed_capture(
         if camera.name in files
     ]
     return PosedCapture(source, found.folder, posed, *find_points(None, roots))
+
+
+def _without_border(capture: PosedCapture) -> PosedCapture:
+    """Leave the border of Polycam's corrected images out, with a note."""
+    if capture.images.name != _POLYCAM[0][1]:
+        return capture
+    assume(f"{_BORDER_PX} pixels at each edge of {capture.images} do not count: Polycam's undistortion leaves black")
+    return replace(capture, photographs=[replace(one, border_px=_BORDER_PX) for one in capture.photographs])
+
+
+def _with_depths(capture: PosedCapture, depths: Path, unit: float, confidences: Path | None = None) -> PosedCapture:
+    """Add points by depth maps in a folder, which are named as the photographs, where there are no others."""
+    if len(capture.points):
+        return capture
+    maps, sure = (_images_by_stem(folder) for folder in (depths, confidences))
+    stems = {one.name: PurePosixPath(one.name).stem for one in capture.photographs}
+    files = {name: DepthFile(maps[stem], unit, sure.get(stem)) for name, stem in stems.items() if stem in maps}
+    points, colours = depth_points(capture.photographs, files)
+    return replace(capture, points=points, colours=colours)
+
+
+def _images_by_stem(folder: Path | None) -> dict[str, Path]:
+    if folder is None or not folder.is_dir():
+        return {}
+    return {path.stem: path for path in PhotoFiles(folder, (".exr",)).paths.values()}
 
 
 def _read_polycam(path: Path) -> _AppCamera:

@@ -20,6 +20,7 @@ import numpy as np
 from lightfield_gs.base.checks import real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import BROWN_COEFFICIENTS
+from lightfield_gs.io.captures.dataparser import find_dataparser_transform
 from lightfield_gs.io.captures.pinhole import (
     PINHOLE_MODELS,
     TO_OPENCV,
@@ -162,7 +163,9 @@ def _transforms(path: str | Path, data: dict[str, Any]) -> list[FileCamera]:
     images = _ImageSizes(Path(path).parent)
     found = [_frame(f"{path}: frames[{index}]", {**data, **frame}, images) for index, frame in enumerate(frames)]
     note_scales(path, [scale for _, scale in found])
-    return [camera for camera, _ in found]
+    if (moved := find_dataparser_transform(Path(path))) is None:
+        return [camera for camera, _ in found]
+    return [replace(camera, world_to_camera=moved.pose(camera.world_to_camera)) for camera, _ in found]
 
 
 def _frame(where: str, fields: dict[str, Any], images: _ImageSizes) -> tuple[FileCamera, float]:

@@ -60,8 +60,9 @@ class CameraModel:
         number: its id in binary files.
         focal_lengths: how many focal lengths precede the principal point, 1 or 2.
         coefficients: names of the distortion coefficients after the principal point.
-        formula: maps points to distorted points; None: a pinhole.
-        fisheye: whether it distorts with all coefficients zero.
+        formula: maps points to distorted points; None: a pinhole. Of a fisheye its points are flat: their radius is the
+            angle from the axis in radians, not its tangent, so that they may lie beyond 90 degrees.
+        fisheye: whether the model is one.
     """
 
     number: int
@@ -102,24 +103,22 @@ def _rational(
     return points * quotient + distort_brown(points, np.array([0, 0, 0, 0, p1, p2])) - points
 
 
-def _fisheye(points: np.ndarray, *k: float) -> np.ndarray:
-    return distort_brown(_flattened(points), np.array([*k, *[0.0] * (6 - len(k))]))
+def _fisheye(flat: np.ndarray, *k: float) -> np.ndarray:
+    return distort_brown(flat, np.array([*k, *[0.0] * (6 - len(k))]))
 
 
 def _thin_prism(
-    points: np.ndarray, k1: float, k2: float, p1: float, p2: float, k3: float, k4: float, sx1: float, sy1: float
+    flat: np.ndarray, k1: float, k2: float, p1: float, p2: float, k3: float, k4: float, sx1: float, sy1: float
 ) -> np.ndarray:
-    flat = _flattened(points)
     return distort_brown(flat, np.array([k1, k2, k3, k4, p1, p2])) + _squared(flat) * (sx1, sy1)
 
 
-def _rad_tan_thin_prism(points: np.ndarray, *coefficients: float) -> np.ndarray:
+def _rad_tan_thin_prism(flat: np.ndarray, *coefficients: float) -> np.ndarray:
     """Distort by x_r = x (1 + k0 t^2 + ... + k5 t^12) of the fisheye's x, then by a tangential and a thin-prism term.
 
     The result is x_r + 2 x_r (p . x_r) + p r^2 + s0 r^2 + s1 r^4.
     """
     k, p, s = coefficients[:6], np.array(coefficients[6:8]), np.array(coefficients[8:]).reshape(2, 2)
-    flat = _flattened(points)
     t2 = _squared(flat)
     radial = flat * (1 + sum(factor * t2 ** (power + 1) for power, factor in enumerate(k)))
     r2 = _squared(radial)
@@ -187,6 +186,11 @@ class Distortion:
         Returns:
             Distorted points, [...,2] float64, in units of the focal lengths; NaN where no such lens shows them.
         """
+        points = np.asarray(points, np.float64)
+        return self.distort_flat(_flattened(points) if self.fisheye else points)
+
+    def distort_flat(self, points: np.ndarray) -> np.ndarray:
+        """Distort points that are flat if this is a fisheye, see CameraModel. Returns as distort does."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.formula(np.asarray(points, np.float64), *self.coefficients)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, real_number, whole_number
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.base.options import TestEvery
+from lightfield_gs.base.options import CameraModel, TestEvery
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.captures.app_captures import read_app_capture
 from lightfield_gs.io.captures.camera_models import Distortion
@@ -21,11 +21,12 @@ from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.captures.photograph import Photograph, PosedCapture, PosedPhotograph
 from lightfield_gs.io.captures.transforms import has_frames, read_transforms_capture, transforms_file
 from lightfield_gs.io.captures.undistortion import LARGEST_FOLDED_FRACTION, folded_fraction
+from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import read_info
 
 EVERY = 8  # one in EVERY photographs is held out by default
 _SAME_POSITION = 1e-12  # of the distance from the origin: closer centres differ by rounding
-_SMALLEST_PX = 16  # least longest_px
+SMALLEST_PX = 16  # least longest_px
 _ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\xfd7zXZ", b"BZh")
 _TAR = 257, b"ustar"
 _FARTHEST = 1e4  # times the points' median distance from their median: beyond, structure from motion is unreliable
@@ -49,6 +50,8 @@ class Capture:
         photographs: C, the files of images and masks.
         held_out: names of the photographs that the capture itself holds out for tests.
         held_by: the file or field that holds them out.
+        is_whole: whether the photographs have the size of their files, because nobody chose another.
+        model: of all cameras, as in scene.Cameras; fisheyes are equidistant, equirectangular images are half rounds.
     """
 
     folder: Path
@@ -61,6 +64,8 @@ class Capture:
     photographs: list[Photograph]
     held_out: tuple[str, ...] = ()
     held_by: str = ""
+    is_whole: bool = False
+    model: CameraModel = "pinhole"
 
     def image(self, index: int) -> np.ndarray:
         """Decode a photograph: uint8 [H,W,3], sRGB, undistorted and reduced. Raises InputError."""
@@ -91,6 +96,16 @@ class Capture:
     def extent(self) -> float:
         """The length that steps of positions are measured by, scene units, > 0. See scene_extent."""
         return scene_extent(self.centres, self.points)
+
+    def reduced(self, longest_px: int) -> Capture:
+        """Return the capture with photographs whose longer side has `longest_px` at most, >= 16."""
+        photographs = [
+            replace(photograph, size_px=_reduced_size(photograph.size_px, 1.0, longest_px))
+            for photograph in self.photographs
+        ]
+        sizes = np.array([photograph.size_px for photograph in photographs])
+        intrinsics = self.intrinsics * np.tile(sizes / self.sizes_px, 2)
+        return replace(self, photographs=photographs, sizes_px=sizes, intrinsics=intrinsics, is_whole=False)
 
     def split(self, test_every: TestEvery = "own", names: list[str] | None = None) -> tuple[list[int], list[int]]:
         """Split the photographs into photographs to fit to and held-out photographs.
@@ -174,8 +189,9 @@ def read_capture(
     folder = checked_path(folder)
     if scale is not None and longest_px is not None:
         raise InputError("expected scale or longest_px, got both")
+    is_whole = scale is None and longest_px is None
     scale = 1.0 if scale is None else real_number("scale", scale, 1e-3, 1)
-    longest = None if longest_px is None else whole_number("longest_px", longest_px, _SMALLEST_PX, 1 << 20)
+    longest = None if longest_px is None else whole_number("longest_px", longest_px, SMALLEST_PX, 1 << 20)
     root = folder.parent if folder.is_file() else folder
     masks_at = None if masks is None else folder_in("masks", root, masks)
     layout = _read_layout(folder, None if images is None else folder_in("images", root, images), masks_at)
@@ -198,6 +214,8 @@ def read_capture(
         photographs,
         layout.held_out,
         layout.held_by,
+        is_whole,
+        photographs[0].model,
     )
 
 
@@ -258,6 +276,8 @@ def _explain_file(file: Path) -> str:
         start = opened.read(512)
     if start.startswith(_ARCHIVES) or start[_TAR[0] :].startswith(_TAR[1]):
         return "is an archive: unpack it, and give the folder that comes out of it"
+    if file.suffix.lower() in VIDEO_INPUTS:
+        return "is a film without cameras: sfm=True chooses frames and finds their cameras"
     if file.stem in ("images", "cameras", "points3D", "frames", "rigs"):
         return f"is one file of a COLMAP model: give the folder {file.parent}"
     return (
@@ -297,20 +317,47 @@ def _photographs(
     alphas = [info.has_alpha for info in infos]
     mask_paths = find_capture_masks(layout, posed, folder, masks, alphas)
     photographs, checked = [], set()
+    model = _common_model(layout, posed)
     for photograph, info, mask, alpha in zip(posed, infos, mask_paths, alphas):
-        stored = info.width_px, info.height_px
+        stored = info.width_px // (1 if photograph.half is None else 2), info.height_px
         _check_aspect(photograph, stored, info.orientation)
         ratio = np.array(stored) / photograph.camera_px
         intrinsics = tuple((photograph.intrinsics * np.tile(ratio, 2)).tolist())
         if photograph.distortion is not None and (key := (photograph.distortion, intrinsics, stored)) not in checked:
             checked.add(key)
-            _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored)
+            _check_distortion(photograph, photograph.distortion, np.array(intrinsics), stored, model == "fisheye")
         size = _reduced_size(stored, scale, longest_px)
         photographs.append(
-            Photograph(photograph.path, stored, size, intrinsics, photograph.distortion, mask, alpha, info.orientation)
+            Photograph(
+                photograph.path,
+                stored,
+                size,
+                intrinsics,
+                photograph.distortion,
+                mask,
+                alpha,
+                info.orientation,
+                photograph.border_px,
+                model,
+                photograph.half,
+            )
         )
     _note_resized(posed, photographs)
     return photographs
+
+
+def _common_model(layout: PosedCapture, posed: Sequence[PosedPhotograph]) -> CameraModel:
+    """Return the model that all photographs are drawn by. Raises InputError where halves of rounds meet others."""
+    halves = sum(photograph.half is not None for photograph in posed)
+    if 0 < halves < len(posed):
+        raise InputError(
+            f"{layout.source}: expected photographs of one kind, got {halves // 2} equirectangular ones among others: "
+            "put them into captures of their own"
+        )
+    if halves:
+        return "equirectangular"
+    fisheyes = all(photograph.distortion is not None and photograph.distortion.fisheye for photograph in posed)
+    return "fisheye" if fisheyes else "pinhole"
 
 
 def _usable_points(layout: PosedCapture) -> tuple[np.ndarray, np.ndarray]:
@@ -355,20 +402,20 @@ def _check_aspect(photograph: PosedPhotograph, stored: tuple[int, int], orientat
 
 
 def _check_distortion(
-    photograph: PosedPhotograph, distortion: Distortion, intrinsics: np.ndarray, stored: tuple[int, int]
+    photograph: PosedPhotograph, distortion: Distortion, intrinsics: np.ndarray, stored: tuple[int, int], fisheye: bool
 ) -> None:
-    """Raise InputError for a distortion that makes no image; note the visible angles of a fisheye."""
-    if (lost := folded_fraction(distortion, intrinsics, *stored)) > LARGEST_FOLDED_FRACTION:
+    """Raise InputError for a distortion that makes no image; note what is used of a fisheye among other lenses."""
+    if (lost := folded_fraction(distortion, intrinsics, *stored, fisheye)) > LARGEST_FOLDED_FRACTION:
         raise InputError(
             f"{photograph.path}: the lens {distortion.description} folds {lost:.0%} of the picture onto the rest: "
             "expected coefficients that straighten it; pose the photographs again with a simpler camera model"
         )
-    if distortion.fisheye:
+    if distortion.fisheye and not fisheye:
         before, after = intrinsics[2:] / intrinsics[:2], (stored - intrinsics[2:]) / intrinsics[:2]
         wide, high = np.degrees(np.arctan(before) + np.arctan(after))
         assume(
             f"fisheye photographs as {photograph.name} are seen as a pinhole of their focal length sees the scene, "
-            f"{wide:.0f} x {high:.0f} degrees; what they show beyond is not used"
+            f"{wide:.0f} x {high:.0f} degrees, as other photographs are by pinholes; what they show beyond is not used"
         )
 
 

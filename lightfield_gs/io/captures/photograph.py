@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from lightfield_gs.base.arrays import encode_srgb
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.base.options import CameraModel
 from lightfield_gs.io.captures.camera_models import Distortion
 from lightfield_gs.io.captures.photo_files import RAW_SUFFIXES, LocatedFiles, is_too_few
 from lightfield_gs.io.captures.undistortion import Undistortion, reduced, resampled, undistortion
@@ -21,6 +23,7 @@ _END_BYTES = 64  # inspected at the end of a file
 _ENDS = ((b"\xff\xd8\xff", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND"))
 _BOXES = b"ftyp"  # at byte 4 of HEIC and AVIF, whose boxes say how long they are
 _LINEAR_SUFFIXES = (".exr", ".hdr")
+Half = Literal["ahead", "behind"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,8 @@ class PosedPhotograph:
         camera_px: width and height.
         distortion: of the lens; None for a pinhole.
         mask: the file that the layout names, if it names one.
+        border_px: rows and columns at each edge of the file that show nothing.
+        half: of an equirectangular file, which has twice as many columns; see Photograph.
     """
 
     name: str
@@ -45,6 +50,8 @@ class PosedPhotograph:
     camera_px: tuple[int, int]
     distortion: Distortion | None = None
     mask: Path | None = None
+    border_px: int = 0
+    half: Half | None = None
 
 
 @dataclass(frozen=True)
@@ -76,13 +83,17 @@ class Photograph:
 
     Attributes:
         path: the file.
-        stored_px: width and height of the file.
+        stored_px: width and height of the file, or of the half of it.
         size_px: width and height of image() and mask().
         intrinsics: (fx, fy, cx, cy) in pixels of the file.
         distortion: of the lens; None for a pinhole.
         mask_path: an image that is white where the photograph counts.
         alpha: whether the file has an alpha channel.
         orientation: Exif orientation of the file, 1..8. Images are never turned by it.
+        border_px: rows and columns at each edge of the file that show nothing.
+        model: of the camera that undistorted images are by; a fisheye is an equidistant one.
+        half: the part of an equirectangular file of 360 degrees that the photograph is: within 90 degrees of the
+            middle to either side, or the rest. None: all of the file.
     """
 
     path: Path
@@ -93,6 +104,9 @@ class Photograph:
     mask_path: Path | None = None
     alpha: bool = False
     orientation: int = 1
+    border_px: int = 0
+    model: CameraModel = "pinhole"
+    half: Half | None = None
 
     def image(self) -> np.ndarray:
         """Decode the colours, uint8 [H,W,3], sRGB, undistorted and reduced.
@@ -120,16 +134,21 @@ class Photograph:
         """Return the mask's file and the alpha, undistorted."""
         parts = []
         if self.mask_path is not None:
-            parts.append(read_mask(self.mask_path, *self.stored_px, any_size=True))
+            parts.append(self._part(read_mask(self.mask_path, *self._file_px, any_size=True)))
         if self.alpha:
             parts.append(self._pixels()[..., 3])
         undistort = self._undistortion()
         return parts if undistort is None else [undistort(part) for part in parts]
 
     def _valid_areas(self) -> list[np.ndarray]:
-        """Return the area within the distorted photograph, unless that is all."""
+        """Return the area within the distorted photograph, and within its border, unless that is all."""
         undistort = self._undistortion()
-        return [] if undistort is None or undistort.valid_area is None else [undistort.valid_area]
+        areas = [] if undistort is None or undistort.valid_area is None else [undistort.valid_area]
+        if (border := self.border_px) > 0:
+            inside = np.zeros(self.stored_px[::-1], np.uint8)
+            inside[border:-border, border:-border] = 255
+            areas.append(inside if undistort is None else undistort(inside))
+        return areas
 
     def _minimum(self, parts: list[np.ndarray]) -> np.ndarray | None:
         """Return the least of masks [H,W] of the file's size, reduced; None where all is 255."""
@@ -139,13 +158,30 @@ class Photograph:
         return None if mask.min() == 255 else reduced(mask, *self.size_px)
 
     def _undistortion(self) -> Undistortion | None:
-        return None if self.distortion is None else undistortion(self.distortion, self.intrinsics, *self.stored_px)
+        fisheye = self.model == "fisheye"
+        if self.distortion is None or (fisheye and not any(self.distortion.coefficients)):
+            return None
+        return undistortion(self.distortion, self.intrinsics, *self.stored_px, fisheye)
+
+    @property
+    def _file_px(self) -> tuple[int, int]:
+        width, height = self.stored_px
+        return (width, height) if self.half is None else (2 * width, height)
+
+    def _part(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the part of a picture [H,W,...] of the file that the photograph is."""
+        if self.half is None:
+            return pixels
+        quarter = pixels.shape[1] // 4
+        first = quarter if self.half == "ahead" else 3 * quarter
+        return np.roll(pixels, -first, 1)[:, : 2 * quarter]
 
     def _pixels(self) -> np.ndarray:
         """Decode the file as stored, whatever its Exif: uint8 [H,W,3 or 4]. Poses refer to these pixels."""
         pixels = read_image(self.path, as_stored=True, turn=False)
-        if pixels.shape[1::-1] != self.stored_px:
-            raise InputError(f"{self.path}: was changed since it was found: expected {self.stored_px}")
+        if pixels.shape[1::-1] != self._file_px:
+            raise InputError(f"{self.path}: was changed since it was found: expected {self._file_px}")
+        pixels = self._part(pixels)
         if pixels.dtype == np.float32 and is_linear(self.path):
             pixels = _encode_srgb(pixels, self.alpha)
         if pixels.dtype == np.uint16:

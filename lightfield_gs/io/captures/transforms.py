@@ -6,9 +6,11 @@ transforms_train.json, transforms_val.json and transforms_test.json.
 
 The fields are as in objects.py, with these differences:
     camera_model: any of COLMAP's, with its coefficients by name; is_fisheye means OPENCV_FISHEYE. Cameras may differ.
+    EQUIRECTANGULAR, of 360 degrees, becomes two photographs: what lies ahead, and what lies behind.
     file_path: relative to the images folder or to one of its reduced copies. ply_file_path: points in the world of the
     poses. Without it, points are looked for beside the file. applied_transform: from COLMAP's world to the world of the
-    poses; it changes neither poses nor points.
+    poses; it changes neither poses nor points. depth_file_path (nerfstudio), depth_path (NeRFCapture): points where
+    there are no others.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ from lightfield_gs.io.captures.camera_models import (
     lens_distortion,
 )
 from lightfield_gs.io.captures.colmap import model_folder, read_model_points
+from lightfield_gs.io.captures.dataparser import find_dataparser_transform
+from lightfield_gs.io.captures.depth_points import DepthFile, depth_points
 from lightfield_gs.io.captures.photo_files import LocatedFiles, find_image, find_photographs, first_names
 from lightfield_gs.io.captures.photograph import PosedCapture, PosedPhotograph, readable_files
 from lightfield_gs.io.captures.pinhole import (
@@ -54,6 +58,10 @@ _LIMIT_BYTES = 256 << 20
 _WHOLE, _TRAIN = "transforms.json", "transforms_train.json"
 _TESTS = ("transforms_test.json", "transforms_val.json")  # the first that there is holds out
 _TRAIN_KEY, _TEST_KEYS = "train_filenames", ("val_filenames", "test_filenames")
+# Fields of a depth map, and of its unit: nerfstudio's, and those of NeRFCapture and instant-ngp
+_DEPTHS = {"depth_file_path": "", "depth_path": "integer_depth_scale"}
+_DEPTH_UNIT = 1e-3  # where the file tells none: millimetres
+_ALL_ROUND = "EQUIRECTANGULAR"  # the camera_model of nerfstudio
 _ANGLES_DIFFER = 0.02  # relative tolerance of an angle of view; distortion and rounding make less
 _FURTHER = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")  # fields of lenses outside PINHOLE_MODELS
 
@@ -260,14 +268,28 @@ def read_transforms_capture(path: Path, images: Path | None, given: bool) -> Pos
     note_scales(path, scales)
     _note_angles(path, list(zip(frames, posed)))
     held_out = tuple(files[frame.name][0] for frame in frames if frame.is_held_out)
-    return PosedCapture(
-        path,
-        folder,
-        posed,
-        *_points(path, read.data.get("ply_file_path"), read.data.get("applied_transform"), posed),
-        held_out,
-        read.held_by,
-    )
+    points, colours = _points(path, read.data.get("ply_file_path"), read.data.get("applied_transform"), posed)
+    if not len(points):
+        points, colours = depth_points(posed, _depth_files(path, dict(zip((one.name for one in posed), frames))))
+    if (moved := find_dataparser_transform(path)) is not None:
+        posed = [replace(one, world_to_camera=moved.pose(one.world_to_camera)) for one in posed]
+        points = moved.points(points)
+    behind = [_behind(one) for one in posed if one.half is not None]
+    held_out += tuple(map(_behind_name, held_out)) if behind else ()
+    return PosedCapture(path, folder, [*posed, *behind], points, colours, held_out, read.held_by)
+
+
+def _depth_files(path: Path, frames: dict[str, TransformsFrame]) -> dict[str, DepthFile]:
+    """Return the depth maps that frames name, by their photographs' names: nerfstudio's, and NeRFCapture's."""
+    files = {}
+    for name, frame in frames.items():
+        for key, unit_key in _DEPTHS.items():
+            value = frame.fields.get(key)
+            file = path.parent / value if isinstance(value, str) and "\0" not in value else None
+            if file is not None and file.is_file():
+                unit = real_number(f"{frame.where}.{unit_key}", frame.fields.get(unit_key, _DEPTH_UNIT), 1e-12, 1e12)
+                files[name] = DepthFile(file, unit)
+    return files
 
 
 def _find_photographs(path: Path, images: Path | None, names: list[str]) -> tuple[Path, LocatedFiles]:
@@ -313,23 +335,44 @@ def _posed_photograph(
     if width is None or height is None:
         info = read_info(photo)
         width, height = float(info.width_px), float(info.height_px)
+    mask = None
+    if fields.get("mask_path") is not None:
+        mask = find_image(f"{where}.mask_path", folder, fields["mask_path"])
+    if fields.get("camera_model") == _ALL_ROUND:
+        if width % 4 or width != 2 * height:
+            raise InputError(
+                f"{where}: expected an equirectangular photograph of 360 x 180 degrees, with a multiple of 4 columns "
+                f"and half as many rows, got {width:g} x {height:g}"
+            )
+        per_radian = width / math.tau
+        intrinsics = np.array([per_radian, per_radian, width / 4, height / 2])
+        return PosedPhotograph(name, photo, pose, intrinsics, (int(width) // 2, int(height)), None, mask, half="ahead")
     focal = focal_lengths(number, width, height)
     if focal is None:
         raise InputError(f"{where}: missing focal length: give fl_x (pixels) or camera_angle_x (radians)")
     cx, cy = number("cx"), number("cy")
     intrinsics = np.array([*focal, width / 2 if cx is None else cx, height / 2 if cy is None else cy])
     check_intrinsics(where, intrinsics, width, height)
-    mask = None
-    if fields.get("mask_path") is not None:
-        mask = find_image(f"{where}.mask_path", folder, fields["mask_path"])
     size = int(width), int(height)
     return PosedPhotograph(name, photo, pose, intrinsics, size, _lens(where, fields, number), mask)
+
+
+def _behind(ahead: PosedPhotograph) -> PosedPhotograph:
+    """Return the half of an equirectangular photograph that its other half leaves out."""
+    turned = np.diag([-1.0, 1, -1, 1]) @ ahead.world_to_camera
+    return replace(ahead, name=_behind_name(ahead.name), world_to_camera=turned, half="behind")
+
+
+def _behind_name(name: str) -> str:
+    return f"{name} (behind)"
 
 
 def _note_angles(path: Path, pairs: Sequence[tuple[TransformsFrame, PosedPhotograph]]) -> None:
     """Note frames whose camera_angle_x contradicts fl_x, which counts."""
     off = []
     for frame, photograph in pairs:
+        if photograph.half is not None:
+            continue
         angle = 2 * math.atan(photograph.camera_px[0] / 2 / photograph.intrinsics[0])
         given = frame.fields.get("camera_angle_x")
         if isinstance(given, (int, float)) and abs(given - angle) > _ANGLES_DIFFER * angle:

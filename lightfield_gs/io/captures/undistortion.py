@@ -109,15 +109,21 @@ def undistort(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
 
 
 def source_positions(
-    distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int, rows: range | None = None
+    distortion: Distortion,
+    intrinsics: np.ndarray,
+    width_px: int,
+    height_px: int,
+    rows: range | None = None,
+    fisheye: bool = False,
 ) -> np.ndarray:
-    """Return the position in a photograph of each pixel of its pinhole image.
+    """Return the position in a photograph of each pixel of its image by a camera without distortion.
 
     Args:
         distortion: of the photograph's lens.
         intrinsics: [4], (fx, fy, cx, cy) of both images.
         width_px, height_px: size of both images.
         rows: the rows to return; None: all.
+        fisheye: the camera without distortion is an equidistant fisheye, for a lens that is one; else a pinhole.
 
     Returns:
         [H,W,2] float64, x and y in pixels from the outer corner of the first; NaN where the lens folds the plane.
@@ -126,55 +132,67 @@ def source_positions(
         np.arange(height_px)[range(height_px) if rows is None else rows] + 0.5, np.arange(width_px) + 0.5
     )
     points = (np.stack([x.T, y.T], -1) - intrinsics[2:]) / intrinsics[:2]
-    positions = distortion.distort(points) * intrinsics[:2] + intrinsics[2:]
+    distort = distortion.distort_flat if fisheye else distortion.distort
+    positions = distort(points) * intrinsics[:2] + intrinsics[2:]
     corners = (np.array([(0, 0), (0, height_px), (width_px, 0), (width_px, height_px)]) - intrinsics[2:]) / intrinsics[
         :2
     ]
-    fold = fold_radius(distortion, float(np.linalg.norm(corners, axis=1).max()))
+    largest = float(np.linalg.norm(corners, axis=1).max())
+    fold = fold_radius(distortion, min(largest, np.pi) if fisheye else largest, fisheye)
+    fold = min(fold, np.pi) if fisheye else fold
     beyond = points[..., 0] ** 2 + points[..., 1] ** 2 >= fold**2  # numpy is slow at sums over two numbers
     positions[beyond | ~np.isfinite(positions[..., 0] + positions[..., 1])] = np.nan
     return positions
 
 
 @lru_cache(maxsize=16)  # of the bands of one picture
-def fold_radius(distortion: Distortion, largest: float) -> float:
+def fold_radius(distortion: Distortion, largest: float, fisheye: bool = False) -> float:
     """Return the radius at depth 1 where the lens begins to fold: a point further out appears nearer to the middle.
 
-    It is infinite where the lens does not fold up to `largest`, and exact to a thousandth of that.
+    With fisheye it is an angle in radians. It is infinite where the lens does not fold up to `largest`, and exact to a
+    thousandth of that.
     """
     angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
     outward = np.stack([np.cos(angles), np.sin(angles)], -1)[:, None]
     radii = np.linspace(0, largest, _STEPS)
-    along = (distortion.distort(outward * radii[:, None]) * outward).sum(-1)
+    distort = distortion.distort_flat if fisheye else distortion.distort
+    along = (distort(outward * radii[:, None]) * outward).sum(-1)
     with np.errstate(invalid="ignore"):
         grows = (np.diff(along, axis=1) > 0).all(0)
     return np.inf if grows.all() else float(radii[grows.argmin()])
 
 
-def folded_fraction(distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
-    """Return the fraction 0..1 of the pinhole image that the lens does not show at all, to some 2 %.
+def folded_fraction(
+    distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int, fisheye: bool = False
+) -> float:
+    """Return the fraction 0..1 of the image without distortion that the lens does not show at all, to some 2 %.
 
     Args:
         distortion: of the lens.
         intrinsics: [4], (fx, fy, cx, cy) of both images.
         width_px, height_px: size of both images.
+        fisheye: see source_positions.
     """
     scale = 128 / max(width_px, height_px)
     width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
     ratio = np.array([width / width_px, height / height_px] * 2)
-    return float(np.isnan(source_positions(distortion, intrinsics * ratio, width, height)).any(-1).mean())
+    positions = source_positions(distortion, intrinsics * ratio, width, height, fisheye=fisheye)
+    return float(np.isnan(positions).any(-1).mean())
 
 
 @lru_cache(maxsize=2)  # photographs of one camera follow each other
-def undistortion(distortion: Distortion, intrinsics: tuple[float, ...], width_px: int, height_px: int) -> Undistortion:
+def undistortion(
+    distortion: Distortion, intrinsics: tuple[float, ...], width_px: int, height_px: int, fisheye: bool = False
+) -> Undistortion:
     """Return the undistortion of photographs of this size, cached.
 
     Args:
         distortion: of the lens.
         intrinsics: (fx, fy, cx, cy) of the photograph.
         width_px, height_px: size of the photograph.
+        fisheye: see source_positions.
     """
-    return Undistortion(distortion, np.array(intrinsics), width_px, height_px)
+    return Undistortion(distortion, np.array(intrinsics), width_px, height_px, fisheye)
 
 
 class Undistortion:
@@ -185,14 +203,16 @@ class Undistortion:
         grid: [1,H,W,2] float32, positions in -1..1 for grid_sample.
     """
 
-    def __init__(self, distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int):
+    def __init__(
+        self, distortion: Distortion, intrinsics: np.ndarray, width_px: int, height_px: int, fisheye: bool = False
+    ):
         import torch
 
         grid = np.empty((1, height_px, width_px, 2), np.float32)  # -1..1 across the photograph, as grid_sample wants
         valid_area = np.empty((height_px, width_px), np.uint8)
         for top in range(0, height_px, _BAND):
             rows = range(top, min(top + _BAND, height_px))
-            positions = source_positions(distortion, intrinsics, width_px, height_px, rows)
+            positions = source_positions(distortion, intrinsics, width_px, height_px, rows, fisheye)
             is_valid = (positions >= 0) & (positions <= (width_px, height_px))  # false for NaN
             inside = is_valid[..., 0] & is_valid[..., 1]
             valid_area[rows] = np.where(inside, 255, 0)

@@ -17,6 +17,7 @@ from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.text_files import parse_json
 
+Y_DOWN = "Vertical Axis: -y"  # of readers that turn y up to the axes of a .ply
 ANTIALIASED, NOT_ANTIALIASED = "SplatRenderMode: mip", "SplatRenderMode: default"
 ANTIALIASED_WARNING = "the file says that it was trained with anti-aliasing; draw it with antialiased=True"
 _WORDS = re.compile(r"(?:splatrendermode[\s:=]+(mip|default|2dgs)|antialias(?:ed|ing)[\s:=]+([01]|true|false|yes|no))")

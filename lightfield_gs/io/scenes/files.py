@@ -13,15 +13,14 @@ from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
-from lightfield_gs.io.scenes import ksplat, ply, sog, splat, spz
+from lightfield_gs.io.scenes import gltf, gltf_writing, ksplat, ply, sog, splat, spz, usd
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
+from lightfield_gs.io.scenes.gltf_file import MAGIC as GLTF_MAGIC
 from lightfield_gs.io.scenes.packed import ZIP_MAGIC, is_packed_scene, unpack
-from lightfield_gs.io.scenes.scene_arrays import SceneArrays
+from lightfield_gs.io.scenes.scene_arrays import Fields, Origin, SceneArrays
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
-
-Fields = dict[str, np.ndarray]
 
 
 @dataclass
@@ -55,14 +54,17 @@ class SceneFile:
         return lines
 
 
-def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> SceneFile:
+def read_scene(
+    path: str | Path, *, skip_invalid: bool = False, time: float | None = None, lod: int | None = None
+) -> SceneFile:
     """Read a file of Gaussians.
 
-    Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat and .ksplat. A .sog (versions 1
-    and 2) may be a ZIP, a folder or its meta.json. The axes are a .ply's (right, down, forward): an .spz (right, up,
-    back) is turned to them. A .ply may be text or binary of either byte order, with properties in any order and number
-    type. Properties that no Gaussian has are ignored. Coordinates stored as double, far from zero, become relative to
-    an origin of whole numbers near them; Gaussians.origin holds it.
+    Formats are 3DGS .ply, compressed .ply (SuperSplat), .spz (versions 1 to 4), .splat, .ksplat, glTF with
+    KHR_gaussian_splatting (.glb, .gltf), and OpenUSD with ParticleField3DGaussianSplat (.usd, .usda, .usdc, .usdz). A
+    .sog (versions 1 and 2) may be a ZIP, a folder or its meta.json. The axes are a .ply's (right, down, forward): those
+    of an .spz, of glTF and of OpenUSD are turned to them. A .ply may be text or binary of either byte order, with
+    properties in any order and number type. Properties that no Gaussian has are ignored. Coordinates stored as double,
+    far from zero, become relative to an origin of whole numbers near them; Gaussians.origin holds it.
 
     Args:
         path: file or folder.
@@ -70,6 +72,8 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | No
             finite, a rotation of zeros, and a scale that overflows. Infinite logits and a log scale of -inf are valid.
         time: time at which moving Gaussians (Spacetime Gaussians) are read, in the units of their file, mostly 0..1.
             None: the median of the times at which they are most opaque, which a note states.
+        lod: level of detail of a streamed SOG, 0 being the finest. None: the finest that fits half of the free memory,
+            which a note states.
 
     Raises:
         InputError: the file has an unknown format, is cut, has wrong counts, or lacks a property. Without skip_invalid:
@@ -77,20 +81,21 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | No
     """
     from lightfield_gs.scene.gaussians import from_arrays
 
-    stored = read_arrays(path, skip_invalid=skip_invalid, time=time)
+    stored = read_arrays(path, skip_invalid=skip_invalid, time=time, lod=lod)
     gaussians = from_arrays(stored.fields, stored.origin)
     return SceneFile(gaussians, stored.comments, stored.elements, stored.notes, stored.kind)
 
 
 def write_scene(gaussians: Gaussians, path: str | Path, comments: Sequence[str] = ()) -> list[str]:
-    """Write one set of Gaussians, complete or not at all, as .ply, .spz (version 3) or .splat.
+    """Write one set of Gaussians, complete or not at all, as .ply, glTF, OpenUSD, .spz (version 3) or .splat.
 
-    A standard 3DGS .ply is float32, except for centres with an origin: these are double, with the origin added.
+    A standard 3DGS .ply is float32, except for centres with an origin: these are double, with the origin added. glTF
+    and OpenUSD have float32 and a place of the node in double.
 
     Args:
         gaussians: one set of N >= 1.
         path: the file; its ending decides the format.
-        comments: texts of one line each for the header of a .ply, which may have 64 KiB.
+        comments: texts of one line each for the header of a .ply, which may have 64 KiB, or the extras of glTF.
 
     Returns:
         Losses by the format, one line each.
@@ -119,28 +124,34 @@ class Format:
         suffixes: endings of its files.
         starts: first bytes of its files, for formats that have such.
         read: reads a file; takes its path and skip_invalid.
-        write: writes a file; takes its path, the float64 fields and whether they were trained with anti-aliasing, and
-            returns losses, one line each. None for formats that are only read.
+        write: writes a file; takes its path, the float64 fields, the origin and the comments, and returns losses, one
+            line each. None for formats that are only read.
+        keeps_comments: whether a written file has its comments.
     """
 
     name: str
     suffixes: tuple[str, ...]
     starts: tuple[bytes, ...]
     read: Callable[[Path, bool], SceneArrays]
-    write: Callable[[str | Path, Fields, bool], list[str]] | None = None
+    write: Callable[[str | Path, Fields, Origin, Sequence[str]], list[str]] | None = None
+    keeps_comments: bool = False
 
 
-_PLY = Format(".ply", (".ply",), (b"ply\n", b"ply\r"), ply.read)
+_PLY = Format(".ply", (".ply",), (b"ply\n", b"ply\r"), ply.read, ply.write, True)
+_SOG = Format("SOG", (".sog", ".zip"), (ZIP_MAGIC,), sog.read)
+_USD = Format("OpenUSD", usd.SUFFIXES, usd.STARTS, usd.read, usd.write, True)
 FORMATS = (
     _PLY,
+    Format("glTF", (".glb", ".gltf"), (GLTF_MAGIC,), gltf.read, gltf_writing.write, True),
     Format("SPZ", (".spz",), (b"NGSP", b"\x1f\x8b\x08\x00"), spz.read, spz.write),
     Format("splat", (".splat",), (), splat.read, splat.write),
     Format("ksplat", (".ksplat",), (), ksplat.read),
-    Format("SOG", (".sog", ".zip"), (ZIP_MAGIC,), sog.read),
+    _SOG,
+    _USD,
 )
 _STREAMED = Format("streamed SOG", (), (), sog.read_streamed)
 SUFFIXES = tuple(suffix for format in FORMATS for suffix in format.suffixes)
-WRITTEN_SUFFIXES = (".ply", *(suffix for format in FORMATS if format.write for suffix in format.suffixes))
+WRITTEN_SUFFIXES = tuple(suffix for format in FORMATS if format.write for suffix in format.suffixes)
 
 
 def is_scene_path(path: Path) -> bool:
@@ -169,8 +180,10 @@ def _find_format(path: Path) -> Format:
         if sog.is_streamed(path):
             return _STREAMED
         if path.name.lower() == sog.META or (path / sog.META).is_file():
-            return FORMATS[-1]
+            return _SOG
     refuse_unsupported(path)
+    if path.suffix.lower() == ".usdz":
+        return _USD  # also a ZIP
     with open(path, "rb") as file:
         start = file.read(4)
     for format in FORMATS:
@@ -179,7 +192,9 @@ def _find_format(path: Path) -> Format:
     return next((format for format in FORMATS if path.suffix.lower() in format.suffixes), _PLY)
 
 
-def read_arrays(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> SceneArrays:
+def read_arrays(
+    path: str | Path, *, skip_invalid: bool = False, time: float | None = None, lod: int | None = None
+) -> SceneArrays:
     """Read a file of Gaussians as arrays; see read_scene."""
     expect("skip_invalid", skip_invalid, bool)
     if time is not None:
@@ -191,15 +206,22 @@ def read_arrays(path: str | Path, *, skip_invalid: bool = False, time: float | N
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path} is empty; export it or download it again")
         with unpack(path) as (inner, notes):
-            stored = _read(inner, skip_invalid, time)
+            stored = _read(inner, skip_invalid, time, lod)
         stored.notes[:0] = notes
         return stored
 
 
-def _read(path: Path, skip_invalid: bool, time: float | None) -> SceneArrays:
+def _read(path: Path, skip_invalid: bool, time: float | None, lod: int | None) -> SceneArrays:
     format = _find_format(path)
+    if format is _STREAMED:
+        ply.refuse_time(path, time)
+        return sog.read_streamed(path, skip_invalid, lod)
+    if lod is not None:
+        raise InputError(f"{path}: it is no streamed SOG, and has no levels of detail; leave out lod=")
     if format is _PLY:
         return ply.read(path, skip_invalid, time)
+    if format is _USD:
+        return usd.read(path, skip_invalid, time)
     ply.refuse_time(path, time)
     return format.read(path, skip_invalid)
 
@@ -212,19 +234,15 @@ def check_written_suffix(path: Path) -> str:
     return suffix
 
 
-def write_arrays(
-    path: str | Path, fields: Fields, origin: tuple[float, float, float], comments: Sequence[str] = ()
-) -> list[str]:
+def keeps_comments(path: Path) -> bool:
+    """Tell whether a written file of this name has its comments, and the framing among them."""
+    return any(format.keeps_comments for format in FORMATS if path.suffix.lower() in format.suffixes)
+
+
+def write_arrays(path: str | Path, fields: Fields, origin: Origin, comments: Sequence[str] = ()) -> list[str]:
     """Write the float64 fields of N >= 1 valid Gaussians; return losses as write_scene does."""
     path = checked_path(path)
     suffix = check_written_suffix(path)
     format = next(format for format in FORMATS if suffix in format.suffixes)
-    if format.write is None:
-        ply.write(path, fields, origin, comments)
-        return []
-    lost = format.write(path, fields, is_antialiased(comments) is True)
-    if any(origin):
-        lost.append(f"centres are given from the origin {origin}, which a {suffix} cannot hold")
-    if comments:
-        lost.append(f"a {suffix} holds no comments: what the scene was made by is only in a .ply")
-    return lost
+    assert format.write is not None
+    return format.write(path, fields, origin, comments)

@@ -17,10 +17,8 @@ from lightfield_gs.io.file_kinds import (
     ARCHIVE,
     ARRAYS,
     CHECKPOINT,
-    GLTF,
     PICTURE_SUFFIXES,
     SCENE_SUFFIXES,
-    USD,
     refuse_kind,
     select_scenes,
 )
@@ -81,7 +79,7 @@ def unpack(path: Path) -> Iterator[tuple[Path, list[str]]]:
     if path.is_file():
         with open(path, "rb") as file:
             start = file.read(_PEEK_BYTES)
-    if start[:4] == ZIP_MAGIC and (name := _scene_in_zip(path)):
+    if start[:4] == ZIP_MAGIC and path.suffix.lower() != ".usdz" and (name := _scene_in_zip(path)):
         with _scratch(path, name) as target:
             _unzip(path, name, target)
             yield target, [f"{name} is read, the scene in the ZIP"]
@@ -127,6 +125,8 @@ def _scene_in_zip(path: Path) -> str | None:
             f"{path} holds {len(scenes)} scenes ({', '.join(shown(name) for name in scenes[:3])}"
             f"{', ...' if len(scenes) > 3 else ''}); unpack it, and give one of them"
         )
+    if scenes and scenes[0].lower().endswith(".gltf"):
+        raise InputError(f"{path} is a ZIP of a .gltf, whose data may be in files beside it; unpack it, and give that")
     if scenes:
         return scenes[0]
     if path.suffix.lower() != ".sog":
@@ -146,9 +146,8 @@ def _refuse_zip(path: Path, names: list[str]) -> None:
         refuse_kind(path, CHECKPOINT)
     if names and all(end == ".npy" for end in ends):
         refuse_kind(path, ARRAYS)
-    for kind in (USD, GLTF, ARCHIVE):
-        if any(end in kind.suffixes for end in ends):
-            refuse_kind(f"{path} is a ZIP, and what it holds", kind)
+    if any(end in ARCHIVE.suffixes for end in ends):
+        refuse_kind(f"{path} is a ZIP, and what it holds", ARCHIVE)
     if any(end in PICTURE_SUFFIXES for end in ends):
         raise InputError(
             f"{path} is a ZIP of {sum(end in PICTURE_SUFFIXES for end in ends)} pictures without a scene; unpack it: "

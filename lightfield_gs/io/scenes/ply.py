@@ -24,15 +24,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.ply_file import HEADER_LIMIT_BYTES, Element, Header, Property, read_elements, read_header
-from lightfield_gs.io.scenes.plausibility import (
-    check_or_skip,
-    float32_step,
-    sample_median,
-    step_notes,
-    typical_size,
-    unknown_motion_notes,
-    value_notes,
-)
+from lightfield_gs.io.scenes.plausibility import check_or_skip, step_notes, unknown_motion_notes, value_notes
 from lightfield_gs.io.scenes.ply_extensions import (
     FILTER,
     FILTER_NOTE,
@@ -45,11 +37,14 @@ from lightfield_gs.io.scenes.scene_arrays import (
     HIGH_DEGREE_NOTE,
     MAX_SH_REST,
     TINY,
+    Fields,
+    Origin,
     SceneArrays,
     check_not_empty,
     checked_fields,
     complete_quaternions,
     limit_degree,
+    relative_centres,
     rgb_to_sh,
 )
 
@@ -66,9 +61,6 @@ _TENSORS = ("features_", "scaling", "rotation", "scales", "quats", "opacities", 
 _REST_COUNTS = (0, 9, 24, 45, 72)  # 3 ((degree + 1)^2 - 1), degree 0..4
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
 _ROWS_AT_ONCE = 2048  # they and their conversions fit the cache: eleven times as quick
-# Fraction of the typical Gaussian's size: if rounding to float32 moves centres by more, they become relative to an
-# origin
-_ORIGIN_STEP = 1e-3
 _CHUNK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _BOUNDS = tuple(f"{end}_{prefix}{axis}" for prefix in ("", "scale_") for end in ("min", "max") for axis in "xyz")
@@ -177,7 +169,7 @@ def _rest_names(names: Sequence[str]) -> list[str]:
 
 def _read_fields(
     path: Path, records: np.ndarray, skip_invalid: bool, time: float | None
-) -> tuple[dict[str, np.ndarray], tuple[float, float, float], list[str]]:
+) -> tuple[dict[str, np.ndarray], Origin, list[str]]:
     """Convert vertices, whose header has been checked, to fields.
 
     Opacities are in (0, 1]: the logit inf is 1, and values that underflow float32 become the smallest normal number,
@@ -240,17 +232,11 @@ def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
     return out
 
 
-def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, tuple[float, float, float]]:
+def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, Origin]:
     """Return centres, float32 [N, 3], and their origin, which is zero except for doubles far from zero."""
     if all(records.dtype[name] != np.float64 for name in _CENTRE):
         return _columns(records, _CENTRE), (0.0, 0.0, 0.0)
-    exact = np.stack([records[name] for name in _CENTRE], 1, dtype=np.float64)
-    origin = np.zeros(3)
-    with np.errstate(over="ignore", invalid="ignore"):
-        middle = sample_median(exact)
-        if middle is not None and float32_step(middle) > _ORIGIN_STEP * typical_size(scales):
-            origin = np.round(middle)
-        return (exact - origin).astype(np.float32), tuple((origin + 0.0).tolist())
+    return relative_centres(np.stack([records[name] for name in _CENTRE], 1, dtype=np.float64), scales)
 
 
 def _harmonics(records: np.ndarray, moves: bool) -> tuple[np.ndarray, list[str]]:
@@ -279,10 +265,8 @@ def _harmonics(records: np.ndarray, moves: bool) -> tuple[np.ndarray, list[str]]
     return sh, notes
 
 
-def write(
-    path: str | Path, fields: dict[str, np.ndarray], origin: tuple[float, float, float], comments: Sequence[str] = ()
-) -> None:
-    """Write the float64 fields of N >= 1 valid Gaussians; see files.write_arrays."""
+def write(path: str | Path, fields: Fields, origin: Origin, comments: Sequence[str] = ()) -> list[str]:
+    """Write the float64 fields of N >= 1 valid Gaussians, without losses; see files.write_arrays."""
     count, coefficients = fields["sh"].shape[:2]
     with np.errstate(divide="ignore"):
         logits = np.log(fields["opacities"]) - np.log1p(-fields["opacities"])
@@ -307,7 +291,8 @@ def write(
     header = _format_header(count, kinds, comments)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(header)
-        file.write(rows.tobytes())
+        rows.tofile(file)
+    return []
 
 
 def _format_header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:

@@ -7,7 +7,7 @@ themselves. Harmonics above degree 0 are entries of a palette, 64 in a row. Spec
 "The SOG Format". It calls y up, but files of splat-transform keep the axes of the original .ply, as this reader does.
 
 A streamed SOG is a lod-meta.json with a spatial tree, and SOG files of Gaussians in several levels. Each leaf lists for
-each level a file, an offset and a count. Level 0 is the finest, and is read with the environment, which has no levels.
+each level a file, an offset and a count; level 0 is the finest. One level is read, and the environment, which has none.
 
 gsplat's PngCompression writes PNG files of fixed names and a meta.json with extremes, mostly in the layout of SOG
 version 1. Quaternions have four components, and harmonics above degree 0 are in a palette in shN.npz.
@@ -16,13 +16,15 @@ version 1. Quaternions have four components, and harmonics above degree 0 are in
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import is_row, shown, whole_number
+from lightfield_gs.base.checks import counted, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.system import free_host_memory
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.npy import stored_arrays
 from lightfield_gs.io.scenes.comments import ANTIALIASED, is_antialiased
@@ -45,7 +47,10 @@ _LEAST_MODE = 252  # alpha of quaternions
 _FARTHEST = 80.0  # log(1 + |x|); float32 ends there
 _LOSSY_NOTE = "its images are lossy WebP, which a SOG should not have: values may be far off"
 _LOD_META_BYTES = 256 << 20
+_LEVEL = re.compile(r"\d{1,4}")
+_GAUSSIAN_BYTES = 1024  # of memory to read and draw a Gaussian of a streamed SOG, about
 _Meta = dict[str, Any]
+_Leaf = dict[int, tuple[int, int, int]]  # file, offset and count by level
 
 
 def read(path: Path, skip_invalid: bool) -> SceneArrays:
@@ -244,8 +249,8 @@ def is_streamed(path: Path) -> bool:
     return path.name.lower() == LOD_META or (path / LOD_META).is_file()
 
 
-def read_streamed(path: Path, skip_invalid: bool) -> SceneArrays:
-    """Read a streamed SOG, by its folder or its lod-meta.json; see files.read_arrays."""
+def read_streamed(path: Path, skip_invalid: bool, lod: int | None = None) -> SceneArrays:
+    """Read one level of a streamed SOG, by its folder or its lod-meta.json; see files.read_arrays."""
     file = path / LOD_META if path.is_dir() else path
     with named(file):
         meta = read_object(file, _LOD_META_BYTES)
@@ -253,53 +258,74 @@ def read_streamed(path: Path, skip_invalid: bool) -> SceneArrays:
         names, parts = meta.get("filenames"), dict[int, list[tuple[int, int]]]()
         if not isinstance(names, list) or not isinstance(meta.get("tree"), dict):
             raise InputError("expected a list filenames and an object tree; this is no streamed SOG")
-        levels = _collect_finest(meta["tree"], len(names), parts)
+        leaves = _collect_leaves(meta["tree"], len(names))
+        level, words = _choose_level(leaves, lod)
+        for leaf in leaves:
+            index, offset, count = _at_level(leaf, level)
+            if count:
+                parts.setdefault(index, []).append((offset, count))
+        if not parts:
+            raise InputError(f"level {level} has no Gaussians; choose another with lod=N")
         paths = {_beside(file, names[index]): ranges for index, ranges in sorted(parts.items())}
     scenes = [_select_rows(part, read(part, False), ranges) for part, ranges in paths.items()]
     if meta.get("environment") is not None:
         scenes.append(read(_beside(file, meta["environment"]), skip_invalid))
-    notes = [f"level 0, the finest of {levels}, is read of a streamed SOG"] if levels > 1 else []
-    notes += dict.fromkeys(words for scene in scenes for words in scene.notes)
+        words += "; its environment is read too"
+    is_chosen = any(len(leaf) > 1 for leaf in leaves)
+    notes = [*[words] * is_chosen, *dict.fromkeys(note for scene in scenes for note in scene.notes)]
     are_antialiased = all(is_antialiased(scene.comments) for scene in scenes)
     return SceneArrays(
         concatenate_fields([scene.fields for scene in scenes]),
         comments=(ANTIALIASED,) if are_antialiased else (),
         notes=notes,
-        kind=f"streamed SOG, level 0 of {levels}, {len(scenes)} files",
+        kind=f"streamed SOG, level {level} of 0..{max(map(max, leaves))}, {counted(len(scenes), 'file')}",
     )
 
 
-def _collect_finest(tree: Any, files: int, parts: dict[int, list[tuple[int, int]]]) -> int:
-    """Collect the finest level of each leaf of a tree; raise InputError for a malformed tree.
-
-    Args:
-        tree: root of the tree.
-        files: number of files.
-        parts: gets for each file the offset and count of its Gaussians in each leaf.
-
-    Returns:
-        The number of levels.
-    """
-    nodes, levels = [tree], 1
+def _collect_leaves(tree: Any, files: int) -> list[_Leaf]:
+    """Collect the leaves of a tree; raise InputError for a malformed tree; files: their number."""
+    nodes, leaves = [tree], list[_Leaf]()
     while nodes:
         node = nodes.pop()
         children, lods = (node.get("children") or [], node.get("lods") or {}) if isinstance(node, dict) else (0, 0)
-        if not isinstance(children, list) or not isinstance(lods, dict) or not all(map(str.isdecimal, lods)):
+        if not isinstance(children, list) or not isinstance(lods, dict) or not all(map(_LEVEL.fullmatch, lods)):
             raise InputError(f"tree: expected nodes with children or lods, got {shown(node)}")
         nodes += reversed(children)
-        if not lods:
-            continue
-        levels = max(levels, 1 + max(map(int, lods)))
-        finest = lods[min(lods, key=int)]
-        if not isinstance(finest, dict):
-            raise InputError(f"tree: expected file, offset and count of a level, got {shown(finest)}")
-        most = {"file": files - 1, "offset": _MOST_COUNT, "count": _MOST_COUNT}
-        file, offset, count = (whole_number(f"tree: {name}", finest.get(name), 0, most[name]) for name in most)
-        if count:
-            parts.setdefault(file, []).append((offset, count))
-    if not parts:
+        leaf = {}
+        for key, part in lods.items():
+            if not isinstance(part, dict):
+                raise InputError(f"tree: expected file, offset and count of a level, got {shown(part)}")
+            most = {"file": files - 1, "offset": _MOST_COUNT, "count": _MOST_COUNT}
+            file, offset, count = (whole_number(f"tree: {name}", part.get(name), 0, most[name]) for name in most)
+            leaf[int(key)] = (file, offset, count)
+        if leaf:
+            leaves.append(leaf)
+    if not any(count for leaf in leaves for _, _, count in leaf.values()):
         raise InputError("tree: expected leaves with lods, got none")
-    return levels
+    return leaves
+
+
+def _at_level(leaf: _Leaf, level: int) -> tuple[int, int, int]:
+    """Return file, offset and count of a leaf at a level, or at the next coarser or else the coarsest one it has."""
+    return leaf[min((own for own in leaf if own >= level), default=max(leaf))]
+
+
+def _choose_level(leaves: list[_Leaf], lod: int | None) -> tuple[int, str]:
+    """Return the level to read, and a line on it: the one given, or the finest that fits half of the free memory."""
+    levels = sorted({level for leaf in leaves for level in leaf})
+    counts = {level: sum(_at_level(leaf, level)[2] for leaf in leaves) for level in levels}
+    free = free_host_memory()
+    if lod is not None:
+        level, reason = whole_number("lod", lod, 0, levels[-1]), "as chosen"
+        counts.setdefault(level, sum(_at_level(leaf, level)[2] for leaf in leaves))
+    else:
+        fitting = [level for level in levels if free is None or _GAUSSIAN_BYTES * counts[level] <= free / 2]
+        level, reason = fitting[0] if fitting else levels[-1], "the finest; another: lod=N"
+        if level != levels[0]:
+            assert free is not None
+            finest = f"level {levels[0]} has {counts[levels[0]]} for {free / 2**30:.3g} GiB of free memory"
+            reason = f"the finest that fits: {finest}; another: lod=N"
+    return level, f"level {level} of 0..{levels[-1]} is read of a streamed SOG, {counts[level]} Gaussians ({reason})"
 
 
 def _beside(file: Path, name: Any) -> Path:

@@ -6,6 +6,7 @@ of its quaternion wxyz are bytes 128 + 128 c. It has no harmonics above degree 0
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,16 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.file_kinds import refuse_stand_in
-from lightfield_gs.io.scenes.scene_arrays import SceneArrays, check_not_empty, checked_fields, rgb_to_sh
+from lightfield_gs.io.scenes.comments import is_antialiased
+from lightfield_gs.io.scenes.scene_arrays import (
+    Fields,
+    Origin,
+    SceneArrays,
+    check_not_empty,
+    checked_fields,
+    header_losses,
+    rgb_to_sh,
+)
 
 _RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 _START_BYTES = 4096
@@ -46,13 +56,14 @@ def read(path: Path, skip_invalid: bool) -> SceneArrays:
     return SceneArrays(fields, notes=notes, kind=".splat, 32 bytes a Gaussian")
 
 
-def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = False) -> list[str]:
+def write(path: str | Path, fields: Fields, origin: Origin, comments: Sequence[str] = ()) -> list[str]:
     """Write float64 fields of N >= 1 valid Gaussians.
 
     Args:
         path: the file.
         fields: the five fields.
-        antialiased: the Gaussians were trained with anti-aliasing, which the format cannot store.
+        origin: position of the means' zero, which the format cannot store.
+        comments: lines that the format cannot store.
 
     Returns:
         Losses, one line each.
@@ -68,6 +79,6 @@ def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = F
     lost = []
     if fields["sh"].shape[1] > 1:
         lost.append("a .splat holds no harmonics above degree 0: colours no longer vary with the direction of view")
-    if antialiased:
+    if is_antialiased(comments):
         lost.append("a .splat cannot say that it was trained with anti-aliasing: draw it with antialiased=True")
-    return lost
+    return lost + header_losses(path, origin, comments)

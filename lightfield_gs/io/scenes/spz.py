@@ -16,6 +16,7 @@ import math
 import mmap
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,12 +29,18 @@ from lightfield_gs.io.scenes import comments
 from lightfield_gs.io.scenes.plausibility import check_unpacked_size, gunzip, typical_size, unzstd
 from lightfield_gs.io.scenes.scene_arrays import (
     HIGH_DEGREE_NOTE,
+    Y_UP_SIGNS,
+    Y_UP_TURN,
+    Fields,
+    Origin,
     SceneArrays,
     check_not_empty,
     checked_fields,
     complete_quaternions,
+    header_losses,
 )
 
+Data = bytes | mmap.mmap
 MAGIC = b"NGSP"
 GZIP_MAGIC = b"\x1f\x8b"
 _COEFFICIENTS = (1, 4, 9, 16, 25)  # of degree 0..4
@@ -45,15 +52,11 @@ _SIZES = struct.Struct("<QQ")
 _START_BYTES, _MORE_BYTES = 1 << 16, 1 << 20
 _RECORD = struct.Struct("<II")  # type and length of an extension
 _SH_QUANTIZATION = 0xADBE0001  # Adobe's: harmonics within limits other than -1..1
-_AXES_COMMENT = "Vertical Axis: -y"  # after the turn; in the format y is up
-_TURN = np.array([1.0, -1.0, -1.0])
 _COLOUR_SCALE = 0.15
 _LEAST_FRACTION_BITS = 12  # of centres, as other programs write
 _CENTRE_STEP = 1 / 8  # of the typical Gaussian's size: coarser steps of centres show
 _LARGEST_CENTRE = (1 << 23) - 1  # as stored
 _ROTATION_STEP = math.sqrt(0.5) / 511
-# Signs of harmonics after the turn: -1 for harmonics that are odd in y and z together
-_SIGNS = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float64)[:, None]
 _WRITTEN_VERSION = 3
 _BUCKETS = (8, 16)  # steps of harmonics of degree 1, and above (5 and 4 bits), for better compression
 
@@ -79,17 +82,14 @@ class _Streams:
     attributes: list[bytes]
 
 
-def _read_streams(path: Path) -> _Streams:
-    """Read the container; raise InputError for other files, cut files, and files with less data than they state."""
-    with open(path, "rb") as file:
-        packed = file.read(_START_BYTES)
-    if packed[:4] == MAGIC:
-        with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            return _read_zstd_streams(path, data)
-    if packed[:2] != GZIP_MAGIC:
+def _read_streams(path: Path, data: Data) -> _Streams:
+    """Read the container; raise InputError for other data, cut data, and data with less than they state."""
+    if data[:4] == MAGIC:
+        return _read_zstd_streams(path, data)
+    if data[:2] != GZIP_MAGIC:
         refuse_stand_in(path)
         raise InputError(f"{path} is no .spz: it begins neither as gzip data nor with NGSP")
-    start = gunzip(path, packed, _HEADER.size)
+    start = gunzip(path, data[:_START_BYTES], _HEADER.size)
     if len(start) < _HEADER.size or start[:4] != MAGIC:
         raise InputError(
             f"{path} is no .spz: its gzip data do not begin with a header NGSP; it is cut or something else"
@@ -99,9 +99,9 @@ def _read_streams(path: Path) -> _Streams:
         raise InputError(f"{path}: expected version 1, 2 or 3 in gzip data, got {version}; export it as SPZ version 3")
     streams = _check_header(path, _Streams(version, count, degree, bits, flags, []))
     sizes = _attribute_bytes(streams)
-    check_unpacked_size(path, sum(sizes), path.stat().st_size)
-    with open(path, "rb") as file:  # no more than these bytes can take when compressed, and extensions
-        packed = file.read(_max_packed_bytes(sum(sizes)))
+    check_unpacked_size(path, sum(sizes), len(data))
+    # No more than these bytes can take when compressed, and extensions
+    packed = data[: _max_packed_bytes(sum(sizes))]
     body = gunzip(path, packed, _HEADER.size + sum(sizes) + _RECORD.size)[_HEADER.size :]
     _refuse_sh_quantization(path, body[: _RECORD.size] if flags & _EXTENDED else b"")
     _refuse_sh_quantization(path, body[sum(sizes) :] if flags & _EXTENDED else b"")
@@ -114,7 +114,7 @@ def _read_streams(path: Path) -> _Streams:
     return streams
 
 
-def _read_zstd_streams(path: Path, data: mmap.mmap) -> _Streams:
+def _read_zstd_streams(path: Path, data: Data) -> _Streams:
     """Read the container of version 4."""
     version = int.from_bytes(data[4:8], "little")
     if len(data) >= _HEADER.size and 1 <= version < _ZSTD_VERSION:
@@ -205,10 +205,25 @@ def _size_error(path: Path, streams: _Streams, expected: int, got: int) -> Input
     )
 
 
-@np.errstate(invalid="ignore")
 def read(path: Path, skip_invalid: bool) -> SceneArrays:
     """Read an .spz; see files.read_arrays."""
-    streams = _read_streams(path)
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return decode(path, data, skip_invalid)
+
+
+@np.errstate(invalid="ignore")
+def decode(path: Path, data: Data, skip_invalid: bool) -> SceneArrays:
+    """Decode the bytes of an .spz.
+
+    Args:
+        path: file that holds the bytes, for messages.
+        data: the bytes.
+        skip_invalid: leave out Gaussians with invalid values.
+
+    Raises:
+        InputError: as read_scene.
+    """
+    streams = _read_streams(path, data)
     positions, opacities, colours, scales, rotations, rest = (
         np.frombuffer(data, np.uint8).reshape(streams.count, -1) for data in streams.attributes[:6]
     )
@@ -216,21 +231,21 @@ def read(path: Path, skip_invalid: bool) -> SceneArrays:
     sh = np.concatenate(
         [
             ((colours / 255 - 0.5) / _COLOUR_SCALE)[:, None],
-            rest.reshape(shape)[:, : len(_SIGNS) - 1].astype(np.float32) / 128 - 1,
+            rest.reshape(shape)[:, : len(Y_UP_SIGNS) - 1].astype(np.float32) / 128 - 1,
         ],
         1,
     )
     fields = {
-        "means": _decode_centres(streams, positions) * _TURN,
-        "quaternions": _decode_rotations(streams, rotations) * np.append(1.0, _TURN),
+        "means": _decode_centres(streams, positions) * Y_UP_TURN,
+        "quaternions": _decode_rotations(streams, rotations) * np.append(1.0, Y_UP_TURN),
         "scales": np.exp(scales / 16 - 10),
         "opacities": opacities[:, 0] / 255,
-        "sh": sh * _SIGNS[: sh.shape[1]],
+        "sh": sh * Y_UP_SIGNS[: sh.shape[1]],
     }
     fields, notes = checked_fields(path, fields, skip_invalid)
     if streams.degree == len(_COEFFICIENTS) - 1:
         notes.append(HIGH_DEGREE_NOTE)
-    lines = (_AXES_COMMENT, *([comments.ANTIALIASED] if streams.flags & _ANTIALIASED else []))
+    lines = (comments.Y_DOWN, *([comments.ANTIALIASED] if streams.flags & _ANTIALIASED else []))
     kind = f"SPZ version {streams.version}, axes turned from right-up-back to right-down-forward"
     return SceneArrays(fields, comments=lines, notes=notes, kind=kind)
 
@@ -253,18 +268,20 @@ def _decode_rotations(streams: _Streams, stored: np.ndarray) -> np.ndarray:
     return np.roll(complete_quaternions(three, words >> 30), 1, axis=1)  # stored as xyzw
 
 
-def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = False) -> list[str]:
+def write(path: str | Path, fields: Fields, origin: Origin, lines: Sequence[str] = ()) -> list[str]:
     """Write float64 fields of N >= 1 valid Gaussians as version 3.
 
     Args:
         path: the file.
         fields: the five fields.
-        antialiased: set the flag for training with anti-aliasing.
+        origin: position of the means' zero.
+        lines: comments; the format keeps only whether they declare training with anti-aliasing.
 
     Returns:
         Losses, one line each.
     """
-    means, sh = fields["means"] * _TURN, fields["sh"] * _SIGNS[: fields["sh"].shape[1]]
+    antialiased = comments.is_antialiased(lines) is True
+    means, sh = fields["means"] * Y_UP_TURN, fields["sh"] * Y_UP_SIGNS[: fields["sh"].shape[1]]
     bits = _fraction_bits(path, means, fields["scales"])
     whole = np.round(means * (1 << bits)).astype(np.int32)
     logs = np.log(fields["scales"])
@@ -275,7 +292,7 @@ def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = F
         _encode_bytes(fields["opacities"] * 255),
         _encode_bytes((sh[:, 0] * _COLOUR_SCALE + 0.5) * 255),
         _encode_bytes((logs + 10) * 16),
-        _encode_rotations(fields["quaternions"] * np.append(1.0, _TURN)),
+        _encode_rotations(fields["quaternions"] * np.append(1.0, Y_UP_TURN)),
         _encode_harmonics(sh[:, 1:]),
     ]
     packer = zlib.compressobj(6, zlib.DEFLATED, 31)  # no time or name in its header: the same bytes each time
@@ -283,7 +300,7 @@ def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = F
         for part in body:
             file.write(packer.compress(part))
         file.write(packer.flush())
-    return _losses(logs, sh)
+    return [*_losses(logs, sh), *header_losses(path, origin, lines)]
 
 
 def _fraction_bits(path: str | Path, means: np.ndarray, scales: np.ndarray) -> int:

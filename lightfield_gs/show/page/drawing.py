@@ -23,9 +23,10 @@ def drawing_routes(stage: Stage) -> dict[str, Route]:
     """Return the addresses from which the pages take a scene and what draws it."""
 
     def data(query: Query) -> Answer:
-        """Return what draws the scene, or null where the server does: on a GPU, of a large scene, for two eyes."""
+        """Return what draws the scene, or null where the server does: on a GPU, of a large scene, a film, two eyes."""
         floats = stage.gaussians.count * (_GAUSSIAN_FLOATS + 3 * stage.gaussians.sh.shape[1])
-        if stage.is_live or isinstance(stage, StereoStage) or 4 * floats > _MOST_BYTES:
+        is_film = stage.scene.film is not None
+        if stage.is_live or is_film or isinstance(stage, StereoStage) or 4 * floats > _MOST_BYTES:
             return as_json(None)
         panel, scene = stage.panel, stage.scene
         return as_json(

@@ -82,7 +82,7 @@ def _eyes(stage: StereoStage, controls: Controls, path: Path) -> None:
 def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:
     """Write all views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
     panel, rig = layout.fitted(stage.panel, controls.rig(stage.base, stage.panel))
-    image = quilt(stage.gaussians, layout, rig, panel, **stage.drawn_as(controls))
+    image = quilt(stage.shown(controls), layout, rig, panel, **stage.drawn_as(controls))
     write_image(path, image.cpu().numpy(), _origin(stage))
 
 

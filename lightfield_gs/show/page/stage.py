@@ -6,7 +6,7 @@ import math
 import re
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
@@ -41,6 +41,7 @@ RANGES = {
     "pan_x": (-MOST_PAN, MOST_PAN),
     "pan_y": (-MOST_PAN, MOST_PAN),
     "eye": (-0.5, 0.5),
+    "frame": (0.0, 1e6),
 }
 
 
@@ -52,6 +53,7 @@ class Controls:
         yaw_deg, pitch_deg: Angles that the camera has gone to the right and up around the middle of the scene, degrees.
         focus, depth_amount, cone_deg, zoom, pan_x, pan_y: See Look; focus is a depth here. None: as in the rig.
         eye: Position of the eye across the viewing zone, -0.5 (left border) .. 0.5 (right border).
+        frame: Number of the scene, of scenes in a row; from their end on, the last one.
         quality: Largest error allowed for less time.
         background: A colour, #rrggbb; "": the scene's own.
     """
@@ -65,6 +67,7 @@ class Controls:
     pan_x: float = 0.0
     pan_y: float = 0.0
     eye: float = 0.0
+    frame: int = 0
     quality: QualityName = "exact"
     background: str = ""
 
@@ -75,6 +78,8 @@ class Controls:
         Raises InputError on a value that is no number, or out of its range.
         """
         values: dict[str, Any] = {name: number(query, name, *RANGES[name]) for name in RANGES if name in query}
+        if "frame" in values:
+            values["frame"] = int(values["frame"])
         if "quality" in query:
             if query["quality"] not in QUALITY_NAMES:
                 raise InputError(f"quality must be {', '.join(QUALITY_NAMES)}, got {query['quality'][:40]!r}")
@@ -109,16 +114,32 @@ STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be place
 
 
 @dataclass(frozen=True)
-class StagedScene:
-    """A scene that the page shows.
+class Film:
+    """Scenes in a row that the page plays.
 
     Attributes:
-        gaussians: One scene, on the device that draws.
+        count: Of scenes.
+        fps: Scenes a second.
+        at: Returns a scene by its number, on the device that draws; raises InputError.
+    """
+
+    count: int
+    fps: float
+    at: Callable[[int], Gaussians]
+
+
+@dataclass(frozen=True)
+class StagedScene:
+    """A scene that the page shows, or scenes in a row.
+
+    Attributes:
+        gaussians: One scene, on the device that draws; of several, the first.
         rig: Cameras that frame the scene.
         name: Name of the input, for the title and for metadata.
         background: Three numbers in 0..1.
         antialiased: See `encode`.
         view_filter: Likewise.
+        film: Scenes in a row, all with the same cameras.
     """
 
     gaussians: Gaussians
@@ -127,6 +148,7 @@ class StagedScene:
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
     antialiased: bool = False
     view_filter: float = 0.0
+    film: Film | None = None
 
 
 @dataclass
@@ -172,8 +194,13 @@ class Stage:
 
     @property
     def gaussians(self) -> Gaussians:
-        """The scene's Gaussians."""
+        """The scene's Gaussians; of scenes in a row, those of the first."""
         return self.scene.gaussians
+
+    def shown(self, controls: Controls) -> Gaussians:
+        """Return the Gaussians that the controls show. Raises InputError where a scene in a row cannot be read."""
+        film = self.scene.film
+        return self.scene.gaussians if film is None else film.at(min(controls.frame, film.count - 1))
 
     @property
     def base(self) -> Rig:
@@ -288,11 +315,11 @@ class Stage:
         """
         look = replace(controls.look(), focus=point)
         turned = orbited(self.base, controls.yaw_deg, controls.pitch_deg)
-        return look.applied(turned, self.panel, self.gaussians).zero_depth
+        return look.applied(turned, self.panel, self.shown(controls)).zero_depth
 
     def depth(self, controls: Controls) -> DepthReport:
         """Return how deep the scene is on the panel. Raises InputError where the centre camera sees nothing."""
-        return depth_report(self.gaussians, self.panel, self._rig(controls))
+        return depth_report(self.shown(controls), self.panel, self._rig(controls))
 
     def eye_mm(self, controls: Controls) -> tuple[float, float, float]:
         """Return the position of the eye before the panel, mm. Raises InputError if the panel lacks measures."""
@@ -312,12 +339,17 @@ class Stage:
 
     def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
         with torch.no_grad():
-            image = encode(self.gaussians, panel, rig, quality=controls.quality, stats=stats, **self.drawn_as(controls))
+            scene = self.shown(controls)
+            image = encode(scene, panel, rig, quality=controls.quality, stats=stats, **self.drawn_as(controls))
         return image.cpu().numpy()
 
     def _native_live(self, controls: Controls) -> dict[str, float]:
         """Draw the native picture on the GPU, where it stays; return the time."""
         rig, stages = self._rig(controls), dict[str, float]()
+        if self.scene.film is not None:  # an Encoder keeps what does not change
+            with timed(stages, "native"):
+                self._encoded(self.panel, rig, controls)
+            return stages
         kind = controls.quality, controls.background
         if self._moving is None or self._moving[0] != kind:
             encoder = Encoder(self.panel, rig, quality=controls.quality, versioned=True, **self.drawn_as(controls))
@@ -337,7 +369,7 @@ class Stage:
         panel, rig = self._rig(controls).reduced(self.panel, width_px)
         side = -1 if panel.invert_views else 1
         positions = [panel.views * (0.5 - side * eye) for eye in eyes]
-        views = render_views(self.gaussians, panel, rig, positions, **self.drawn_as(controls))
+        views = render_views(self.shown(controls), panel, rig, positions, **self.drawn_as(controls))
         return list(to_bytes(views).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:

@@ -159,13 +159,14 @@ def _picture(stage: Stage, query: Query, controls: Controls, still: bool) -> Pic
 def _facts(stage: Stage) -> dict[str, object]:
     """Return the page's data on the scene and the panel."""
     panel = stage.panel
-    distance = panel.viewing_distance_mm
+    distance, film = panel.viewing_distance_mm, stage.scene.film
     return {
         "number": stage.number,
         "name": stage.name,
         "gaussians": stage.gaussians.count,
         "device": stage.gaussians.device.type,
         "live": stage.is_live,
+        "film": None if film is None else {"count": film.count, "fps": film.fps},
         "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
         "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
         "rig": {"zero_depth": stage.base.zero_depth, "cone_deg": stage.base.cone_deg or panel.cone_deg},

@@ -44,6 +44,5 @@ class StereoStage(Stage):
     def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
         stages = {} if stats is None else stats.setdefault("stages_ms", {})
         with torch.no_grad(), timed(stages, "eyes"):
-            return (
-                join_eyes(render_eyes(self.gaussians, panel, rig, **self.drawn_as(controls)), self.layout).cpu().numpy()
-            )
+            eyes = render_eyes(self.shown(controls), panel, rig, **self.drawn_as(controls))
+            return join_eyes(eyes, self.layout).cpu().numpy()

@@ -27,7 +27,7 @@ export function buildSaving(state, told) {
     if (!commands || !find("#saving").open) return;
     const { words: command } = await (await answerOf(`command.json?${query}`)).json();
     find("#command").textContent = command;
-    find("#command-needs").hidden = !state.values.yaw_deg && !state.values.pitch_deg;
+    find("#command-needs").hidden = !state.scene.film && !state.values.yaw_deg && !state.values.pitch_deg;
   }
 
   return { show };

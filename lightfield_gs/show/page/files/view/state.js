@@ -9,7 +9,7 @@ export class State extends EventTarget {
     const first = { ...scene.defaults, focus: scene.rig.zero_depth, cone_deg: scene.rig.cone_deg };
     this.scene = scene;
     this.first = Object.fromEntries(KEPT.map((name) => [name, first[name]]));
-    this.values = { ...this.first, eye: 0 };
+    this.values = { ...this.first, eye: 0, frame: 0 };
     this.steps = [{ ...this.first }];
     this.place = 0;
   }

@@ -3,6 +3,7 @@
 import { buildComfort } from "./comfort.js";
 import { buildControls, showHints } from "./controls.js";
 import { answerOf, find, post } from "./dom.js";
+import { Film } from "./film.js";
 import { Frames } from "./frames.js";
 import { Gallery } from "./gallery.js";
 import { listen, listenToHistory } from "./hands.js";
@@ -13,7 +14,7 @@ import { State } from "./state.js";
 const EDGE = 0.47; // of the viewing zone, whose halves are 0.5: beyond, its other end shines through
 const SAID_MS = 9000;
 
-const state = new State(), panes = Object.fromEntries([...document.querySelectorAll("figure")].map((pane) => [pane.dataset.pane, pane]));
+const state = new State(), film = new Film(state), panes = Object.fromEntries([...document.querySelectorAll("figure")].map((pane) => [pane.dataset.pane, pane]));
 let controls, saving, frames, sayTimer = 0;
 
 const told = {
@@ -36,6 +37,7 @@ const told = {
 function show() {
   controls.show();
   saving.show();
+  film.show();
   const { eye } = state.values;
   find("#eye").value = eye;
   find("#eye-place").textContent = placeOf(eye);
@@ -78,6 +80,7 @@ async function open() {
   const isFirst = !frames;
   if (isFirst) begin(scene);
   state.open(scene);
+  film.open();
   controls = buildControls(find("#large"), find("#small"), state);
   find("#large").children[0].after(comfort.card);
   saving = buildSaving(state, told);

@@ -1,16 +1,15 @@
-"""Structure from motion: poses of photographs, and points, by COLMAP on the CPU.
+"""Structure from motion: poses of photographs, and points, by COLMAP.
 
 Source: Schönberger and Frahm, "Structure-from-Motion Revisited", CVPR 2016, through its package pycolmap, an optional
 dependency. COLMAP's own settings want an initial pair 16 degrees apart and photographs that determine the focal
-length. Where they pose few photographs, mapping is tried again with other settings.
+length. Where they pose few photographs, mapping is tried again with other settings. Features and matches are a GPU's
+where pycolmap is built with CUDA (the package pycolmap-cuda12).
 """
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import shutil
-import warnings
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,19 +18,18 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import torch
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.base.options import POSE_MODEL, Device
 from lightfield_gs.io.atomic import checked_path, scratch_folder
 from lightfield_gs.io.captures.photo_files import PhotoFiles, names_outside
 from lightfield_gs.io.images import as_floats, read_info, read_picture
+from lightfield_gs.pose_estimation.exif import ORIENTATION, lens_key, read_exif
 
-_LEAST_PHOTOGRAPHS = 3
+LEAST_PHOTOGRAPHS = 3
 _MOST_FOR_ALL_PAIRS = 200  # beyond, only successive photographs are matched: all pairs take hours
-_EXIF, _ORIENTATION = 0x8769, 0x0112
-_MAKE_MODEL = (0x010F, 0x0110)
-_FOCAL_MM, _FOCAL_35_MM, _LENS_MODEL = 0x920A, 0xA405, 0xA434
-_DIGITS = 3  # of a focal length in mm: further digits of one phone differ
 _COLMAP_READS = (b"\xff\xd8", b"\x89PNG", b"II*\0", b"MM\0*", b"BM")  # how files of JPEG, PNG, TIFF and BMP begin
 _MOST_LISTED = 4
 CameraKey = tuple[Any, ...]
@@ -45,8 +43,19 @@ _NARROW_DEG, _GUESS = 10.0, 1.2
 _LARGEST_CHANGE = 2.0  # factor of the last refinement: beyond, the photographs do not determine the focal length
 
 
+class NotPosed(InputError):
+    """COLMAP finds no poses of these photographs, or of too few."""
+
+
 def structure_from_motion(
-    photographs: str | Path, output: str | Path, progress: Progress = lambda words: None, masks: Path | None = None
+    photographs: str | Path,
+    output: str | Path,
+    progress: Progress = lambda words: None,
+    masks: Path | None = None,
+    names: Sequence[str] | None = None,
+    device: Device = "auto",
+    feature_masks: Path | None = None,
+    least: float = 0.0,
 ) -> Path:
     """Find the poses of the photographs in and below a folder, and write the model to output/sparse/0.
 
@@ -58,26 +67,31 @@ def structure_from_motion(
         output: the folder of the new capture.
         progress: called with messages about the current stage.
         masks: a folder of masks, whose images are not posed.
+        names: the photographs, by their paths in the folder; None: all that are no masks.
+        device: "auto" and "cuda" match on a GPU where pycolmap can.
+        feature_masks: a folder with NAME.png, black where photographs are not matched.
+        least: fraction of the photographs that must pose, 0..1.
 
     Returns:
         The model's folder, for read_capture(output, images=photographs).
 
     Raises:
-        InputError: where pycolmap is missing, there are too few photographs, or they do not pose.
+        InputError: where pycolmap is missing or there are too few photographs.
+        NotPosed: where they do not pose.
     """
-    pycolmap = _pycolmap()
-    files = PhotoFiles(_photograph_folder(photographs))
-    names = names_outside(masks, files.folder, files.photographs)
-    if len(names) < _LEAST_PHOTOGRAPHS:
-        raise InputError(f"{photographs}: expected {_LEAST_PHOTOGRAPHS} photographs or more, got {len(names)}")
-    if others := len(files.paths) - len(names):
-        assume(f"{photographs}: {others} of {len(files.paths)} pictures are masks by their names or folder: not posed")
+    pycolmap = pycolmap_library()
+    files = PhotoFiles(photograph_folder(photographs))
+    names = photographs_to_pose(files, masks) if names is None else names
+    if len(names) < LEAST_PHOTOGRAPHS:
+        raise InputError(f"{photographs}: expected {LEAST_PHOTOGRAPHS} photographs or more, got {len(names)}")
     target = checked_path(output) / "sparse" / "0"
     if target.exists():
         raise InputError(f"{target}: there is a model already: read it without sfm=True, or remove it")
     target.parent.parent.mkdir(parents=True, exist_ok=True)
     with scratch_folder(target.parent.parent / "sfm") as work:
-        best = _reconstruct(pycolmap, files, names, work, progress)
+        best = _reconstruct(pycolmap, files, names, work, progress, _uses_gpu(pycolmap, device), feature_masks)
+        if (posed := best.num_reg_images()) < least * len(names):
+            raise NotPosed(f"{files.folder}: COLMAP posed {posed} of {len(names)} photographs alone")
         model = work / "best"
         model.mkdir()
         best.write(str(model))
@@ -87,18 +101,32 @@ def structure_from_motion(
     return target
 
 
-def _reconstruct(pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], work: Path, progress: Progress) -> Any:
-    """Return the largest of pycolmap's reconstructions. Raises InputError where there is none."""
+def _uses_gpu(pycolmap: ModuleType, device: Device) -> bool:
+    return device != "cpu" and bool(pycolmap.has_cuda) and torch.cuda.is_available()
+
+
+def _reconstruct(
+    pycolmap: ModuleType,
+    files: PhotoFiles,
+    names: Sequence[str],
+    work: Path,
+    progress: Progress,
+    on_gpu: bool,
+    masks: Path | None,
+) -> Any:
+    """Return the largest of pycolmap's reconstructions. Raises NotPosed where there is none."""
     paths, database = {name: files.paths[name] for name in names}, work / "database.db"
     cameras = group_by_camera(paths)
     photographs = files_for_colmap(paths, files.folder, work)
     pycolmap.set_random_seed(0)
-    progress(f"features of {len(names)} photographs")
-    device = pycolmap.Device.cpu
+    progress(f"features of {len(names)} photographs{' on the GPU' if on_gpu else ''}")
+    device = pycolmap.Device.cuda if on_gpu else pycolmap.Device.cpu
+    readers = {} if masks is None else {"reader_options": pycolmap.ImageReaderOptions(mask_path=str(masks))}
+    mode = pycolmap.CameraMode.SINGLE
     try:
         for group in cameras:
             pycolmap.extract_features(
-                str(database), str(photographs), group, camera_mode=pycolmap.CameraMode.SINGLE, device=device
+                str(database), str(photographs), group, camera_mode=mode, device=device, **readers
             )
         if len(names) <= _MOST_FOR_ALL_PAIRS:
             progress(f"matches of {len(names) * (len(names) - 1) // 2} pairs")
@@ -109,16 +137,31 @@ def _reconstruct(pycolmap: ModuleType, files: PhotoFiles, names: Sequence[str], 
             pycolmap.match_sequential(str(database), device=device)
         best = best_model(pycolmap, database, photographs, len(names), progress)
     except (RuntimeError, ValueError) as error:
-        raise InputError(f"{files.folder}: COLMAP failed: {' '.join(str(error).split())[:300]}") from error
+        raise NotPosed(f"{files.folder}: COLMAP failed: {' '.join(str(error).split())[:300]}") from error
     if best is None:
-        raise InputError(
+        raise NotPosed(
             f"{files.folder}: the {len(names)} photographs did not pose in {len(MAPPING_SETTINGS)} tries: expected "
-            "sharp ones of a scene that stands still, each overlapping the next by two thirds, from many places"
+            "sharp ones of a scene that stands still, each overlapping the next by two thirds, from many places; a "
+            f"network may pose them: pose_model={POSE_MODEL}"
         )
     return best
 
 
-def _pycolmap() -> ModuleType:
+def photographs_to_pose(files: PhotoFiles, masks: Path | None = None) -> list[str]:
+    """Return the names of the photographs in a folder that are no masks, and note how many pictures are.
+
+    Args:
+        files: of the folder.
+        masks: a folder of masks.
+    """
+    names = names_outside(masks, files.folder, files.photographs)
+    if others := len(files.paths) - len(names):
+        assume(f"{files.folder}: {others} of {len(files.paths)} pictures are masks by their names or folder: not posed")
+    return names
+
+
+def pycolmap_library() -> ModuleType:
+    """Import pycolmap, an optional extra. Raises InputError where it is missing."""
     try:
         import pycolmap
     except ImportError as error:
@@ -129,7 +172,8 @@ def _pycolmap() -> ModuleType:
     return pycolmap
 
 
-def _photograph_folder(folder: str | Path) -> Path:
+def photograph_folder(folder: str | Path) -> Path:
+    """Return the folder; raise InputError where there is none."""
     folder = checked_path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of photographs, there is none")
@@ -141,7 +185,7 @@ def group_by_camera(paths: Mapping[str, Path]) -> list[list[str]]:
     groups: dict[CameraKey, list[str]] = defaultdict(list)
     for name, path in paths.items():
         info = read_info(path)
-        groups[(info.width_px, info.height_px, *_lens_key(path))].append(name)
+        groups[(info.width_px, info.height_px, *lens_key(path))].append(name)
     if len(groups) == 1:
         assume(f"the {len(paths)} photographs are of one camera")
     else:
@@ -171,7 +215,7 @@ def files_for_colmap(paths: Mapping[str, Path], folder: Path, work: Path) -> Pat
         if name in others:
             _write_jpeg(path, target)
         else:
-            _link(path, target)
+            link_file(path, target)
     return copies
 
 
@@ -184,41 +228,10 @@ def _kinds(names: Sequence[str]) -> str:
     return " or ".join(sorted({Path(name).suffix.lower() for name in names}))
 
 
-def _lens_key(path: Path) -> tuple[Any, ...]:
-    """Return make, model, lens and focal lengths by the Exif, as far as it has them."""
-    exif = _exif(path)
-    inner = exif.get_ifd(_EXIF)
-    words = [str(exif.get(tag, "")).strip("\0 ") for tag in _MAKE_MODEL] + [
-        str(inner.get(_LENS_MODEL, "")).strip("\0 ")
-    ]
-    return (*words, *(_millimetres(inner.get(tag)) for tag in (_FOCAL_MM, _FOCAL_35_MM)))
-
-
-def _millimetres(value: Any) -> float:
-    """Return a focal length rounded to _DIGITS digits; 0 where there is none."""
-    with contextlib.suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
-        number = float(value)
-        return float(f"{number:.{_DIGITS}g}") if 0 < number < np.inf else 0.0
-    return 0.0
-
-
 def _describe(camera: CameraKey) -> str:
     width, height, *_, focal, equivalent = camera
     length = f" at {equivalent:g} mm (35 mm film)" if equivalent else f" at {focal:g} mm" if focal else ""
     return f"{width} x {height}{length}"
-
-
-def _exif(path: Path) -> Any:
-    """Return Pillow's Exif of a photograph that read_info read; empty where Pillow finds none."""
-    from PIL import Image
-
-    with warnings.catch_warnings(), contextlib.suppress(OSError, ValueError, SyntaxError, RuntimeError, EOFError):
-        warnings.simplefilter("ignore")  # of large pictures, which are not decoded here, and of damaged Exif
-        with Image.open(path) as image:
-            exif = image.getexif()
-            exif.get_ifd(_EXIF)
-            return exif
-    return Image.Exif()
 
 
 def _write_jpeg(path: Path, target: Path) -> None:
@@ -227,13 +240,13 @@ def _write_jpeg(path: Path, target: Path) -> None:
 
     pixels = as_floats(read_picture(path, turn=False).pixels)
     colours = np.repeat(pixels[..., :1], 3, 2) if pixels.shape[2] < 3 else pixels[..., :3]
-    exif = _exif(path)
-    exif.pop(_ORIENTATION, None)
+    exif = read_exif(path)
+    exif.pop(ORIENTATION, None)
     image = Image.fromarray(np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8))
     image.save(target, "JPEG", quality=95, subsampling=0, exif=exif)
 
 
-def _link(path: Path, target: Path) -> None:
+def link_file(path: Path, target: Path) -> None:
     """Link to a file, or copy it where the system has no links."""
     try:
         target.symlink_to(path.resolve())

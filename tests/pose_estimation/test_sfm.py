@@ -5,90 +5,27 @@ other settings than COLMAP's own.
 """
 
 import sys
-from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from capture_scene import CENTRE, HEIGHT, WIDTH, dots, ring, said, write_capture, write_model
+from capture_scene import HEIGHT, WIDTH, dots, said, write_capture
 from command_line import run
+from film_scene import arc, photographs, wall
 from PIL import Image
+from pycolmap_stand_in import Model, stand_in
 
-import lightfield_gs as lf
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.io.captures.sfm import structure_from_motion
-
-
-class _Model:
-    """A reconstruction in which the first `count` photographs are posed, all in one direction."""
-
-    def __init__(self, count: int, focal_px: float = 70.0):
-        self.names = [f"{index:03d}.png" for index in range(count)]
-        self.images = {
-            index: SimpleNamespace(name=name, has_pose=True, viewing_direction=lambda: np.array([0, 0, 1.0]))
-            for index, name in enumerate(self.names)
-        }
-        self.points3D = {1: None}
-        self.cameras = {1: SimpleNamespace(mean_focal_length=lambda: focal_px, width=WIDTH, height=HEIGHT)}
-
-    def num_reg_images(self) -> int:
-        return len(self.names)
-
-    def write(self, folder: str) -> None:
-        images = [(name, 1, *pose) for name, pose in zip(self.names, ring(len(self.names)))]
-        camera = (1, "SIMPLE_RADIAL", WIDTH, HEIGHT, [70.0, *CENTRE, 0.0])
-        write_model(Path(folder), "bin", [camera], images, [((0, 0, 0), (1, 2, 3))])
-
-
-def _stand_in(*tries: dict[int, _Model]) -> SimpleNamespace:
-    """Stand in for pycolmap: each try finds these models, further tries the last ones.
-
-    It records its input: groups, one for each camera; start, the first bytes of each photograph; focal_px of each try.
-    """
-    given = SimpleNamespace(groups=[], start={}, focal_px=[])
-    camera = SimpleNamespace(camera_id=1, width=WIDTH, height=HEIGHT, focal_length=1.0, has_prior_focal_length=False)
-    database = SimpleNamespace(
-        read_all_cameras=lambda: [camera], update_camera=lambda camera: None, clear_two_view_geometries=lambda: None
-    )
-
-    def extract(database, photographs, names, camera_mode, device):
-        given.groups.append(names)
-        given.start |= {name: (Path(photographs) / name).read_bytes()[:3] for name in names}
-
-    def mapping(database, photographs, models, options, initial_image_pair_callback, next_image_callback):
-        found = tries[min(len(given.focal_px), len(tries) - 1)]
-        given.focal_px.append(camera.focal_length)
-        for model in found.values():
-            initial_image_pair_callback()
-            for _ in model.names[2:]:
-                next_image_callback()
-        return found
-
-    return SimpleNamespace(
-        given=given,
-        CameraMode=SimpleNamespace(SINGLE="single"),
-        Device=SimpleNamespace(cpu="cpu"),
-        logging=SimpleNamespace(minloglevel=0),
-        set_random_seed=lambda seed: None,
-        extract_features=extract,
-        match_exhaustive=lambda database, device: None,
-        incremental_mapping=mapping,
-        IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace(), triangulation=SimpleNamespace()),
-        Database=SimpleNamespace(open=lambda path: nullcontext(database)),
-        geometric_verification=lambda path: None,
-        BundleAdjustmentOptions=SimpleNamespace,
-        bundle_adjustment=lambda model, options: None,
-    )
+from lightfield_gs.pose_estimation.sfm import structure_from_motion
 
 
 @pytest.mark.filterwarnings("ignore::lightfield_gs.base.assumptions.Assumption")
 def test_the_largest_model_is_kept_and_what_did_not_pose_is_said(tmp_path, monkeypatch):
     write_capture(tmp_path / "c", count=6)
-    monkeypatch.setitem(sys.modules, "pycolmap", _stand_in({0: _Model(2), 1: _Model(4)}))
+    monkeypatch.setitem(sys.modules, "pycolmap", stand_in({0: Model(2), 1: Model(4)}))
     told: list[str] = []
     model = structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append)
     assert model == tmp_path / "new/sparse/0" and told[-1] == "posed 4 of 6 photographs, 1 points"
@@ -105,16 +42,16 @@ def test_masks_of_any_name_are_found_below_the_photographs(tmp_path, monkeypatch
     for index in range(4):
         (tmp_path / "c/images/cut").mkdir(exist_ok=True)
         Image.fromarray(np.full((HEIGHT, WIDTH), 255, np.uint8)).save(tmp_path / f"c/images/cut/{index:03d}.png")
-    monkeypatch.setitem(sys.modules, "pycolmap", stand_in := _stand_in({0: _Model(4)}))
+    monkeypatch.setitem(sys.modules, "pycolmap", pycolmap := stand_in({0: Model(4)}))
     command = f"fit {tmp_path / 'c/images'} -o {tmp_path / 's.ply'} --sfm --mask-folder cut --steps 1 --gaussians 3"
     assumed = run(capsys, command)
-    assert stand_in.given.groups == [["000.png", "001.png", "002.png", "003.png"]]
+    assert pycolmap.given.groups == [["000.png", "001.png", "002.png", "003.png"]]
     assert "what is white in the masks of" in assumed and "not in the model" not in assumed
 
 
 def test_tries_go_on_until_nearly_all_pose_and_the_best_is_kept(tmp_path, monkeypatch):
     write_capture(tmp_path / "c", count=6)
-    monkeypatch.setitem(sys.modules, "pycolmap", stand_in := _stand_in({0: _Model(2)}, {}, {0: _Model(6)}))
+    monkeypatch.setitem(sys.modules, "pycolmap", pycolmap := stand_in({0: Model(2)}, {}, {0: Model(6)}))
     told: list[str] = []
     with pytest.warns(
         Assumption, match="directions hardly differ: poses are from .* 4 degrees .* 0.75 x the longer side"
@@ -124,20 +61,20 @@ def test_tries_go_on_until_nearly_all_pose_and_the_best_is_kept(tmp_path, monkey
     assert tries[0] == "poses, try 1, by COLMAP's own settings: 2 of 6 photographs"
     assert "try 2, from photographs 4 degrees apart or more" in tries[1] and tries[1].endswith("none posed")
     assert tries[2].endswith("6 of 6 photographs") and len(tries) == 3
-    assert stand_in.given.focal_px == [1.0, 1.2 * WIDTH, 0.75 * WIDTH]
+    assert pycolmap.given.focal_px == [1.0, 1.2 * WIDTH, 0.75 * WIDTH]
     assert len(read_capture(tmp_path / "new", images=tmp_path / "c/images").names) == 6
 
 
 def test_a_focal_length_that_ran_away_is_not_the_last_word(tmp_path, monkeypatch):
     """COLMAP begins with 1.2 x the longer side, and photographs whose directions hardly differ do not hold it there."""
     write_capture(tmp_path / "c", count=6)
-    away = {0: _Model(6, 2.9 * WIDTH)}
-    monkeypatch.setitem(sys.modules, "pycolmap", _stand_in(away, {0: _Model(5)}, {}))
+    away = {0: Model(6, 2.9 * WIDTH)}
+    monkeypatch.setitem(sys.modules, "pycolmap", stand_in(away, {0: Model(5)}, {}))
     told: list[str] = []
     structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append)
     assert told[-1].startswith("posed 5 of 6 photographs")
     assert any(line.endswith("6 of 6 photographs, a focal length of 278 px, 2.9 x the longer side") for line in told)
-    monkeypatch.setitem(sys.modules, "pycolmap", _stand_in(away, {0: _Model(2)}, {}))
+    monkeypatch.setitem(sys.modules, "pycolmap", stand_in(away, {0: Model(2)}, {}))
     with pytest.warns(Assumption, match="COLMAP finds a focal length of 278 px, .* which the photographs hardly deter"):
         structure_from_motion(tmp_path / "c/images", tmp_path / "other")
     assert len(read_capture(tmp_path / "other", images=tmp_path / "c/images").names) == 6
@@ -160,40 +97,40 @@ def test_photographs_of_each_lens_have_a_camera(tmp_path, monkeypatch):
     """Phones have several lenses, whose photographs are of one size."""
     lengths = {"000.jpg": 26, "001.jpg": 47, "002.jpg": 26, "003.jpg": None, "004.jpg": 47}
     folder = _photographs(tmp_path / "c", lengths)
-    monkeypatch.setitem(sys.modules, "pycolmap", stand_in := _stand_in({0: _Model(5)}))
+    monkeypatch.setitem(sys.modules, "pycolmap", pycolmap := stand_in({0: Model(5)}))
     with pytest.warns(
         Assumption, match=r"5 photographs are of 3 cameras, by size and Exif: 2 of 96 x 72 at 26 mm \(35 mm"
     ):
         structure_from_motion(folder, tmp_path / "new")
-    assert stand_in.given.groups == [["000.jpg", "002.jpg"], ["001.jpg", "004.jpg"], ["003.jpg"]]
+    assert pycolmap.given.groups == [["000.jpg", "002.jpg"], ["001.jpg", "004.jpg"], ["003.jpg"]]
 
 
 def test_what_colmap_does_not_read_is_given_as_jpeg(tmp_path, monkeypatch):
     folder = _photographs(tmp_path / "c", {"a/000.webp": 26, "a/001.jpg": 26, "002.png": 26, "003.webp": 26})
-    monkeypatch.setitem(sys.modules, "pycolmap", stand_in := _stand_in({0: _Model(4)}))
+    monkeypatch.setitem(sys.modules, "pycolmap", pycolmap := stand_in({0: Model(4)}))
     with pytest.warns(Assumption, match="COLMAP reads 2 of 4 photographs as JPEG files, for it knows no .webp"):
         structure_from_motion(folder, tmp_path / "new")
-    assert stand_in.given.start == {
+    assert pycolmap.given.start == {
         **dict.fromkeys(("a/000.webp", "a/001.jpg", "003.webp"), b"\xff\xd8\xff"),
         "002.png": b"\x89PN",
     }
-    assert len(stand_in.given.groups) == 1 and (folder / "003.webp").read_bytes()[:4] == b"RIFF"
+    assert len(pycolmap.given.groups) == 1 and (folder / "003.webp").read_bytes()[:4] == b"RIFF"
 
 
 def test_masks_and_hidden_files_are_not_posed(tmp_path, monkeypatch):
     names = [f"images/00{index}.jpg" for index in range(3)]
     folder = _photographs(tmp_path / "c", dict.fromkeys((*names, "masks/000.png", "images/001_mask.png"), None))
     (folder / "images/._000.jpg").write_bytes(b"\0\5\x16\7")
-    monkeypatch.setitem(sys.modules, "pycolmap", stand_in := _stand_in({0: _Model(3)}))
+    monkeypatch.setitem(sys.modules, "pycolmap", pycolmap := stand_in({0: Model(3)}))
     with pytest.warns(Assumption, match="2 of 5 pictures are masks by their names or folder: not posed"):
         structure_from_motion(folder, tmp_path / "new")
-    assert stand_in.given.groups == [names]
+    assert pycolmap.given.groups == [names]
 
 
 @pytest.mark.filterwarnings("ignore::lightfield_gs.base.assumptions.Assumption")
 def test_what_does_not_pose_leaves_nothing(tmp_path, monkeypatch):
     write_capture(tmp_path / "c", count=3)
-    monkeypatch.setitem(sys.modules, "pycolmap", _stand_in({}))
+    monkeypatch.setitem(sys.modules, "pycolmap", stand_in({}))
     with pytest.raises(InputError, match="the 3 photographs did not pose in 4 tries: expected sharp ones"):
         structure_from_motion(tmp_path / "c/images", tmp_path / "new")
     assert not list((tmp_path / "new").iterdir())
@@ -204,26 +141,30 @@ def test_what_does_not_pose_leaves_nothing(tmp_path, monkeypatch):
         structure_from_motion(tmp_path / "c/images", tmp_path / "new")
 
 
+@pytest.mark.filterwarnings("ignore::lightfield_gs.base.assumptions.Assumption")
+@pytest.mark.parametrize(
+    "has_cuda, gpu, device, used",
+    [
+        (True, True, "auto", "cuda"),
+        (True, True, "cpu", "cpu"),
+        (True, False, "auto", "cpu"),
+        (False, True, "auto", "cpu"),
+    ],
+)
+def test_matching_is_on_the_gpu_where_there_is_one(tmp_path, monkeypatch, has_cuda, gpu, device, used):
+    """And pycolmap is built for it."""
+    write_capture(tmp_path / "c", count=3)
+    monkeypatch.setitem(sys.modules, "pycolmap", pycolmap := stand_in({0: Model(3)}, has_cuda=has_cuda))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
+    told: list[str] = []
+    structure_from_motion(tmp_path / "c/images", tmp_path / "new", told.append, device=device)
+    assert pycolmap.given.devices == {used} and ("features of 3 photographs on the GPU" in told) == (used == "cuda")
+
+
 def test_without_pycolmap(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(InputError, match=r"pip install lightfield-gs\[sfm\]"):
         structure_from_motion(tmp_path, tmp_path / "new")
-
-
-def _relief(count: int = 20_000) -> lf.Gaussians:
-    """A wall with steps and hills, of flat Gaussians of random colours and many sizes."""
-    random = np.random.default_rng(0)
-    x, y = random.uniform(-2, 2, (2, count))
-    z = 0.08 * np.sin(1.7 * x) * np.cos(2.1 * y) + 0.04 * np.sign(np.sin(3 * x + 1) * np.sin(2.5 * y))
-    size = np.exp(random.uniform(np.log(0.01), np.log(0.06), count))
-    fields = {
-        "means": np.stack([x, y, z], 1),
-        "scales": np.stack([size, size, 0.3 * size], 1),
-        "quaternions": np.tile([1.0, 0, 0, 0], (count, 1)),
-        "opacities": np.full(count, 0.97),
-        "sh": random.uniform(-1.7, 1.7, (count, 1, 3)),
-    }
-    return lf.Gaussians(**{name: torch.tensor(values, dtype=torch.float32) for name, values in fields.items()})
 
 
 @pytest.mark.slow
@@ -232,14 +173,7 @@ def _relief(count: int = 20_000) -> lf.Gaussians:
 def test_photographs_whose_directions_hardly_differ_pose(tmp_path):
     """Six within 3 degrees, without Exif: COLMAP's own settings begin with photographs 16 degrees apart."""
     pytest.importorskip("pycolmap")
-    angles = np.radians(np.linspace(-1.5, 1.5, 6))
-    poses = np.tile(np.eye(4), (6, 1, 1))
-    poses[:, 0, 0] = poses[:, 2, 2] = np.cos(angles)
-    poses[:, 0, 2], poses[:, 2, 0] = np.sin(angles), -np.sin(angles)
-    poses[:, 2, 3] = 3.0  # from the middle of the wall
-    focal, centre = (torch.tensor([pair] * 6, dtype=torch.float64) for pair in ((520.0, 520.0), (240.0, 180.0)))
-    cameras = lf.Cameras(torch.tensor(poses), focal, centre, 480, 360)
-    images = lf.render(_relief(), cameras, background=(0.2, 0.3, 0.4)).image.clamp(0, 1).mul(255).round().byte().numpy()
+    images = photographs(wall(), arc(np.linspace(-1.5, 1.5, 6)))
     (tmp_path / "c").mkdir()
     for index, image in enumerate(images):
         Image.fromarray(image).save(tmp_path / f"c/{index}.png")
