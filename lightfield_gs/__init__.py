@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
     from lightfield_gs.simplification.pruning import prune
+    from lightfield_gs.simplification.simplify import simplify
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {
