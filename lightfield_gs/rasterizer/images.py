@@ -84,21 +84,12 @@ def render(
     expect("cameras", cameras, Cameras)
     for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased), ("radii", radii)):
         expect(name, value, bool)
-    if cameras.is_all_round:
-        if screen is not None:
-            raise InputError("screen: equirectangular images are drawn in two halves, and have no screen: leave it out")
-        draw_half = partial(_render_by_model, gaussians, alpha=alpha, depth=depth, antialiased=antialiased, radii=radii)
-        return _render_all_round(draw_half, cameras, background)
-    return _render_by_model(
-        gaussians,
-        cameras,
-        background=background,
-        alpha=alpha,
-        depth=depth,
-        antialiased=antialiased,
-        screen=screen,
-        radii=radii,
-    )
+    draw = partial(_render_by_model, gaussians, alpha=alpha, depth=depth, antialiased=antialiased, radii=radii)
+    if not cameras.is_all_round:
+        return draw(cameras, background=background, screen=screen)
+    if screen is not None:
+        raise InputError("screen: equirectangular images are drawn in two halves, and have no screen: leave it out")
+    return _render_all_round(draw, cameras, background)
 
 
 def _render_all_round(draw_half: Callable[..., RenderedImages], cameras: Cameras, background: Colour) -> RenderedImages:

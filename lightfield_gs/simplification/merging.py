@@ -160,20 +160,20 @@ class MergedScene:
         vars(other).update(vars(self))
         return other
 
-    def reduce(self, target: int = 0, most_cost: float = float("inf")) -> None:
-        """Merge and drop until `target` Gaussians are left, or nothing costs less than most_cost."""
-        while self.count > target and self._round(target, most_cost):
+    def reduce(self, target: int) -> None:
+        """Merge and drop until `target` Gaussians are left, or nothing can go."""
+        while self.count > target and self._round(target):
             pass
 
-    def _round(self, target: int, most_cost: float) -> bool:
+    def _round(self, target: int) -> bool:
         """Merge and drop the cheapest; return whether there were any."""
         count, device = self.count, self.labels.device
         drops = drop_costs(self.mixture, self._footprints)
         ends, best = self._edges, drops.clone()
         for end in ends:
             best.scatter_reduce_(0, end, self._costs, "amin")
-        cheapest = (self._costs <= best[ends[0]]) & (self._costs <= best[ends[1]]) & (self._costs < most_cost)
-        pairs, going = cheapest.nonzero()[:, 0], ((drops <= best) & (drops < most_cost)).nonzero()[:, 0]
+        cheapest = (self._costs <= best[ends[0]]) & (self._costs <= best[ends[1]]) & self._costs.isfinite()
+        pairs, going = cheapest.nonzero()[:, 0], ((drops <= best) & drops.isfinite()).nonzero()[:, 0]
         costs = torch.cat([self._costs[pairs], drops[going]])
         if len(costs) == 0:
             return False

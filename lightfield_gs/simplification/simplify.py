@@ -85,41 +85,21 @@ def simplify(
         merged.reduce(target)
         scene = merged.scene()
         return SimplifiedScene(scene, light_field_psnr_db(drawn(scene), truth))
-    low, kept = target, merged  # the count that is known to be too small, or the least asked for
-    while True:
+    kept, too_few, halvings = merged, None, _HALVINGS  # a scene that is good enough, a count that is not
+    while halvings:
+        wanted = int(kept.count * _STEP) if too_few is None else (kept.count + too_few) // 2
+        halvings -= too_few is not None
         trial = kept.copy()
-        wanted = max(low, int(trial.count * _STEP), 1)
-        trial.reduce(wanted)
-        scene = trial.scene()
-        psnr = light_field_psnr_db(drawn(scene), truth)
-        progress(scene.count, psnr)
-        if psnr < least:
-            return _between(kept, trial.count, least, best, drawn, truth, progress)
-        kept, best = trial, SimplifiedScene(scene, psnr)
-        if scene.count <= target or scene.count <= 1:
-            return best
-
-
-def _between(
-    kept: MergedScene,
-    too_few: int,
-    least: float,
-    best: SimplifiedScene,
-    drawn: Callable[[Gaussians], Tensor],
-    truth: Tensor,
-    progress: Callable[[int, float], None],
-) -> SimplifiedScene:
-    """Return the smallest scene found between one that is good enough and a count that is not."""
-    for _ in range(_HALVINGS):
-        trial = kept.copy()
-        trial.reduce((kept.count + too_few) // 2)
+        trial.reduce(max(target, wanted))
         scene = trial.scene()
         psnr = light_field_psnr_db(drawn(scene), truth)
         progress(scene.count, psnr)
         if psnr < least:
             too_few = trial.count
-        else:
-            kept, best = trial, SimplifiedScene(scene, psnr)
+            continue
+        kept, best = trial, SimplifiedScene(scene, psnr)
+        if scene.count <= target:
+            break
     return best
 
 

@@ -23,17 +23,14 @@ from lightfield_gs.io.file_kinds import FIT_ADVICE
 from lightfield_gs.io.scenes import spz
 from lightfield_gs.io.scenes.comments import ANTIALIASED, Y_DOWN, is_antialiased
 from lightfield_gs.io.scenes.gltf_file import GltfFile, Object, extensions
-from lightfield_gs.io.scenes.placement import place
+from lightfield_gs.io.scenes.placement import gather_placed, place
 from lightfield_gs.io.scenes.scene_arrays import (
     HIGH_DEGREE_NOTE,
     LINEAR_NOTE,
     Y_UP_TURN,
     Fields,
     SceneArrays,
-    checked_fields,
-    concatenate_fields,
     encode_light,
-    relative_centres,
     rgb_to_sh,
 )
 
@@ -67,11 +64,7 @@ def read(path: Path, skip_invalid: bool) -> SceneArrays:
     with named(path):
         file = GltfFile(path)
         found = _collect(file)
-    fields = concatenate_fields(found.parts)
-    origin = (0.0, 0.0, 0.0)
-    if found.is_moved:
-        fields["means"], origin = relative_centres(fields["means"], fields["scales"])
-    fields, notes = checked_fields(path, fields, skip_invalid)
+    fields, origin, notes = gather_placed(path, found.parts, found.is_moved, skip_invalid)
     notes += found.notes
     if found.others:
         left_out = counted(found.others, "other primitive", does="are left out")

@@ -2,16 +2,39 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import torch
 
 from lightfield_gs.base.harmonics import rotations
-from lightfield_gs.io.scenes.scene_arrays import Fields
+from lightfield_gs.io.scenes.scene_arrays import Fields, Origin, checked_fields, concatenate_fields, relative_centres
 from lightfield_gs.scene.rotation import harmonics_rotation, rotated_quaternions, rotation_quaternions
 
 _SIMILAR = 1e-5  # relative difference of the factors along three axes, below which a map keeps shapes
 _WHOLE = 1e-9  # distance to whole numbers, by which maps of harmonics are off for exact turns
 _AT_ONCE = 1 << 16  # Gaussians
+
+
+def gather_placed(
+    path: Path, parts: list[Fields], is_moved: bool, skip_invalid: bool
+) -> tuple[Fields, Origin, list[str]]:
+    """Return the fields of all placed parts of a file, their origin, and notes on them.
+
+    Args:
+        path: the file, for messages.
+        parts: see place.
+        is_moved: whether any part is translated, so that the centres may be far from zero.
+        skip_invalid: leave invalid Gaussians out.
+
+    Raises:
+        InputError: see checked_fields.
+    """
+    fields, origin = concatenate_fields(parts), (0.0, 0.0, 0.0)
+    if is_moved:
+        fields["means"], origin = relative_centres(fields["means"], fields["scales"])
+    fields, notes = checked_fields(path, fields, skip_invalid)
+    return fields, origin, notes
 
 
 @np.errstate(invalid="ignore", over="ignore")

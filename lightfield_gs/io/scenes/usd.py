@@ -22,7 +22,7 @@ from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.io.atomic import atomic_path, scratch_folder
 from lightfield_gs.io.file_kinds import FIT_ADVICE
 from lightfield_gs.io.scenes.comments import Y_DOWN, is_antialiased
-from lightfield_gs.io.scenes.placement import place
+from lightfield_gs.io.scenes.placement import gather_placed, place
 from lightfield_gs.io.scenes.scene_arrays import (
     HIGH_DEGREE_NOTE,
     LINEAR_NOTE,
@@ -31,10 +31,7 @@ from lightfield_gs.io.scenes.scene_arrays import (
     Fields,
     Origin,
     SceneArrays,
-    checked_fields,
-    concatenate_fields,
     encode_light,
-    relative_centres,
     up_losses,
 )
 
@@ -92,11 +89,7 @@ def read(path: Path, skip_invalid: bool, time: float | None = None) -> SceneArra
         usd = import_usd()
         stage = _open(usd, path)
         found = _collect(usd, stage, time)
-    fields = concatenate_fields(found.parts)
-    origin = (0.0, 0.0, 0.0)
-    if found.is_moved:
-        fields["means"], origin = relative_centres(fields["means"], fields["scales"])
-    fields, notes = checked_fields(path, fields, skip_invalid)
+    fields, origin, notes = gather_placed(path, found.parts, found.is_moved, skip_invalid)
     notes += found.notes
     if found.hidden:
         notes.append(counted(found.hidden, "prim", does="of Gaussians are invisible in the stage and left out"))
