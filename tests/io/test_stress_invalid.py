@@ -173,6 +173,19 @@ CALLS = {
     "depth_report": (lf.depth_report, dict(gaussians=SCENE, panel=PANEL, rig=RIG)),
     "load_photo": (lf.load_photo, dict(path="nowhere.png", mask="nowhere.png", remove_background=False, whole=True)),
     "prune": (lf.prune, dict(gaussians=SCENE, panel=PANEL, rig=RIG, contribution_cut=0.01)),
+    "simplify": (
+        lf.simplify,
+        dict(
+            gaussians=SCENE,
+            panel=PANEL,
+            rig=RIG,
+            psnr_db=40.0,
+            count=30,
+            background=(1, 1, 1),
+            antialiased=False,
+            view_filter=0.5,
+        ),
+    ),
     "quilt": (
         lf.quilt,
         dict(
