@@ -13,6 +13,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import CAMERA_MODELS
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
@@ -36,7 +37,7 @@ class ImageArguments(NamedTuple):
         opacities: [B, N], in (0, 1].
         sh: [B, N, K, 3], spherical harmonics, K = 1, 4, 9 or 16.
         background: [B, V, 3].
-        world_to_camera: [B, V, 4, 4].
+        world_to_camera: [B, V, 4, 4], or of rolling shutters [B, V, 6, 4], see Cameras.poses.
         intrinsics: [B, V, 4], fx, fy, cx and cy in pixels.
         limits: [B, V, 5], of the projection's Jacobian, or the lens; see Cameras.limits.
         width, height: Size of all images, 1..65536 pixels.
@@ -106,8 +107,9 @@ class ImageInputs:
         self.lead = lead = (scene.batch, world_to_camera.shape[1])
         self.images, self.width, self.height = lead[0] * lead[1], width, height
         self.shapes = (*lead, height, width, 3), (*lead, height, width), (*lead, height, width)  # image, alpha, depth
+        self.pose_rows = rows = 4 if model < len(CAMERA_MODELS) else 6
         self._camera_tensors = [
-            check_tensor("world_to_camera", world_to_camera, (*lead, 4, 4), scene.dtype, scene.device),
+            check_tensor("world_to_camera", world_to_camera, (*lead, rows, 4), scene.dtype, scene.device),
             check_tensor("intrinsics", intrinsics, (*lead, 4), scene.dtype, scene.device),
             check_tensor("limits", limits, (*lead, 5), scene.dtype, scene.device),
         ]
@@ -129,7 +131,11 @@ class ImageInputs:
             sums: Result of ImageRender.backward_sums.
         """
         with device_guard(self.scene.device):
-            return project_images_backward(self.scene, self.cameras, sums, request)
+            return project_images_backward(self.scene, self.cameras, sums, self.completed(request))
+
+    def completed(self, request: GradientRequest) -> GradientRequest:
+        """Return the request with the rows of these poses."""
+        return request._replace(pose_rows=self.pose_rows)
 
 
 class ImageRender:
@@ -212,7 +218,9 @@ class ImageRender:
         """
         native, native_gradients = self._natives(images, gradients)
         with device_guard(self.scene.device):
-            return self.work.images_backward(self.inputs.cameras, self.background, native, native_gradients, request)
+            return self.work.images_backward(
+                self.inputs.cameras, self.background, native, native_gradients, self.inputs.completed(request)
+            )
 
     def backward_sums(self, images: ImageBuffers, gradients: ImageBuffers, absolute: bool) -> tuple[Tensor, Tensor]:
         """Run the first half of backward() on CUDA.

@@ -187,10 +187,12 @@ class GradientRequest(NamedTuple):
     Attributes:
         screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.
         cameras: Whether the gradient of world_to_camera is asked for.
+        pose_rows: Of each pose; ImageInputs knows.
     """
 
     screen_numbers: int = 0
     cameras: bool = True
+    pose_rows: int = 4
 
     @property
     def absolute(self) -> bool:
@@ -204,7 +206,7 @@ class ImageGradients(NamedTuple):
     Attributes:
         fields: Gradients of the five fields.
         background_parts: [I * parts, 3].
-        cameras: [I, 4, 4], or [0, 4, 4].
+        cameras: [I, pose_rows, 4], or [0, pose_rows, 4].
         screen: Gradients of the projected means, [I, N, screen_numbers].
     """
 
@@ -356,7 +358,7 @@ class CpuWorkspace:
             self.threads,
         )
         out, native = scene.gradients(zero=True)
-        g_cameras = scene.new(self.images, 4, 4, zero=True)
+        g_cameras = scene.new(self.images, request.pose_rows, 4, zero=True)
         screen = scene.new(self.images, scene.count, request.screen_numbers)
         core.project_images_backward(
             scene.native(),
