@@ -60,9 +60,10 @@ class Identity:
             train: indices of the training photographs.
             weights: of the training photographs, in a cone.
         """
+        cameras = capture.world_to_camera, capture.intrinsics, capture.readouts
         parts = {
             "names of photographs": json.dumps(capture.names).encode(),
-            "cameras": capture.world_to_camera.tobytes() + capture.intrinsics.tobytes(),
+            "cameras": b"".join(part.tobytes() for part in cameras if part is not None),
             "points": capture.points.tobytes() + capture.colours.tobytes(),
             "photographs held out": json.dumps(list(train)).encode(),
             "cone": json.dumps(weights).encode(),

@@ -295,7 +295,7 @@ def mask_to_window(
     """
     weights = torch.zeros(images.photos.shape[:3], dtype=torch.uint8, device=images.photos.device)  # perhaps the host's
     for index, (width, height) in enumerate(images.sizes):
-        camera = images.world_to_camera[index], images.intrinsics[index]
+        camera = images.world_to_camera[index, :4], images.intrinsics[index]
         seen = window.mask(*camera, width, height, images.model)
         counts = 255 if images.weights is None else images.weights[index, :height, :width]
         weights[index, :height, :width] = seen.to(weights.device) * counts

@@ -241,7 +241,7 @@ class Cameras:
     @property
     def model_number(self) -> int:
         """Return the number of the model and the shutter in the core (csrc/scene/camera.h)."""
-        return CAMERA_MODELS.index(self.model) + len(CAMERA_MODELS) * shutter_number(self.rolling_shutter)
+        return model_number(self.model, self.rolling_shutter)
 
     def poses(self) -> torch.Tensor:
         """Return world_to_camera; of rolling shutters with the motion in two more rows, [..., C, 6, 4]."""
@@ -299,6 +299,11 @@ class Cameras:
         named = self.ends() | self._optics()
         tensors: dict[str, Any] = {name: value.to(*args, **kwargs) for name, value in named.items()}
         return replace(self, **tensors)
+
+
+def model_number(model: CameraModel, shutter: RollingShutter = "none") -> int:
+    """Return the number of a model and a shutter in the core (csrc/scene/camera.h)."""
+    return CAMERA_MODELS.index(model) + len(CAMERA_MODELS) * shutter_number(shutter)
 
 
 _FAR = 64  # units, and times the cameras' extent: cameras farther from the origin are moved to it
