@@ -22,6 +22,7 @@ from lightfield_gs.rasterizer.workspace import (
     Splats,
 )
 
+_NOT_DRAWN = -1  # key of a splat that is not sorted: all bits
 _ALIGNMENT = 256  # bytes, that of memory from CUDA
 
 
@@ -174,13 +175,13 @@ class CudaWorkspace:
         )
 
     def composite_images_backward(
-        self, background: Tensor, images: _core.float32.Images, gradients: _core.float32.Images, absolute: bool
+        self,
+        cameras: _core.float32.Cameras,
+        background: Tensor,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
+        absolute: bool,
     ) -> tuple[Tensor, Tensor]:
-        """Run the first half of images_backward.
-
-        Return sums over the intersections of each splat [I, N, SPLAT_SUMS], and the background's gradient in parts [I *
-        parts, 3]. The gradients of the Gaussians follow from the sums.
-        """
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.intersection_count, cuda.ABSOLUTE_IMAGE_SUMS if absolute else cuda.IMAGE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
@@ -208,9 +209,44 @@ class CudaWorkspace:
         gradients: _core.float32.Images,
         request: GradientRequest,
     ) -> ImageGradients:
-        sums, g_background = self.composite_images_backward(background, images, gradients, request.absolute)
-        fields, g_cameras, screen = project_images_backward(self.scene, cameras, sums, request)
-        return ImageGradients(fields, g_background, g_cameras, screen)
+        sums, g_background = self.composite_images_backward(cameras, background, images, gradients, request.absolute)
+        return ImageGradients(*self.fields_backward(cameras, sums, request), g_background)
+
+    def fields_backward(
+        self, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        return project_images_backward(self.scene, cameras, sums, request)
+
+    def composite_features(self, features: _core.float32.Features, out: Tensor) -> None:
+        lists = self.splats.native, self.image, self.ranges, self.tile_lists
+        _core.cuda.composite_features(*lists, features, out.data_ptr(), self.stream)
+
+    def composite_median_depth(self, out: Tensor) -> None:
+        lists = self.splats.native, self.image, self.ranges, self.tile_lists
+        _core.cuda.composite_median_depth(*lists, out.data_ptr(), self.stream)
+
+    def composite_features_backward(self, features: _core.float32.Features, channels: int) -> tuple[Tensor, Tensor]:
+        scene, cuda = self.scene, _core.cuda
+        slots = scene.new(self.intersection_count, cuda.FEATURE_SUMS)
+        sums = scene.new(self.images, scene.count, cuda.SPLAT_SUMS)
+        g_features = scene.new(self.images, scene.count, channels)
+        cuda.composite_features_backward(
+            self.splats.native,
+            self.image,
+            self.ranges,
+            self.tile_lists,
+            self.slot_ranges,
+            features,
+            slots.data_ptr(),
+            sums.data_ptr(),
+            g_features.data_ptr(),
+            self.stream,
+        )
+        return sums, g_features
+
+    def drop(self, hidden: Tensor) -> None:
+        self.splats.drop(hidden)
+        self.keys.view(hidden.shape).masked_fill_(hidden, _NOT_DRAWN)
 
     def direct_backward(
         self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
