@@ -159,6 +159,7 @@ class ImageRender:
         state: RenderState | None = None,
         capacity: int | None = None,
         hidden: Callable[[Tensor], Tensor] | None = None,
+        splats: Tensor | None = None,
     ):
         """Run project, order and bin, or take their results from `state`.
 
@@ -172,6 +173,7 @@ class ImageRender:
                 the device; if `intersections_on_device` is larger, the images are wrong. None: the host waits for the
                 number.
             hidden: which splats are not drawn, [I, N] bool, from the splats [I, N, SPLAT_FIELDS].
+            splats: [I, N, SPLAT_FIELDS], in place of a projection, which would also write colours.
 
         Raises:
             InputError: for a background or state that does not fit the inputs.
@@ -187,7 +189,10 @@ class ImageRender:
             self.work = make(self.scene, size, self.stats, threads or torch.get_num_threads(), state)
             if state is None:
                 with self.stats.stage("project"):
-                    self.work.project_images(inputs.cameras)
+                    if splats is None:
+                        self.work.project_images(inputs.cameras)
+                    else:
+                        self.work.take(splats)
                     if hidden is not None:
                         self.work.drop(hidden(self.work.splats.splats))
                 self.work.order_and_bin()
@@ -301,6 +306,10 @@ class ImageRender:
             return self.work.composite_images_backward(
                 self.inputs.cameras, self._behind(), native, native_gradients, absolute
             )
+
+    def splat_gradients(self, sums: Tensor) -> Tensor:
+        """Return the gradients of the numbers of splats [I, N, SPLAT_FIELDS] from the sums of backward_sums."""
+        return self.work.splat_gradients(sums)
 
     def fields_backward(self, sums: Tensor, request: GradientRequest) -> tuple[list[Tensor], Tensor, Tensor]:
         """Return the gradients of fields, cameras and screen, as in ImageGradients: the second half of backward()."""

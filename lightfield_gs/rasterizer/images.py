@@ -23,7 +23,7 @@ from lightfield_gs.rasterizer.image_operators import (
 )
 from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
 from lightfield_gs.rasterizer.operators import refuse_tangents
-from lightfield_gs.rasterizer.render_options import NEAREST, RenderOptions, with_sh_degree
+from lightfield_gs.rasterizer.render_options import BLUR, NEAREST, RenderOptions, with_sh_degree
 from lightfield_gs.rasterizer.splat_render import Drawn, View, draw_splats
 from lightfield_gs.rasterizer.splat_shapes import splat_conics, splat_means, splat_radii, splat_tiles
 from lightfield_gs.scene.cameras import Cameras, recentre
@@ -112,11 +112,13 @@ def render(
     means2d: bool = False,
     conics: bool = False,
     tiles: bool = False,
+    covars: Tensor | None = None,
+    eps2d: float = BLUR,
 ) -> RenderedImages:
     """Render ordinary images of Gaussians (Kerbl et al. 2023).
 
-    The images are differentiable once, in the five fields of the Gaussians, features, colors, the background and
-    cameras.world_to_camera.
+    The images are differentiable once, in the five fields of the Gaussians, features, colors, covars, the background
+    and cameras.world_to_camera.
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
@@ -153,6 +155,9 @@ def render(
         means2d: also return means2d.
         conics: also return conics.
         tiles: also return tiles.
+        covars: [..., N, 3, 3] covariances, in place of scales and quaternions, whose values then do not matter. They
+            have gradients. For pinhole and orthographic cameras, as `eps2d`: torch projects the Gaussians then.
+        eps2d: variance of the blur, px^2, 0 or more; others than 0.3 by torch.
 
     Returns:
         The images that were asked for, by name. As a tuple they are (image, alpha, depth, radii).
@@ -179,6 +184,8 @@ def render(
         means2d=means2d,
         conics=conics,
         tiles=tiles,
+        covars=covars,
+        eps2d=eps2d,
     )
     gaussians.validate_layout()
     if colors is not None and sh_degree is not None:
@@ -232,7 +239,9 @@ def _render_by_model(
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     like, *others = gaussians.fields().values()
-    refuse_tangents(like, *others, background, cameras.world_to_camera, options.features, options.colors)
+    refuse_tangents(
+        like, *others, background, cameras.world_to_camera, options.features, options.colors, options.covars
+    )
     if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
         raise InputError(
             "cameras: focal_px and principal_point_px (K) and jacobian_limits have no gradients, and one of them "
@@ -271,7 +280,7 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
     batch = list(fields) if batched else [field.unsqueeze(0) for field in fields]
     if options.by_splats:
         if not batched:
-            given = {name: getattr(options, name) for name in ("features", "colors", "masks")}
+            given = {name: getattr(options, name) for name in ("features", "colors", "masks", "covars")}
             options = replace(options, **{name: t.unsqueeze(0) for name, t in given.items() if t is not None})
         return draw_splats(batch, view, options, screen)
     size = view.width, view.height, options.antialiased

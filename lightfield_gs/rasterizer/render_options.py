@@ -13,11 +13,14 @@ from lightfield_gs.base.arrays import check_tensor, to_tensor
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import RENDER_MODES, RenderMode
+from lightfield_gs.rasterizer.torch_projection import MODELS
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians, check_finite
 
+BLUR = 0.3  # px^2, csrc/math/constants.h
 NEAREST = 0.01  # csrc/math/constants.h: nothing nearer is drawn
 _FARTHEST = 1e30
+_ASYMMETRY = 1e-4  # of covariances, as a fraction of the largest number
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class RenderOptions:
     means2d: bool = False
     conics: bool = False
     tiles: bool = False
+    covars: Tensor | None = None
+    eps2d: float = BLUR
 
     def __post_init__(self) -> None:
         """Check what needs neither Gaussians nor cameras. Raises InputError."""
@@ -52,6 +57,11 @@ class RenderOptions:
         if self.far_plane != math.inf:
             real_number("far_plane", self.far_plane, near, _FARTHEST)
         real_number("radius_clip", self.radius_clip, 0.0, 1e6)
+        real_number("eps2d", self.eps2d, 0.0, 1e6)
+        if self.covars is not None and self.normals:
+            raise InputError(
+                "normals: they are the shortest axes of scales and quaternions, and covars have none: leave normals out"
+            )
 
     def checked(self, gaussians: Gaussians, cameras: Cameras) -> RenderOptions:
         """Return these options with tensors checked: [..., C or 1, N, ...]. Raises InputError."""
@@ -59,6 +69,13 @@ class RenderOptions:
         for name, last in (("features", "D"), ("colors", 3)):
             if (value := getattr(self, name)) is not None:
                 found[name] = _per_gaussian(name, value, gaussians, cameras.count, (last,))
+        if self.covars is not None:
+            found["covars"] = _checked_covariances(self.covars, gaussians)
+        if self.by_torch and cameras.model not in MODELS:
+            name = "eps2d" if self.covars is None else "covars"
+            raise InputError(
+                f"{name}: expected cameras of the models {' or '.join(MODELS)}, got {cameras.model}: leave {name} out"
+            )
         if self.masks is not None:
             found["masks"] = _per_gaussian("masks", self.masks, gaussians, cameras.count, (), torch.bool)
         return replace(self, **found)
@@ -80,8 +97,15 @@ class RenderOptions:
     def by_splats(self) -> bool:
         """Whether the stages have to be operators of their own: splat_render."""
         cuts = self.near_plane > NEAREST or self.far_plane < math.inf or self.radius_clip > 0
+        if self.by_torch:
+            return True
         tensors = (self.features, self.colors, self.masks)
         return cuts or self.normals or self.median_depth or any(t is not None for t in tensors)
+
+    @property
+    def by_torch(self) -> bool:
+        """Whether torch projects the Gaussians: torch_projection."""
+        return self.covars is not None or self.eps2d != BLUR
 
     @property
     def reads_splats(self) -> bool:
@@ -126,6 +150,26 @@ def _per_gaussian(
     if dtype is None and not value.is_cuda:
         check_finite(name, value)
     return value if tuple(value.shape) == own and value.dim() > len(shared) else value.unsqueeze(len(lead))
+
+
+def _checked_covariances(covars: Tensor, gaussians: Gaussians) -> Tensor:
+    """Return covariances [..., N, 3, 3] contiguous. Raises InputError; values on CUDA are not checked."""
+    expect("covars", covars, Tensor)
+    shape = (*gaussians.means.shape[:-1], 3, 3)
+    check_tensor("covars", to_tensor("covars", covars), shape, gaussians.dtype, gaussians.device)
+    if covars.is_cuda or not covars.numel():
+        return covars
+    check_finite("covars", covars)
+    with torch.no_grad():
+        least, most = torch.linalg.eigvalsh((covars + covars.mT) / 2)[..., 0], covars.abs().amax((-1, -2))
+        bad = ((covars - covars.mT).abs().amax((-1, -2)) > _ASYMMETRY * most) | (least < -_ASYMMETRY * most)
+    if bool(bad.any()):
+        index = tuple(int(i) for i in bad.nonzero()[0])
+        raise InputError(
+            f"covars{list(index)}: expected a symmetric matrix without negative eigenvalues, got "
+            f"{shown(covars[index].tolist())}"
+        )
+    return covars
 
 
 def with_sh_degree(gaussians: Gaussians, degree: int | None) -> Gaussians:

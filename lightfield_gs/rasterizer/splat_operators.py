@@ -15,7 +15,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import differentiable_once, differentiable_operator, is_eager, operator_schema
-from lightfield_gs.rasterizer.splat_shapes import splat_radii
+from lightfield_gs.rasterizer.splat_shapes import hidden_splats
 from lightfield_gs.rasterizer.workspace import GradientRequest, RenderState
 
 _COLOURS = slice(_core.COLOUR_SUM, _core.COLOUR_SUM + 3)  # in the sums of a splat
@@ -54,11 +54,8 @@ class ProjectArguments(NamedTuple):
 
     def hidden(self, splats: Tensor) -> Tensor:
         """Return which splats [I, N, SPLAT_FIELDS] are not to be drawn, [I, N]."""
-        depth = splats[..., _core.SPLAT_DEPTH_INDEX]
-        hidden = (depth < self.near) | (depth > self.far)
-        if self.radius > 0:
-            hidden |= splat_radii(splats) <= self.radius
-        return hidden if self.masks is None else hidden | ~self.masks.reshape(hidden.shape)
+        masks = None if self.masks is None else self.masks.flatten(0, 1)
+        return hidden_splats(splats, masks, self.near, self.far, self.radius)
 
 
 class _ProjectGradients(NamedTuple):
@@ -144,6 +141,104 @@ project_splats = differentiable_operator(
     _fake_project,
     _setup_project,
     _backward_project,
+)
+
+
+class ListArguments(NamedTuple):
+    """The arguments of list_splats.
+
+    Attributes:
+        splats: [B * V, N, SPLAT_FIELDS], of torch_projection.
+        colours: [B * V, N, 1, COLOUR_STRIDE].
+        screen: [B, V, N, 2 or 4], see ImageArguments.
+        scenes: B.
+        width, height: Of the images, pixels.
+    """
+
+    splats: Tensor
+    colours: Tensor
+    screen: Tensor | None
+    scenes: int
+    width: int
+    height: int
+
+    def inputs(self) -> ImageInputs:
+        """Return the size of the images and scenes. Raises InputError."""
+        return ImageInputs.of_splats(self.splats, self.scenes, self.width, self.height)
+
+
+class _ListGradients(NamedTuple):
+    """The arguments of the backward of list_splats."""
+
+    splats: Tensor
+    colours: Tensor
+    lists: Tensor
+    scenes: int
+    width: int
+    height: int
+    sums: Tensor
+    screen_numbers: int
+
+
+def _list(*arguments: Any) -> tuple[Tensor, Tensor]:
+    """Sort and list splats; return a copy of them, whose gradients are sums, and the lists."""
+    given = ListArguments(*arguments)
+    state = ImageRender(given.inputs(), None, splats=given.splats.contiguous()).work.state()
+    return state.splats, state.lists
+
+
+def _fake_list(*arguments):
+    splats = arguments[0]
+    lists = splats.new_empty(torch.library.get_ctx().new_dynamic_size(), dtype=torch.uint8)
+    return splats.new_empty(splats.shape), lists
+
+
+def _list_backward(*arguments: Any) -> tuple[Tensor, Tensor]:
+    """Return the gradients of the splats' numbers, and of screen."""
+    known = _ListGradients(*arguments)
+    inputs = ImageInputs.of_splats(known.splats, known.scenes, known.width, known.height)
+    render = ImageRender(inputs, None, state=RenderState(*known[:3]))
+    gradients = render.splat_gradients(known.sums)
+    absolute = known.sums[..., _COLOURS.stop :]
+    screen = torch.cat([gradients[..., list(_core.SPLAT_PLACE_INDICES)], absolute], -1)[..., : known.screen_numbers]
+    return gradients, screen.reshape(*inputs.lead, inputs.scene.count, known.screen_numbers).contiguous()
+
+
+list_splats_backward = torch.library.custom_op(
+    "lightfield_gs::list_splats_backward",
+    _list_backward,
+    mutates_args=(),
+    device_types=("cpu", "cuda"),
+    schema=operator_schema(_ListGradients, outputs=2),
+)
+
+
+@list_splats_backward.register_fake
+def _(splats, colours, lists, scenes, width, height, sums, numbers):
+    screen = splats.new_empty(scenes, splats.shape[0] // scenes, splats.shape[1], numbers)
+    return splats.new_empty(splats.shape), screen
+
+
+def _setup_list(ctx, inputs, output):
+    given = ListArguments(*inputs)
+    ctx.save_for_backward(output[0], given.colours, output[1])
+    ctx.options, ctx.screen_numbers = given[3:], 0 if given.screen is None else given.screen.shape[-1]
+    ctx.mark_non_differentiable(output[1])
+    ctx.set_materialize_grads(False)
+
+
+@differentiable_once
+def _backward_list(ctx, sums, _):
+    if sums is None:
+        return (None,) * len(ListArguments._fields)
+    saved = ctx.saved_tensors
+    backward = _list_backward if is_eager(saved) else list_splats_backward
+    gradients, g_screen = backward(*saved, *ctx.options, sums, ctx.screen_numbers)
+    return gradients, None, g_screen if ctx.screen_numbers else None, None, None, None
+
+
+list_splats = differentiable_operator(
+    "list_splats", operator_schema(ListArguments, outputs=2), _list, _fake_list, _setup_list, _backward_list
 )
 
 

@@ -12,14 +12,17 @@ from torch.nn import functional
 from lightfield_gs import _core
 from lightfield_gs.base.harmonics import rotations
 from lightfield_gs.base.options import CAMERA_MODELS
-from lightfield_gs.rasterizer import image_render
+from lightfield_gs.rasterizer import image_render, torch_projection
 from lightfield_gs.rasterizer.render_options import RenderOptions
 from lightfield_gs.rasterizer.splat_operators import (
     composite_features,
     composite_median_depth,
     composite_splats,
+    list_splats,
     project_splats,
 )
+from lightfield_gs.rasterizer.splat_shapes import hidden_splats
+from lightfield_gs.rasterizer.workspace import RenderState
 
 
 class Drawn(NamedTuple):
@@ -100,23 +103,17 @@ def _draw(fields: Sequence[Tensor], view: View, options: RenderOptions, screen: 
     """Draw all cameras at once; see draw_splats."""
     scenes, cameras = view.background.shape[:2]
     count, size = fields[0].shape[1], (view.width, view.height)
-    plain, masks = options.colors is not None, options.masks
-    sh = fields[0].new_zeros(scenes, count, 1, 3) if plain else fields[4]
-    splats, colours, lists = project_splats(
-        *fields[:4],
-        sh,
-        *view[1:4],
-        *size,
-        options.antialiased,
-        view.model,
-        screen,
-        None if masks is None else masks.expand(scenes, cameras, count),
-        options.near_plane,
-        options.far_plane,
-        float(options.radius_clip),
+    colors, masks = options.colors, options.masks
+    if masks is not None:
+        masks = masks.expand(scenes, cameras, count)
+    splats, colours, lists = (_projected_by_torch if options.by_torch else _projected)(
+        fields, view, options, screen, masks
     )
-    if options.colors is not None:
-        padded = functional.pad(options.colors, (0, _core.COLOUR_STRIDE - 3))
+    if options.by_torch and colors is None:
+        colors = torch_projection.colours(fields[0], fields[4], view.world_to_camera)
+    plain = colors is not None
+    if colors is not None:
+        padded = functional.pad(colors, (0, _core.COLOUR_STRIDE - 3))
         colours = padded.expand(scenes, cameras, count, -1).reshape(colours.shape)
     absolute = screen is not None and screen.shape[-1] == 4
     image, alpha, depth = composite_splats(splats, colours, lists, view.background, *size, absolute, plain)
@@ -130,6 +127,41 @@ def _draw(fields: Sequence[Tensor], view: View, options: RenderOptions, screen: 
     if options.median_depth:
         found["median_depth"] = composite_median_depth(splats.detach(), *state[1:], scenes, *size)
     return Drawn(image, alpha, depth, splats.detach(), **found)
+
+
+_State = tuple[Tensor, Tensor, Tensor]  # splats, colours and lists
+
+
+def _projected(
+    fields: Sequence[Tensor], view: View, options: RenderOptions, screen: Tensor | None, masks: Tensor | None
+) -> _State:
+    """Return splats, colours and lists; see draw_splats. masks: [B, V, N]."""
+    # Where colours are given, harmonics are not evaluated
+    sh = fields[4] if options.colors is None else fields[0].new_zeros(*fields[0].shape[:2], 1, 3)
+    size = view.width, view.height
+    cuts = options.near_plane, options.far_plane, float(options.radius_clip)
+    return project_splats(*fields[:4], sh, *view[1:4], *size, options.antialiased, view.model, screen, masks, *cuts)
+
+
+def _projected_by_torch(
+    fields: Sequence[Tensor], view: View, options: RenderOptions, screen: Tensor | None, masks: Tensor | None
+) -> _State:
+    """Do as _projected, but by torch_projection; colours have no values."""
+    means, quaternions, scales, opacities, _ = fields
+    covars = options.covars
+    if covars is None:
+        covars = torch_projection.covariances(quaternions, scales)
+    size = view.width, view.height
+    splats = torch_projection.project(
+        means, covars, opacities, view[1:4], size, view.model, float(options.eps2d), options.antialiased
+    )
+    cuts = options.near_plane, options.far_plane, float(options.radius_clip)
+    hidden = hidden_splats(splats.detach(), masks, *cuts)
+    reach = torch.arange(splats.shape[-1], device=splats.device) == _core.SPLAT_REACH_INDEX
+    splats = splats.masked_fill(hidden.unsqueeze(-1) & reach, -1).flatten(0, 1)
+    colours = splats.new_zeros(RenderState.shapes(splats.shape[0], splats.shape[1], 0)[1])
+    splats, lists = list_splats(splats, colours, screen, means.shape[0], *size)
+    return splats, colours, lists
 
 
 def facing_normals(fields: Sequence[Tensor], view: View) -> Tensor:

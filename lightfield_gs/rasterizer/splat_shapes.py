@@ -32,6 +32,23 @@ def is_drawn(splats: Tensor) -> Tensor:
     return splats[..., _core.SPLAT_REACH_INDEX] >= 0
 
 
+def hidden_splats(splats: Tensor, masks: Tensor | None, near: float, far: float, radius: float) -> Tensor:
+    """Return which splats are not to be drawn, [...].
+
+    Args:
+        splats: [..., SPLAT_FIELDS].
+        masks: [...] bool, those that are drawn; None: all.
+        near: depths from here on are drawn, scene units.
+        far: depths up to here are drawn, scene units.
+        radius: splats of this radius or a smaller one are not drawn, pixels.
+    """
+    depth = splats[..., _core.SPLAT_DEPTH_INDEX]
+    hidden = (depth < near) | (depth > far)
+    if radius > 0:
+        hidden |= splat_radii(splats) <= radius
+    return hidden if masks is None else hidden | ~masks
+
+
 def splat_means(splats: Tensor) -> Tensor:
     """Return the projected means, [..., 2] in pixels (x right, y down); 0 where a splat is not drawn."""
     means = splats[..., list(_core.SPLAT_PLACE_INDICES)]

@@ -20,6 +20,12 @@ from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats, direct_counts
 
+# The numbers of a splat whose gradients are summed, in the order of csrc/stages/stages.h: SplatSum
+_SUMMED_FIELDS = (
+    *_core.SPLAT_PLACE_INDICES,
+    *(_core.SPLAT_SHAPE_INDICES[k] for k in (0, 2, 3, 1)),
+    _core.SPLAT_DEPTH_INDEX,
+)
 _NOT_SEEN = -1.0  # reach of a splat that is not drawn, see csrc/math/footprint.h
 
 
@@ -463,6 +469,16 @@ class CpuWorkspace:
             self.threads,
         )
         return sums, g_features
+
+    def take(self, splats: Tensor) -> None:
+        """Use splats [I, N, SPLAT_FIELDS] in place of a projection."""
+        self.splats.splats.copy_(splats)
+
+    def splat_gradients(self, sums: Tensor) -> Tensor:
+        """Return the gradients of the splats' numbers [I, N, SPLAT_FIELDS] from sums of composites."""
+        gradients = torch.zeros_like(sums)
+        gradients[..., list(_SUMMED_FIELDS)] = sums[..., : len(_SUMMED_FIELDS)]
+        return gradients
 
     def drop(self, hidden: Tensor) -> None:
         """Do not draw splats: before order_and_bin. hidden: [I, N] bool."""

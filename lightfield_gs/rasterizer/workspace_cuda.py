@@ -11,6 +11,7 @@ from torch.nn import functional
 from lightfield_gs import _core
 from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.splat_shapes import is_drawn
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import (
     CpuWorkspace,
@@ -23,6 +24,7 @@ from lightfield_gs.rasterizer.workspace import (
 )
 
 _NOT_DRAWN = -1  # key of a splat that is not sorted: all bits
+_DEPTH_BITS = 31  # of a key, below the number of the image: csrc/cuda/stages/stages.h
 _ALIGNMENT = 256  # bytes, that of memory from CUDA
 
 
@@ -243,6 +245,22 @@ class CudaWorkspace:
             self.stream,
         )
         return sums, g_features
+
+    def take(self, splats: Tensor) -> None:
+        self.splats.splats.copy_(splats)
+        images = torch.arange(self.images, device=splats.device).unsqueeze(1) << _DEPTH_BITS
+        depths = splats[..., _core.SPLAT_DEPTH_INDEX].contiguous().view(torch.int32)
+        keys = torch.where(is_drawn(splats), images | depths, _NOT_DRAWN)
+        self.keys.copy_(keys.flatten())
+
+    def splat_gradients(self, sums: Tensor) -> Tensor:
+        power, power_dy, power_dy2, x, x_dy, square, g_depth = sums[..., :7].unbind(-1)  # csrc/math/gradient_sums.h
+        _, _, tau, c0 = (self.splats.splats[..., k] for k in _core.SPLAT_SHAPE_INDICES)
+        numbers = -x, 2 * tau * power_dy + c0 * x, power, square, -power_dy2, -x_dy, g_depth
+        fields = *_core.SPLAT_PLACE_INDICES, *_core.SPLAT_SHAPE_INDICES, _core.SPLAT_DEPTH_INDEX
+        gradients = torch.zeros_like(sums)
+        gradients[..., list(fields)] = torch.stack(numbers, -1)
+        return gradients
 
     def drop(self, hidden: Tensor) -> None:
         self.splats.drop(hidden)

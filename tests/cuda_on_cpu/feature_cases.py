@@ -15,8 +15,8 @@ CHANNELS = (3, 12, 16, 36, 37)  # few, one chunk and several, by fours and one b
 VIEWS = 3
 
 
-def step(dtype: torch.dtype, channels: int, own: bool) -> dict[str, Tensor]:
-    """own: whether each camera has its own features."""
+def step(dtype: torch.dtype, channels: int, own: bool, eps2d: float) -> dict[str, Tensor]:
+    """own: whether each camera has its own features; eps2d: of render, by torch where it is not 0.3."""
     scenes = [with_harmonics(sheet(16, seed), 1) for seed in range(2)]
     fields = {f: torch.stack([s.fields()[f] for s in scenes]).to(dtype).requires_grad_() for f in scenes[0].fields()}
     pose, numbers, limits = (t.to(dtype) for t in dense_views(1, VIEWS, 45, 21))
@@ -26,7 +26,9 @@ def step(dtype: torch.dtype, channels: int, own: bool) -> dict[str, Tensor]:
     features = torch.rand(2, *([VIEWS] if own else []), count, channels, generator=random)
     features = features.to(dtype).requires_grad_()
     screen = torch.zeros(2, VIEWS, count, 2, dtype=dtype, requires_grad=True)
-    options: dict[str, Any] = dict(normals=True, median_depth=True, depth=True, screen=screen, features=features)
+    options: dict[str, Any] = dict(
+        normals=True, median_depth=True, depth=True, screen=screen, features=features, eps2d=eps2d
+    )
     drawn = lf.render(lf.Gaussians(**fields), cameras, **options)
     outputs = {name: t for name, t in drawn.named().items() if t is not None}
     loss = sum((t * torch.randn(t.shape, generator=random).to(t)).sum() for t in outputs.values() if t.requires_grad)
@@ -36,4 +38,6 @@ def step(dtype: torch.dtype, channels: int, own: bool) -> dict[str, Tensor]:
 
 
 def steps(dtype: torch.dtype) -> list[dict[str, Tensor]]:
-    return [step(dtype, channels, own) for channels in CHANNELS for own in (False, True)]
+    return [
+        step(dtype, channels, own, 0.5 if channels == 12 else 0.3) for channels in CHANNELS for own in (False, True)
+    ]

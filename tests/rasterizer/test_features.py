@@ -329,3 +329,53 @@ def test_what_is_no_option_is_refused(options, named):
     with pytest.raises(InputError, match=named) as refusal:
         lf.render(random_scene(COUNT, dtype=torch.float32), cameras(torch.float32), **options)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("model", ["pinhole", "orthographic"])
+def test_covariances_are_drawn_as_their_scales_and_rotations(model, antialiased):
+    scene, seen = random_scene(COUNT, 2, seed=15, size=0.05), cameras()
+    if model == "orthographic":
+        seen = lf.Cameras(
+            seen.world_to_camera, seen.focal_px / 2, seen.principal_point_px, WIDTH, HEIGHT, model="orthographic"
+        )
+    features, found = random(COUNT, 5), []
+    for by_covariances in (False, True):
+        moving = leaves(scene)
+        poses = seen.world_to_camera.clone().requires_grad_()
+        screen = torch.zeros(VIEWS, COUNT, 4, dtype=torch.float64, requires_grad=True)
+        stand_ins = torch.ones_like(scene.scales) if by_covariances else moving.scales
+        turns = rotations(moving.quaternions) * moving.scales[:, None]
+        drawn = lf.render(
+            replace(moving, scales=stand_ins),
+            replace(seen, world_to_camera=poses),
+            covars=turns @ turns.mT if by_covariances else None,
+            features=features,
+            antialiased=antialiased,
+            render_mode="RGB+D",
+            screen=screen,
+        )
+        images = [drawn.image, drawn.features]
+        sum((image * random(*image.shape, seed=5)).sum() for image in images).backward()
+        found.append([*images, *(t.grad for t in (*moving.fields().values(), poses, screen))])
+    for have, true in zip(*found):
+        scale = float(true.detach().abs().max())
+        torch.testing.assert_close(have.detach(), true.detach(), rtol=1e-7, atol=1e-9 * scale)
+
+
+def test_a_wider_blur_is_that_of_wider_gaussians():
+    """Before an orthographic camera of one pixel per unit a blur is a round Gaussian more in the covariance."""
+    scene = random_scene(COUNT, 0, seed=16, extent=12.0, size=2.0)
+    scene.means[:, 2] += 20
+    pose, one = torch.eye(4, dtype=torch.float64)[None], torch.ones(1, 2, dtype=torch.float64)
+    seen = lf.Cameras(pose, one, 20 * one, 40, 40, model="orthographic")
+    covars = (factors := rotations(scene.quaternions) * scene.scales[:, None]) @ factors.mT
+    wide = lf.render(scene, seen, eps2d=1.3).image
+    round_ = lf.render(scene, seen, covars=covars + torch.eye(3).double()).image
+    torch.testing.assert_close(wide, round_, rtol=0, atol=1e-12)
+    assert (wide - lf.render(scene, seen).image).abs().max() > 1e-3
+    with pytest.raises(InputError, match="eps2d: expected cameras of the models"):
+        lf.render(scene, lf.Cameras.equirectangular(pose, 64), eps2d=1.0)
+    with pytest.raises(InputError, match=r"covars\[3\]: expected a symmetric"):
+        covars[3, 0, 1] += 1
+        lf.render(scene, seen, covars=covars)
