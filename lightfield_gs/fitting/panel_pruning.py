@@ -27,7 +27,7 @@ from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.rasterizer.image_render import ImageBuffers
 from lightfield_gs.rasterizer.workspace import GradientRequest
-from lightfield_gs.scene.gaussians import Gaussians, map_fields
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.simplification.pruning import contributions, left_out
 
 # The mean error of colours 0..1 by pruning, 1/39 of a step of 8 bits. `prune` allows three times as much; here nobody
@@ -123,7 +123,7 @@ def prune_run(
     pruning = prune_for_panel(gaussians, normalization, display, trainer.images, contribution_cut, settings.antialiased)
     for line in pruning.messages():
         run.say(line)
-    left = map_fields(gaussians, lambda tensor: tensor[pruning.kept])
+    left = gaussians[pruning.kept]
     scores = _score_window(run, PanelWindow.locate(display, normalization), display, gaussians, left)
     if scores is None:
         run.write_scores(pruned=pruning.to_dict())
