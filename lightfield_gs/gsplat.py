@@ -20,7 +20,7 @@ from lightfield_gs.base.options import RENDER_MODES, CameraModel, RenderMode
 from lightfield_gs.fitting.strategies import DefaultStrategy, MCMCStrategy
 from lightfield_gs.rasterizer.images import RenderedImages, render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 __all__ = ["DefaultStrategy", "MCMCStrategy", "rasterization"]
 
@@ -140,7 +140,7 @@ def rasterization(
         covars = flat(covars)
     harmonics, drawn, channels = _colours(colors, lead, views, count, sh_degree)
     by_gaussian = (means, quats, scales, opacities, harmonics)
-    scene = Gaussians(*(flat(field).contiguous() for field in by_gaussian))
+    scene = from_tensors(flat(field).contiguous() for field in by_gaussian)
     cameras = Cameras(
         flat(viewmats),
         flat(Ks),
@@ -252,7 +252,8 @@ class _Screen:
         tensors = [tensor for tensor in given if tensor is not None]
         lead = scene.means.shape[:-2]
         self.shape = (*lead, cameras.count, scene.count, 4 if absgrad else 2)
-        self.absgrad, self.shown, self.chosen = absgrad, torch.empty(0), None
+        self.absgrad, self.shown = absgrad, torch.empty(0)
+        self.chosen: Tensor | None = None
         self.tensor: Tensor | None = None
         if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
             self.tensor = cast(Tensor, _Zeros.apply(scene.means.new_zeros((), requires_grad=True), self))
