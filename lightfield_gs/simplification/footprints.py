@@ -25,8 +25,11 @@ _SIDES = (("xx", "xy", "yy"), ("xx", "xz", "zz"), ("yy", "yz", "zz"))
 class Viewpoints(Protocol):
     """The V images by which merging judges Gaussians; rotation [3,3] and translation [3] lead to their axes."""
 
-    rotation: Tensor
-    translation: Tensor
+    @property
+    def rotation(self) -> Tensor: ...
+
+    @property
+    def translation(self) -> Tensor: ...
 
     def project(self, means: Tensor, covariances: Tensor) -> Footprints:
         """Return the footprints of Gaussians given by camera_moments."""

@@ -12,14 +12,17 @@ this one: then the error is smaller.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.harmonics import rotations
+from lightfield_gs.io.scenes.scene_arrays import Fields, header_losses
+from lightfield_gs.io.scenes.streamed_sog import WrittenChunk, write
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians, map_fields
@@ -46,30 +49,43 @@ _SIDES = [
 ]
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """A part of a scene in levels of detail.
+LEVELS = 6
 
-    Attributes:
-        levels: the Gaussians, the finest first.
-        bound: [2,3], least and greatest coordinates of all that a level draws.
-        pixels: [S] sizes of a pixel, scene units, ascending.
-        errors: [L,S], of the worst of six sides: the squared error of the chunk's image against the finest level's, times
-            the area: colours of 0..1 squared times scene units squared, before black and white.
-        energies: [L], the squared error by the squares of the finest level's image, with the finest pixel.
+
+def write_levels(
+    gaussians: Gaussians,
+    path: Path,
+    levels: int = LEVELS,
+    comments: Sequence[str] = (),
+    antialiased: bool = False,
+    progress: Callable[[int, int], None] = lambda done, chunks: None,
+) -> list[int]:
+    """Write a scene in levels of detail as streamed SOG, the whole folder or nothing.
+
+    Args:
+        gaussians: one scene, [N, ...], float32.
+        path: FOLDER/lod-meta.json; the folder is absent or empty.
+        levels: how many, 1 or more; each has RATIO of the Gaussians of the one before.
+        comments: lines as in the header of a .ply.
+        antialiased: for scenes trained with anti-aliasing, see `render`.
+        progress: called with the number of chunks so far, and of all.
+
+    Returns:
+        The numbers of Gaussians by level.
+
+    Raises:
+        InputError: the folder is not empty, or it cannot be written.
     """
+    for words in header_losses(path, gaussians.origin, ()):
+        assume(f"{path}: {words}", Loss)
+    tree = split(gaussians.means)
+    rows = list(leaves_of(tree))
+    chunks = (build_chunk(_some(gaussians, own), levels, antialiased) for own in rows)
+    return write(path, chunks, tree, comments, lambda done: progress(done, len(rows)))
 
-    levels: list[Gaussians]
-    bound: np.ndarray
-    pixels: np.ndarray
-    errors: np.ndarray
-    energies: np.ndarray
 
-
-def build_chunks(gaussians: Gaussians, levels: int, antialiased: bool = False) -> Iterator[Chunk]:
-    """Yield the chunks of a scene, neighbours one after the other: the leaves of `split` in order."""
-    for rows in leaves_of(split(gaussians.means)):
-        yield build_chunk(map_fields(gaussians, lambda field, rows=rows: field[rows]), levels, antialiased)
+def _some(gaussians: Gaussians, rows: Tensor) -> Gaussians:
+    return map_fields(gaussians, lambda field: field[rows])
 
 
 def split(means: Tensor) -> list:
@@ -95,8 +111,9 @@ def leaves_of(tree: list) -> Iterator[Tensor]:
             yield from leaves_of(branch)
 
 
-def build_chunk(gaussians: Gaussians, levels: int, antialiased: bool = False) -> Chunk:
-    """Return the levels of one chunk, float32."""
+@torch.no_grad()
+def build_chunk(gaussians: Gaussians, levels: int, antialiased: bool = False) -> WrittenChunk:
+    """Return the levels of one chunk, float32, and their errors."""
     scene, found = gaussians, [gaussians]
     typical = _typical_size(gaussians)
     for number in range(1, levels):
@@ -111,7 +128,11 @@ def build_chunk(gaussians: Gaussians, levels: int, antialiased: bool = False) ->
     pixels, errors, energies = _measure(found, typical, antialiased)
     bounds = torch.stack([_bound(scene) for scene in found])
     bound = torch.stack([bounds[:, 0].amin(0), bounds[:, 1].amax(0)])
-    return Chunk(found, bound.cpu().double().numpy(), pixels, errors, energies)
+    return WrittenChunk([_arrays(scene) for scene in found], bound.cpu().double().numpy(), pixels, errors, energies)
+
+
+def _arrays(gaussians: Gaussians) -> Fields:
+    return {name: field.cpu().numpy() for name, field in gaussians.fields().items()}
 
 
 def _typical_size(gaussians: Gaussians) -> float:
@@ -155,7 +176,7 @@ def _weights(gaussians: Gaussians, pixel: float, antialiased: bool) -> Tensor:
 
 
 def _measure(levels: list[Gaussians], typical: float, antialiased: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pixels, errors and energies of a Chunk.
+    """Return pixels, errors and energies of a WrittenChunk.
 
     With the finest pixels, parts of the chunk are drawn: they tell how the error grows from the next pixels on.
     """
@@ -180,7 +201,7 @@ def _measure(levels: list[Gaussians], typical: float, antialiased: bool) -> tupl
 
 
 def _errors(levels: list[Gaussians], cameras: Cameras, antialiased: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return [L], squared errors summed over the pixels of the worst side, and the energies of a Chunk by these images."""
+    """Return [L], squared errors summed over the pixels of the worst side, and the energies by these images."""
     truth = _drawn(levels[0], cameras, antialiased)
     scale = truth.double().square().sum().clamp_min(1e-12)
     errors, energies = [0.0], [0.0]
@@ -196,4 +217,5 @@ def _errors(levels: list[Gaussians], cameras: Cameras, antialiased: bool) -> tup
 def _drawn(gaussians: Gaussians, cameras: Cameras, antialiased: bool) -> Tensor:
     """Return [C,H,W,4], colours times alpha, and alpha."""
     drawn = render(gaussians, cameras, background=(0.0, 0.0, 0.0), alpha=True, antialiased=antialiased)
+    assert drawn.alpha is not None
     return torch.cat([drawn.image, drawn.alpha.reshape(*drawn.image.shape[:3], 1)], -1)

@@ -236,7 +236,8 @@ def check_written_suffix(path: Path) -> str:
 
 def keeps_comments(path: Path) -> bool:
     """Tell whether a written file of this name has its comments, and the framing among them."""
-    return any(format.keeps_comments for format in FORMATS if path.suffix.lower() in format.suffixes)
+    is_index = path.name.lower() == streamed_sog.LOD_META
+    return is_index or any(format.keeps_comments for format in FORMATS if path.suffix.lower() in format.suffixes)
 
 
 def write_arrays(path: str | Path, fields: Fields, origin: Origin, comments: Sequence[str] = ()) -> list[str]:

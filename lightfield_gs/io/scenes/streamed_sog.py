@@ -47,8 +47,11 @@ class Leaf:
     Attributes:
         parts: file, offset and count by level.
         bound: [2,3], least and greatest coordinates of what is drawn, as far as the file tells.
-        pixels: [S], sizes of a pixel, scene units; None where the file has no errors.
-        errors: [L,S], errors of the levels 0..L-1 with such pixels; see simplification.levels.Chunk.
+        pixels: [S], sizes of a pixel, scene units, each by one factor larger than the one before; None where the file
+            has no errors.
+        errors: [L,S], of the levels 0..L-1 with such pixels: the squared error of the chunk's image against the finest
+            level's, from the worst of six sides. Its unit is that of colours in 0..1, squared, times the area in scene
+            units squared. The background is black in one half, and white in the other.
     """
 
     parts: dict[int, _Part]
@@ -205,10 +208,9 @@ def _bound(stored: Any) -> np.ndarray | None:
 def _errors(node: dict[str, Any], levels: int) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return the sizes of pixels and the errors of a leaf; None where they are missing or malformed."""
     sizes, rows = node.get("pixelSizes"), node.get("pixelErrors")
-    count = len(sizes) if isinstance(sizes, list) else 0
-    if count < 2 or not _are_numbers(sizes, count) or not isinstance(rows, list) or len(rows) != levels:
+    if not isinstance(sizes, list) or len(sizes) < 2 or not isinstance(rows, list) or len(rows) != levels:
         return None, None
-    if not all(_are_numbers(row, count) for row in rows) or not sizes[0] > 0:
+    if not all(_are_numbers(row, len(sizes)) for row in (sizes, *rows)) or not 0 < sizes[0] < sizes[1]:
         return None, None
     return np.array(sizes, np.float64), np.array(rows, np.float64)
 
