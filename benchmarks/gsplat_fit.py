@@ -174,10 +174,9 @@ class PeerFit:
 
     def _loss(self, image: Tensor, place: int) -> Tensor:
         """Return the loss of Kerbl et al. 2023, with regularisers of mcmc; masked pixels look as in the photograph."""
-        one = slice(place, place + 1)
-        photo, weights = self._images.photos[one], None
+        photo, weights = self._images.photos[place][None], None
         if self._images.weights is not None:
-            weights = self._images.weights[one] / 255
+            weights = self._images.weights[place][None] / 255
         if self._recipe.our_loss:
             loss = photo_loss(image, photo, weights, SSIM_LAMBDA)
         else:

@@ -51,6 +51,7 @@ target_include_directories(bindings PRIVATE ${CMAKE_CUDA_TOOLKIT_INCLUDE_DIRECTO
 target_sources(_core PRIVATE
   csrc/cuda/stages/architectures.cu
   csrc/cuda/stages/bin.cu
+  csrc/cuda/image/composite_features.cu
   csrc/cuda/image/composite_images.cu
   csrc/cuda/image/project_images.cu
   csrc/cuda/image/project_images_backward.cu

@@ -32,12 +32,14 @@ Images<const T> read_only(const Images<T>& i) {
 void bind_types(pybind11::module_ root);
 void bind_sorted_types(pybind11::module_ root);
 void bind_cpu(pybind11::module_ root);
+void bind_features(pybind11::module_ root);
 void bind_sorted(pybind11::module_ root);
 void bind_fit(pybind11::module_ root);
 void bind_photo(pybind11::module_ root);
 void bind_weave(pybind11::module_ root);
 #ifdef LFGS_WITH_CUDA
 void bind_cuda(pybind11::module_ cuda);
+void bind_features_cuda(pybind11::module_ cuda);
 void bind_frame(pybind11::module_ cuda);
 void bind_sorted_cuda(pybind11::module_ cuda);
 void bind_fit_cuda(pybind11::module_ cuda);

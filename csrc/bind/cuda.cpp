@@ -19,7 +19,7 @@ void bind_image_and_intersections(py::module_ m) {
   m.attr("architectures") = cuda::architectures();
   m.attr("IMAGE_SUMS") = cuda::kImageSums;
   m.attr("ABSOLUTE_IMAGE_SUMS") = cuda::kAbsoluteImageSums;
-  m.attr("SPLAT_SUMS") = cuda::kSplatSums;
+  m.attr("SPLAT_SUMS") = int(kSplatSums);
   m.attr("DIRECT_SUMS") = cuda::kDirectSums;
   py::class_<cuda::Image>(m, "Image")
       .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, bool lens) {

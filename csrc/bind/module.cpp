@@ -24,6 +24,7 @@ PYBIND11_MODULE(_core, m) {
   bind_types(m);
   bind_sorted_types(m);
   bind_cpu(m);
+  bind_features(m);
   bind_sorted(m);
   bind_fit(m);
   bind_photo(m);
@@ -32,6 +33,7 @@ PYBIND11_MODULE(_core, m) {
   py::module_ cuda = m.def_submodule("cuda");
   bind_cuda(cuda);
   bind_frame(cuda);
+  bind_features_cuda(cuda);
   bind_sorted_cuda(cuda);
   bind_fit_cuda(cuda);
   bind_photo_cuda(cuda);

@@ -28,6 +28,8 @@ void bind_constants(py::module_ m) {
   m.attr("SPLAT_SHAPE_INDICES") =
       py::make_tuple(index(offsetof(Splat<float>, log2_opacity)), index(offsetof(Splat<float>, S0)),
                      index(offsetof(Splat<float>, tau)), index(offsetof(Splat<float>, c0)));
+  m.attr("SPLAT_PLACE_INDICES") = py::make_tuple(index(offsetof(Splat<float>, u0)), index(offsetof(Splat<float>, v0)));
+  m.attr("SPLAT_DEPTH_INDEX") = index(offsetof(Splat<float>, depth));
   m.attr("PRUNED") = kPruned;
   m.attr("NEAR_DEPTH") = kNearDepth;
   m.attr("COLOUR_STRIDE") = kColourStride;

@@ -27,6 +27,25 @@ void sum_intersections(const Splat<T>& splat, int64_t height_px, int64_t first, 
     for (int f = 0; f < size; ++f) sum[f] += double(intersections[(first + k) * size + f]);
 }
 
+// Take the sum of the gradients of a splat's intersections to its kSplatSums numbers and back.
+template <class T>
+void write_sums(const IntersectionGradient<double>& sum, bool absolute, T* out) {
+  const Splat<double>& g = sum.splat();
+  const double numbers[kDepthSum + 1] = {g.u0, g.v0, g.log2_opacity, g.tau, g.c0, g.S0, g.depth};
+  for (int k = 0; k <= kDepthSum; ++k) out[k] = saturated<T>(numbers[k]);
+  for (int c = 0; c < 3; ++c) out[kColourSum + c] = saturated<T>(sum.colours()[c]);
+  for (int k = 0; k < 2; ++k) out[kAbsoluteSum + k] = absolute ? saturated<T>(sum.absolute()[k]) : T(0);
+}
+template <class T>
+void read_sums(const T* sums, bool absolute, const IntersectionGradient<double>& out) {
+  out.splat() = {};
+  Splat<double>& g = out.splat();
+  g.u0 = sums[kPlaceSum], g.v0 = sums[kPlaceSum + 1], g.depth = sums[kDepthSum];
+  g.log2_opacity = sums[kShapeSum], g.tau = sums[kShapeSum + 1], g.c0 = sums[kShapeSum + 2], g.S0 = sums[kShapeSum + 3];
+  for (int c = 0; c < 3; ++c) out.colours()[c] = sums[kColourSum + c];
+  for (int k = 0; absolute && k < 2; ++k) out.absolute()[k] = sums[kAbsoluteSum + k];
+}
+
 // Add the gradient of a Gaussian to the gradients of the set.
 template <class T>
 void add_gradient(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {

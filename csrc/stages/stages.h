@@ -10,6 +10,7 @@
 #include <cstdint>
 
 #include "math/compensation.h"
+#include "math/gradient_sums.h"
 #include "math/projection.h"
 #include "math/quality.h"
 #include "scene/gaussians.h"
@@ -118,6 +119,32 @@ struct Images {
   T* depth = nullptr;  // [I, H, W] sum of weight * z
 };
 
+// Numbers of Gaussians that are blended as colours are, and the images of them.
+template <class T>
+struct Features {
+  int64_t channels = 0;               // D, of each Gaussian
+  int64_t images_per_row = 1;         // consecutive images that share their rows: the cameras of a scene, or 1
+  const T* values = nullptr;          // [I / images_per_row, N, D]
+  const T* image = nullptr;           // [I, H, W, D], of the backward pass
+  const T* image_gradient = nullptr;  // likewise
+
+  LFGS_HD const T* row(int64_t image, int64_t count, int64_t splat) const {
+    return values + (image / images_per_row * count + splat) * channels;
+  }
+};
+
+// The gradient of a splat of an ordinary image, summed over its intersections: kSplatSums numbers. It is also the
+// gradient of the splats for torch, and so of their shape. On a CUDA device the first six are those of FootprintSum.
+enum SplatSum : int {
+  kPlaceSum,                  // u0, v0
+  kShapeSum = kPlaceSum + 2,  // log2 opacity, tau, c0, S0
+  kDepthSum = kShapeSum + 4,
+  kColourSum,                     // r, g, b
+  kAbsoluteSum = kColourSum + 3,  // |gradient| of u0 and of v0 over the samples (Ye et al., "AbsGS", 2024)
+  kSplatSums = kAbsoluteSum + 2
+};
+static_assert(kSplatSums == kSplatFields && int(kDepthSum) == int(kImageFootprintSums));
+
 // --- plan: lists the sub-pixels of `sorted`. count writes how many are in each (view, tile), counts [V * tiles]; fill
 // writes the codes of SubpixelLists. places [map.views] has the index of each view among the V with lists, or -1.
 void plan_sorted_count(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
@@ -138,7 +165,8 @@ double project_direct(const Gaussians<const T>& gaussians, const Camera<double>&
                       const Quality& quality, double tolerance, const Splats<T>& out, int threads);
 
 // screen [I, N, 2], or null, receives the gradients of the splats' centres, u0 and v0 in pixels, 0 where nothing is
-// drawn. With absolute gradients it is [I, N, 4], and these come last.
+// drawn. With absolute gradients it is [I, N, 4], and these come last. first_intersection may be null: then
+// intersection_gradients are the sums [I, N, kSplatSums] of sum_intersections.
 template <class T>
 void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
                              const int64_t* first_intersection, const T* intersection_gradients,
@@ -177,6 +205,29 @@ Counters composite_images_backward(const Splats<T>& splats, Bins bins, const Cam
                                    Images<const T> images, Images<const T> gradients, bool absolute,
                                    const int64_t* first_intersection, T* intersection_gradients, T* band_background,
                                    int threads);
+
+// Blend D numbers of each Gaussian by the weights that composite_images gives to its splats: out [I, H, W, D].
+template <class T>
+Counters composite_features(const Splats<T>& splats, Bins bins, int64_t width_px, int64_t height_px,
+                            const Features<T>& features, T* out, int threads);
+// The depth of the first splat of each pixel after which less than half of the light is left, or of the last: [I, H,
+// W], 0 where there is none (Huang et al., "2D Gaussian Splatting", 2024).
+template <class T>
+Counters composite_median_depth(const Splats<T>& splats, Bins bins, int64_t width_px, int64_t height_px, T* out,
+                                int threads);
+// The backward pass of composite_features: g_features [I, N, D], and sums [I, N, kSplatSums], of which the first six
+// are written and all others zero. The caller lends intersection_gradients [intersections, kSplatFields +
+// kFeatureChunk].
+constexpr int kFeatureChunk = 16;  // channels that are blended at a time
+template <class T>
+Counters composite_features_backward(const Splats<T>& splats, Bins bins, int64_t width_px, int64_t height_px,
+                                     const Features<T>& features, int64_t intersections,
+                                     const int64_t* first_intersection, T* intersection_gradients, T* sums,
+                                     T* g_features, int threads);
+// Sum up the gradients of composite_images_backward over the intersections of each splat: sums [I, N, kSplatSums].
+template <class T>
+void sum_intersections(const Splats<T>& splats, int64_t height_px, const int64_t* first_intersection,
+                       const T* intersection_gradients, bool absolute, T* sums, int threads);
 
 // Draw each sub-pixel by the camera of its view, one channel of one sample: image i is the i-th view of the lists.
 // Write to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].

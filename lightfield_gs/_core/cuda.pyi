@@ -2,7 +2,7 @@ from __future__ import annotations
 import lightfield_gs._core
 import lightfield_gs._core.float32
 import typing
-__all__: list[str] = ['ABSOLUTE_IMAGE_SUMS', 'DEFLATE_FACTS_BYTES', 'DIRECT_SUMS', 'DirectFrame', 'FOUND_NUMBERS', 'FRAME_KERNELS', 'FRAME_STATE_BYTES', 'IMAGE_SUMS', 'Image', 'Intersections', 'Photo', 'PngImage', 'SORTED_STATE_BYTES', 'SPLAT_SUMS', 'SortedChunk', 'architectures', 'bin_count', 'bin_fill', 'camera_blocks', 'composite_direct', 'composite_direct_backward', 'composite_images', 'composite_images_backward', 'composite_sorted', 'count_bytes', 'count_sorted', 'crop_object', 'deflate', 'dropout', 'fill_bytes', 'fill_sorted', 'find_object', 'frame_bin', 'frame_composite', 'frame_order', 'frame_project', 'frame_state', 'group_norm_silu', 'normals', 'order', 'order_bytes', 'order_sorted', 'photo_loss', 'photo_loss_partials', 'project_direct', 'project_direct_backward', 'project_images', 'project_images_backward', 'project_sorted', 'sheet', 'sum_intersections', 'surface', 'uniforms', 'update']
+__all__: list[str] = ['ABSOLUTE_IMAGE_SUMS', 'DEFLATE_FACTS_BYTES', 'DIRECT_SUMS', 'DirectFrame', 'FEATURE_SUMS', 'FOUND_NUMBERS', 'FRAME_KERNELS', 'FRAME_STATE_BYTES', 'IMAGE_SUMS', 'Image', 'Intersections', 'Photo', 'PngImage', 'SORTED_STATE_BYTES', 'SPLAT_SUMS', 'SortedChunk', 'architectures', 'bin_count', 'bin_fill', 'camera_blocks', 'composite_direct', 'composite_direct_backward', 'composite_features', 'composite_features_backward', 'composite_images', 'composite_images_backward', 'composite_median_depth', 'composite_sorted', 'count_bytes', 'count_sorted', 'crop_object', 'deflate', 'dropout', 'fill_bytes', 'fill_sorted', 'find_object', 'frame_bin', 'frame_composite', 'frame_order', 'frame_project', 'frame_state', 'group_norm_silu', 'normals', 'order', 'order_bytes', 'order_sorted', 'photo_loss', 'photo_loss_partials', 'project_direct', 'project_direct_backward', 'project_images', 'project_images_backward', 'project_sorted', 'sheet', 'sum_intersections', 'surface', 'uniforms', 'update']
 class Image:
     def __init__(self, count: int, width_px: int, height_px: int, lens: bool) -> None:
         ...
@@ -56,9 +56,15 @@ def composite_direct(splats: lightfield_gs._core.float32.Splats, image: Image, r
     ...
 def composite_direct_backward(splats: lightfield_gs._core.float32.Splats, image: Image, ranges: int, intersections: Intersections, lens: lightfield_gs._core.Lens, pixels: int, gradient: int, intersection_gradients: int, tile_background: int, stream: int) -> None:
     ...
+def composite_features(splats: lightfield_gs._core.float32.Splats, image: Image, ranges: int, intersections: Intersections, features: lightfield_gs._core.float32.Features, out: int, stream: int) -> None:
+    ...
+def composite_features_backward(splats: lightfield_gs._core.float32.Splats, image: Image, ranges: int, intersections: Intersections, intersection_ranges: int, features: lightfield_gs._core.float32.Features, intersection_gradients: int, sums: int, g_features: int, stream: int) -> None:
+    ...
 def composite_images(splats: lightfield_gs._core.float32.Splats, image: Image, ranges: int, intersections: Intersections, background: int, out: lightfield_gs._core.float32.Images, stream: int) -> None:
     ...
 def composite_images_backward(splats: lightfield_gs._core.float32.Splats, image: Image, ranges: int, intersections: Intersections, images: lightfield_gs._core.float32.Images, gradients: lightfield_gs._core.float32.Images, absolute: bool, intersection_gradients: int, tile_background: int, stream: int) -> None:
+    ...
+def composite_median_depth(splats: lightfield_gs._core.float32.Splats, image: Image, ranges: int, intersections: Intersections, out: int, stream: int) -> None:
     ...
 def composite_sorted(chunk: SortedChunk, lists: lightfield_gs._core.SubpixelLists, background: int, out: int, out8: int, stream: int) -> None:
     ...
@@ -125,6 +131,7 @@ def update(job: lightfield_gs._core.float32.Update, stream: int) -> None:
 ABSOLUTE_IMAGE_SUMS: int
 DEFLATE_FACTS_BYTES: int
 DIRECT_SUMS: int
+FEATURE_SUMS: int
 FOUND_NUMBERS: int
 FRAME_KERNELS: list
 FRAME_STATE_BYTES: int

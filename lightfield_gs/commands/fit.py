@@ -58,6 +58,8 @@ def fit_scene(options: FitOptions) -> int:
             test_every=source.test_every,
             test_names=held_out,
             device=options.device,
+            photos_on=options.photos_on,
+            moments_on=options.moments_on,
             folder=folder,
             fresh=report.fresh,
             checkpoint_every=report.checkpoint_every,

@@ -21,7 +21,6 @@ from torch import Tensor
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.density import DensityStatistics
-from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.settings import FORMER_NAMES, FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import atomic_path, remove_file
@@ -153,11 +152,10 @@ def restore(path: Path, trainer: Trainer, identity: Identity) -> list[dict[str, 
         InputError: the file is no checkpoint, or is of another capture or of other settings; the message names them.
     """
     with _explain_damage(path):
-        metadata, on_host = _read(path)
+        metadata, tensors = _read(path)
         identity.check(path, metadata)
-        tensors = {name: tensor.to(trainer.device) for name, tensor in on_host.items()}
         fields = {name.removeprefix("fields."): t for name, t in tensors.items() if name.startswith("fields.")}
-        trainer.state = GaussianState.from_tensors(fields)
+        trainer.state = trainer.state.restored(fields)
         trainer.statistics = DensityStatistics(trainer.state.count, trainer.settings, trainer.device)
         for name, own in _targets(trainer).items():
             own.copy_(tensors[name])

@@ -124,7 +124,7 @@ def refine_mcmc(state: GaussianState, settings: FitSettings, step: int) -> Gauss
         return state
     sources = sample_indices(state.opacities, count - state.count, settings.seed, 2 * step + 1)
     _relocate(state, sources, settings.min_opacity)
-    return _append(state, sources)
+    return state.append(sources)
 
 
 def _target_count(count: int, settings: FitSettings, step: int) -> int:
@@ -184,7 +184,7 @@ def _relocate(state: GaussianState, sources: Tensor, min_opacity: float) -> None
     opacities = opacities.clamp(min_opacity, 1 - 1e-7)
     state.values.logits[rows] = torch.logit(opacities).clamp(-MOST_LOGIT, MOST_LOGIT).float()
     state.values.log_scales[rows] = scales.log().float()
-    _zero_moments(state, rows)
+    state.zero_moments(rows)
     state.refresh()
 
 
@@ -192,21 +192,8 @@ def _copy(state: GaussianState, sources: Tensor, targets: Tensor) -> None:
     """Copy each source to its target, with moments of zero."""
     for tensor in state.values:
         tensor[targets] = tensor[sources]
-    _zero_moments(state, targets)
+    state.zero_moments(targets)
     state.refresh()
-
-
-def _append(state: GaussianState, sources: Tensor) -> GaussianState:
-    """Return the Gaussians with copies of `sources` behind them, whose moments are zero."""
-    extended = state.map(lambda tensor: torch.cat([tensor, tensor[sources]]))
-    _zero_moments(extended, slice(state.count, None))
-    return extended
-
-
-def _zero_moments(state: GaussianState, rows: Tensor | slice) -> None:
-    for moments in (state.first, state.second):
-        for tensor in moments:
-            tensor[rows] = 0
 
 
 # --- Adaptive density
@@ -244,8 +231,8 @@ def refine_adaptive(
     rows = torch.cat([kept.nonzero()[:, 0], clones, *[split] * _PARTS])
     if len(rows) == 0 or (len(rows) == state.count and bool(kept.all())):
         return state
-    changed = state.map(lambda tensor: tensor[rows])
-    _zero_moments(changed, slice(int(kept.sum()), None))
+    changed = state.select(rows)
+    changed.zero_moments(torch.arange(int(kept.sum()), changed.count, device=rows.device))
     _split(changed, _PARTS * len(split), settings.seed, step)
     return changed
 

@@ -116,7 +116,7 @@ def render_and_photo(
         photograph is over the background too where masks are the target of alpha. Weights [H,W] in 0..1.
     """
     width, height = size_px = images.sizes[index]
-    images.stage(torch.tensor([index]))
+    images.stage(torch.arange(index, images.count)[:, None])
     chosen = torch.tensor([index], device=images.device)
     behind = torch.tensor([background], device=images.device)
     job = images.render_job(gaussians, chosen, images.world_to_camera, behind, antialiased, size_px=size_px)
@@ -167,7 +167,7 @@ def _align_pose(
 ) -> Tensor:
     """Return [1,4,4], the pose with the least loss on the way."""
     device = images.device
-    images.stage(torch.tensor([index]))
+    images.stage(torch.arange(index, images.count)[:, None])
     chosen = torch.tensor([index], device=device)
     background = torch.tensor([settings.steady_background], device=device)
     photos, weights = images.targets(chosen, background)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 import numpy as np
@@ -15,22 +17,24 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES, Device, TestEvery
+from lightfield_gs.base.options import DEVICES, MOMENTS_ON, PHOTOS_ON, Device, MomentsOn, PhotosOn, TestEvery
 from lightfield_gs.base.suggestions import nearest
-from lightfield_gs.fitting import checkpoint, memory
+from lightfield_gs.fitting import checkpoint
 from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.cone import Display, place_display
 from lightfield_gs.fitting.distributed import Group, join_group
 from lightfield_gs.fitting.evaluate import ConeAngles, Scores
 from lightfield_gs.fitting.initialization import initialize_gaussians
+from lightfield_gs.fitting.memory import MemoryEstimate, estimate_memory, smaller_sizes
 from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.panel_pruning import CONTRIBUTION_CUT, PanelPruning, WindowScores, prune_run
+from lightfield_gs.fitting.placement import Placement, Room
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.run import Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
-from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over
+from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over, scratch_folder
 from lightfield_gs.io.captures.capture import SMALLEST_PX, Capture, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
 from lightfield_gs.io.scenes.comments import ANTIALIASED, fit_comment
@@ -107,6 +111,8 @@ def fit(
     score_cone: float | None = None,
     contribution_cut: float = CONTRIBUTION_CUT,
     device: Device = "auto",
+    photos_on: PhotosOn = "auto",
+    moments_on: MomentsOn = "auto",
     folder: str | Path | None = None,
     fresh: bool = False,
     checkpoint_every: int | None = None,
@@ -139,6 +145,10 @@ def fit(
             of `cone`.
         contribution_cut: 0..1, of pruning for the panel, see prune_for_panel.
         device: "auto", "cpu" or "cuda".
+        photos_on: "memory" or "disk", where the decoded photographs are during the fit: on disk in files beside
+            `folder`, and the next ones are read ahead. "auto" takes memory as long as they fill less than half of it.
+        moments_on: "device" or "host", where Adam's moments are: in the host's memory they leave a GPU room for more
+            Gaussians, and steps take longer. "auto" takes the device as long as it has the memory.
         folder: for checkpoints, scores.json and pictures. A stopped fit goes on from there, to the same bits.
         fresh: start over. For this and the following arguments see RunOptions.
         checkpoint_every: steps between checkpoints.
@@ -158,14 +168,29 @@ def fit(
     options = RunOptions(
         where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
     )
-    if device not in DEVICES:
-        raise InputError(f"device: expected {', '.join(DEVICES)}, got {shown(device)}")
+    for name, word, words in (
+        ("device", device, DEVICES),
+        ("photos_on", photos_on, PHOTOS_ON),
+        ("moments_on", moments_on, MOMENTS_ON),
+    ):
+        if word not in words:
+            raise InputError(f"{name}: expected {', '.join(words)}, got {shown(word)}")
     read, train, test = _read_photographs(capture, test_every, test_names)
     cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
-    with join_group(choose_device(device)) as (group, own):
-        read = read if group.size > 1 else _fit_memory(read, chosen, own, options)
+    files = Path(gettempdir()) / "lightfield-gs" if where is None else where / "photographs"
+    with ExitStack() as opened:
+        group, own = opened.enter_context(join_group(choose_device(device)))
+        room = Room.find(own, files, group.size)
+
+        def place(one: Capture) -> Placement:
+            return Placement.choose(_estimate(one, chosen, own), room, photos_on, moments_on)
+
+        read = read if group.size > 1 else _fit_memory(read, place, options)
+        placement = place(read)
+        for line in placement.assumptions(photos_on, moments_on):
+            assume(line)
         run, normalization, display = _prepare(
-            read, train, test, chosen, options, own, group, (cone, centre, score_cone)
+            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened
         )
         run.go()
         trainer, pruning, window_scores = run.trainer, None, None
@@ -199,7 +224,12 @@ def _read_photographs(
     return read, *read.split(test_every, None if test_names is None else list(test_names))
 
 
-def _fit_memory(capture: Capture, settings: FitSettings, device: str, options: RunOptions) -> Capture:
+def _estimate(capture: Capture, settings: FitSettings, device: str) -> MemoryEstimate:
+    width, height = map(int, capture.sizes_px.max(0))
+    return estimate_memory(settings, device, len(capture.names), width, height, capture.may_be_masked)
+
+
+def _fit_memory(capture: Capture, place: Callable[[Capture], Placement], options: RunOptions) -> Capture:
     """Reduce photographs of their files' size, with a note, until the memory suffices.
 
     A fit that goes on takes the size that it began with. Where no size suffices, the photographs stay as they are, and
@@ -208,20 +238,17 @@ def _fit_memory(capture: Capture, settings: FitSettings, device: str, options: R
     if not capture.is_whole:
         return capture
 
-    def estimate(one: Capture) -> memory.MemoryEstimate:
-        return memory.estimate_memory(settings, len(one.names), *map(int, one.sizes_px.max(0)))
-
     path = None if options.folder is None or options.fresh else options.folder / checkpoint.FILE
     begun = None if path is None else checkpoint.stored_sizes_digest(path)
-    if begun == checkpoint.sizes_digest(capture) or begun is None and memory.suffices(estimate(capture), device):
+    if begun == checkpoint.sizes_digest(capture) or begun is None and place(capture).suffices:
         return capture
-    for longest in memory.smaller_sizes(int(capture.sizes_px.max()), SMALLEST_PX):
+    for longest in smaller_sizes(int(capture.sizes_px.max()), SMALLEST_PX):
         smaller = capture.reduced(longest)
-        if begun == checkpoint.sizes_digest(smaller) or begun is None and memory.suffices(estimate(smaller), device):
-            need, (width, height) = estimate(capture), map(int, capture.sizes_px.max(0))
+        if begun == checkpoint.sizes_digest(smaller) or begun is None and place(smaller).suffices:
+            need, (width, height) = place(capture).need, map(int, capture.sizes_px.max(0))
             assume(
                 f"photographs are reduced to {longest} pixels on the longer side: as they are, {width} x {height}, the "
-                f"fit needs {memory.to_words(need.total)} of memory; longest_px= or scale= sets another size"
+                f"fit needs too much memory ({need.words()}); longest_px= or scale= sets another size"
             )
             return smaller
     return capture
@@ -244,14 +271,16 @@ def _prepare(
     test: list[int],
     settings: FitSettings,
     options: RunOptions,
-    device: str,
+    placement: Placement,
     group: Group,
     cones: tuple[Panel | str | Path | float | None, str | None, float | None],
+    opened: ExitStack,
 ) -> tuple[Run, Normalization, Display | None]:
     """Return the run before its first step, its coordinates and its display; print the choices.
 
     Args:
         cones: cone, centre and score_cone.
+        opened: gets the folder of the run's temporary files.
     """
     display, judged, messages = place_display(capture, *cones)
     weights = None if display is None else display.photo_weights(train)
@@ -262,31 +291,40 @@ def _prepare(
     if options.folder is not None:
         remove_left_over(make_folder(options.folder))
         identity.check_file(options.folder / checkpoint.FILE, options.fresh)
-    width, height = map(int, capture.sizes_px.max(0))
-    need = memory.estimate_memory(settings, len(capture.names), width, height)
-    if on_host := memory.keeps_photos_on_host(need, device):
-        progress.say(f"photographs stay in the host's memory: they take {need.photographs / 1e9:.1f} GB")
-        need = need._replace(photographs=0)
-    progress.say(f"needs about {memory.check_memory(need, device, is_certain=settings.density == 'mcmc')}")
+    placement.check(is_certain=settings.density == "mcmc")
+    for line in placement.describe():
+        progress.say(line)
     normalization = Normalization.from_centres(capture.centres, capture.extent)
-    load = partial(
-        PosedImages.load, capture, normalization=normalization, device=device, masks=settings.masks, on_host=on_host
-    )
-    images, held_out = load(train, progress=train), load(test, progress=test) if test else None
+    where: str | Path = "cpu"
+    if placement.photographs == "disk":
+        where = opened.enter_context(scratch_folder(None if options.folder is None else placement.room.folder))
+    elif placement.photographs == "device":
+        where = placement.room.device
+    device = placement.room.device
+    load = partial(PosedImages.load, capture, normalization=normalization, device=device, masks=settings.masks)
+    images = load(train, progress=train, where=_part(where, "fitted"))
+    held_out = load(test, progress=test, where=_part(where, "held-out")) if test else None
     held_out, scored = _drop_masked_out(images, held_out, settings.masks)
     angles = None
     if judged is not None and held_out is not None:
         angles = judged.held_out_angles([test[index] for index in scored])
     points, centres = normalization.points(capture.points), normalization.points(capture.centres)
     gaussians = initialize_gaussians(points, capture.colours, centres, settings)
-    trainer = Trainer(GaussianState.start(gaussians.to(images.device)), images, settings, group, weights)
+    state = GaussianState.start(gaussians.to(images.device), placement.moments == "host")
+    trainer = Trainer(state, images, settings, group, weights)
+    width, height = map(int, capture.sizes_px.max(0))
     progress.say(
-        f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {device}: "
+        f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {images.device}: "
         f"{settings.steps} steps, {trainer.state.count} Gaussians to begin with, {settings.cap_max} at most"
     )
     for line in (*_describe_dropout(settings, len(train)), *messages):
         progress.say(line)
     return Run(trainer, held_out, identity, options, progress, angles), normalization, display
+
+
+def _part(where: str | Path, name: str) -> str | Path:
+    """Return a new folder within a folder, or the same device."""
+    return make_folder(where / name) if isinstance(where, Path) else where
 
 
 def _drop_masked_out(

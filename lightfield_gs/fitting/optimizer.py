@@ -38,8 +38,10 @@ class RawParameters(NamedTuple):
     logits: Tensor  # [N], of opacities
     sh: Tensor  # [N,K,3]
 
-    def zeros_like(self) -> RawParameters:
-        """Return zeros: the moments of a run that begins."""
+    def zeros_like(self, on_host: bool = False) -> RawParameters:
+        """Return zeros: the moments of a run that begins. on_host: in the host's memory, see GaussianState."""
+        if on_host and self.means.is_cuda:
+            return RawParameters(*(torch.zeros(t.shape, dtype=t.dtype, pin_memory=True) for t in self))
         return RawParameters(*(torch.zeros_like(tensor) for tensor in self))
 
 
@@ -55,11 +57,12 @@ class Gradients(NamedTuple):
 
 @dataclass
 class GaussianState:
-    """N Gaussians under optimisation; all tensors are contiguous, of one dtype and on one device.
+    """N Gaussians under optimisation; all tensors are contiguous and of one dtype.
 
     Attributes:
         values: the parameters, with the K harmonics of the degree in use.
-        first, second: the moments of Adam.
+        first, second: the moments of Adam. They are on the device of the values, or in pinned memory of the host: an
+            update reads and writes each once, and a GPU reaches them there by itself.
         scales: [N,3], exp of log_scales; every update renews it.
         opacities: [N], sigmoid of logits; every update renews it.
     """
@@ -71,7 +74,7 @@ class GaussianState:
     opacities: Tensor
 
     @classmethod
-    def start(cls, gaussians: Gaussians) -> GaussianState:
+    def start(cls, gaussians: Gaussians, moments_on_host: bool = False) -> GaussianState:
         """Return the state of a scene [N, ...] with moments of zero."""
         tensors = (
             gaussians.means,
@@ -81,7 +84,8 @@ class GaussianState:
             gaussians.sh,
         )
         values = RawParameters(*(tensor.detach().contiguous().clone() for tensor in tensors))
-        return cls(values, values.zeros_like(), values.zeros_like(), *activate(values))
+        first, second = (values.zeros_like(moments_on_host) for _ in range(2))
+        return cls(values, first, second, *activate(values))
 
     @property
     def count(self) -> int:
@@ -102,18 +106,35 @@ class GaussianState:
         named = {f"{group}.{name}": t for group in _GROUPS for name, t in getattr(self, group)._asdict().items()}
         return {**named, "scales": self.scales, "opacities": self.opacities}
 
-    @classmethod
-    def from_tensors(cls, tensors: dict[str, Tensor]) -> GaussianState:
-        """Return the state whose `tensors` these are."""
-        values, first, second = (
-            RawParameters(*(tensors[f"{group}.{name}"] for name in RawParameters._fields)) for group in _GROUPS
-        )
-        return cls(values, first, second, tensors["scales"], tensors["opacities"])
+    def restored(self, tensors: dict[str, Tensor]) -> GaussianState:
+        """Return the state whose `tensors` these are, on the host, with all where this state has its own."""
 
-    def map(self, change: Callable[[Tensor], Tensor]) -> GaussianState:
-        """Return a state with `change` of every tensor, moments too: other Gaussians, or another order."""
+        def group(name: str) -> RawParameters:
+            own: RawParameters = getattr(self, name)
+            return RawParameters(*(_placed(tensors[f"{name}.{part}"], t) for part, t in own._asdict().items()))
+
+        scales, opacities = (tensors[name].to(self.scales.device) for name in ("scales", "opacities"))
+        return GaussianState(group("values"), group("first"), group("second"), scales, opacities)
+
+    def select(self, rows: Tensor) -> GaussianState:
+        """Return the Gaussians `rows` [M], with their moments: others, or another order."""
+        return self._map(lambda tensor: tensor[rows.to(tensor.device)])
+
+    def append(self, sources: Tensor) -> GaussianState:
+        """Return the Gaussians with copies of `sources` [M] behind them, whose moments are zero."""
+        extended = self._map(lambda tensor: torch.cat([tensor, tensor[sources.to(tensor.device)]]))
+        extended.zero_moments(torch.arange(self.count, extended.count, device=self.scales.device))
+        return extended
+
+    def zero_moments(self, rows: Tensor) -> None:
+        """Set the moments of Gaussians `rows` [M] to zero."""
+        for moment in (*self.first, *self.second):
+            moment[rows.to(moment.device)] = 0
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> GaussianState:
+        """Return a state with `change` of every tensor, each where it is."""
         groups = ((self.scales, self.opacities), self.values, self.first, self.second)
-        (scales, opacities), *raw = ([change(tensor).contiguous() for tensor in group] for group in groups)
+        (scales, opacities), *raw = ([_placed(change(t).contiguous(), t) for t in group] for group in groups)
         values, first, second = (RawParameters(*tensors) for tensors in raw)
         return GaussianState(values, first, second, scales, opacities)
 
@@ -128,9 +149,14 @@ class GaussianState:
         def extend(raw: RawParameters) -> RawParameters:
             sh = raw.sh.new_zeros(self.count, SH_COEFFICIENTS[degree], 3)
             sh[:, : raw.sh.shape[1]] = raw.sh
-            return raw._replace(sh=sh)
+            return raw._replace(sh=_placed(sh, raw.sh))
 
         self.values, self.first, self.second = map(extend, (self.values, self.first, self.second))
+
+
+def _placed(tensor: Tensor, like: Tensor) -> Tensor:
+    """Return a tensor where another one is, also in pinned memory."""
+    return tensor.pin_memory() if like.is_pinned() else tensor.to(like.device)
 
 
 def activate(values: RawParameters) -> tuple[Tensor, Tensor]:
@@ -210,7 +236,8 @@ def update(
 ) -> None:
     """Update all parameters by one step of Adam in place, and renew `scales` and `opacities`.
 
-    All tensors are contiguous, on one device, and float32, on the CPU also float64. On CUDA all work is in torch's
+    All tensors are contiguous, on one device, and float32, on the CPU also float64. The moments of parameters on a GPU
+    may be in pinned memory of the host, which the work then reads and writes. On CUDA all work is in torch's
     current stream, and a step outside the table skips all Gaussians.
 
     Args:
@@ -277,7 +304,9 @@ def _native_buffers(
     groups = ("", values), ("first moments of ", first), ("second moments of ", second)
     named = [(what + name, name, t) for what, group in groups for name, t in zip(RawParameters._fields, group)]
     for what, name, tensor in [*named, *((name, name, t) for name, t in zip(("scales", "opacities"), drawn))]:
-        check_tensor(what, tensor, (n, *widths.get(name, ())), *like, writes=True)
+        is_reached = what != name and means.is_cuda and isinstance(tensor, Tensor) and tensor.is_pinned()
+        where = tensor.device if is_reached else means.device
+        check_tensor(what, tensor, (n, *widths.get(name, ())), means.dtype, where, writes=True)
     held = [
         check_tensor(f"gradient of {name}", tensor, (n, *widths.get(name, ())), *like)
         for name, tensor in zip(Gradients._fields, gradients)

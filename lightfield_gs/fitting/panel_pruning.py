@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import real_number
@@ -27,7 +28,7 @@ from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.rasterizer.image_render import ImageBuffers
 from lightfield_gs.rasterizer.workspace import GradientRequest
-from lightfield_gs.scene.gaussians import Gaussians, map_fields
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.simplification.pruning import contributions, left_out
 
 # The mean error of colours 0..1 by pruning, 1/39 of a step of 8 bits. `prune` allows three times as much; here nobody
@@ -123,7 +124,7 @@ def prune_run(
     pruning = prune_for_panel(gaussians, normalization, display, trainer.images, contribution_cut, settings.antialiased)
     for line in pruning.messages():
         run.say(line)
-    left = map_fields(gaussians, lambda tensor: tensor[pruning.kept])
+    left = gaussians[pruning.kept]
     scores = _score_window(run, PanelWindow.locate(display, normalization), display, gaussians, left)
     if scores is None:
         run.write_scores(pruned=pruning.to_dict())
@@ -293,18 +294,21 @@ def mask_to_window(
     Returns:
         The photographs, and the fraction 0..1 of their pixels that count; None where no pixel does.
     """
-    weights = torch.zeros(images.photos.shape[:3], dtype=torch.uint8, device=images.photos.device)  # perhaps the host's
+    weights = {}
     for index, (width, height) in enumerate(images.sizes):
+        if not inside[index]:
+            continue
         camera = images.world_to_camera[index], images.intrinsics[index]
-        seen = window.mask(*camera, width, height, images.model)
-        counts = 255 if images.weights is None else images.weights[index, :height, :width]
-        weights[index, :height, :width] = seen.to(weights.device) * counts
-    kept = [index for index, is_inside in enumerate(inside) if is_inside and bool(weights[index].any())]
-    if not kept:
+        counts = images.pixel_weights(index)[:height, :width] * window.mask(*camera, width, height, images.model)
+        beyond = (0, images.width_px - width, 0, images.height_px - height)
+        weight = pad(counts, beyond).mul(255).round().to(images.photos.device, torch.uint8)
+        if bool(weight.any()):
+            weights[index] = weight
+    if not weights:
         return None
-    pixels = sum(images.sizes[index][0] * images.sizes[index][1] for index in kept)
-    masked = replace(images.select(kept), weights=weights[kept])
-    return masked, float((weights[kept] > 0).sum()) / pixels
+    pixels = sum(images.sizes[index][0] * images.sizes[index][1] for index in weights)
+    masked = replace(images.select(list(weights)), weights=torch.stack(list(weights.values())))
+    return masked, sum(int((weight > 0).sum()) for weight in weights.values()) / pixels
 
 
 def _score_window(

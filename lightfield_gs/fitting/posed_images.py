@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.options import CAMERA_MODELS, CameraModel
+from lightfield_gs.fitting.photo_storage import DeviceRows, ReadAhead, RowFile, Rows, select_rows, white_rows
 from lightfield_gs.fitting.settings import Masks
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageRender
@@ -65,31 +67,34 @@ class Normalization:
 class PosedImages:
     """C photographs of one size with their cameras.
 
-    Smaller photographs stand in the upper left, and count nowhere else. A step can take any of them without waiting.
+    Smaller photographs stand in the upper left, and count nowhere else. They are on the device of the fit, where a step
+    takes any of them without waiting, or elsewhere: then `stage` brings those of a step.
 
     Attributes:
         names: of the photographs.
-        photos: [C,H,W,3] uint8.
-        weights: [C,H,W] uint8, 255 where a photograph counts; None: everywhere.
+        photos: [C,H,W,3] uint8, as are weights and opacity: tensors, or rows of a file.
+        weights: [C,H,W], 255 where a photograph counts; None: everywhere.
         world_to_camera: [C,4,4] float32, normalised coordinates.
         intrinsics: [C,4] float32, fx, fy, cx, cy.
         limits: [C,5] float32, of the Jacobian.
         sizes: width and height of each.
-        opacity: [C,H,W] uint8, the target of alpha by the masks; None: masks are no target.
+        opacity: [C,H,W], the target of alpha by the masks; None: masks are no target.
         model: of all cameras, see Cameras; fisheyes are equidistant.
         widest_deg: of fisheyes, see Cameras.
     """
 
     names: list[str]
-    photos: Tensor
-    weights: Tensor | None
+    photos: Rows
+    weights: Rows | None
     world_to_camera: Tensor
     intrinsics: Tensor
     limits: Tensor
     sizes: list[tuple[int, int]]
-    opacity: Tensor | None = None
+    opacity: Rows | None = None
     model: CameraModel = "pinhole"
     widest_deg: float | None = None
+    _reader: ReadAhead | None = field(default=None, init=False, repr=False)
+    _copies: dict[int, DeviceRows] = field(default_factory=dict, init=False, repr=False)  # by the size of the batch
     _staged: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -101,7 +106,7 @@ class PosedImages:
         device: str,
         progress: Iterable[int],
         masks: Masks = "ignore",
-        on_host: bool = False,
+        where: str | Path | None = None,
     ) -> PosedImages:
         """Read photographs of a capture.
 
@@ -113,9 +118,12 @@ class PosedImages:
             progress: `indices` once more; a progress bar may wrap them.
             masks: pixels outside masks and the photographs' alpha count nowhere ("ignore"), or are to be transparent
                 ("alpha"). Pixels beyond the frame of a distorted photograph never count.
-            on_host: keep photographs and masks in the host's memory, see stage.
+            where: the device whose memory takes photographs and masks, or an empty folder; None: `device`.
+
+        Raises:
+            InputError: a photograph cannot be read, or the folder's disk is full.
         """
-        where = "cpu" if on_host else device
+        where = device if where is None else where
         sizes = [(int(w), int(h)) for w, h in capture.sizes_px[list(indices)]]
         width, height = (max(side) for side in zip(*sizes))
         if len(set(sizes)) > 1:
@@ -123,29 +131,30 @@ class PosedImages:
             assume(
                 f"photographs are of {len(set(sizes))} sizes: all are drawn as {width} x {height}, {wasted:.0%} more"
             )
-        photos = np.zeros((len(sizes), height, width, 3), np.uint8)
-        weights = np.zeros((len(sizes), height, width), np.uint8)
-        opacity = np.full_like(weights if masks == "alpha" else weights[:0], 255)
+        frame = len(sizes), height, width
+        photos = white_rows((*frame, 3), where, "photographs")
+        weights, opacity = _Masks(frame, where, "weights"), _Masks(frame, where, "opacity")
         for row, (index, (w, h)) in enumerate(zip(progress, sizes)):
-            photos[row, :h, :w] = capture.image(index)
+            photos[row] = torch.from_numpy(_padded(capture.image(index), height, width))
             counts = capture.valid_area(index) if masks == "alpha" else capture.mask(index)
-            weights[row, :h, :w] = 255 if counts is None else counts
+            if counts is None and (w, h) != (width, height):
+                counts = np.full((h, w), 255, np.uint8)
+            weights.set(row, None if counts is None else _padded(counts, height, width))
             opaque = capture.opacity(index) if masks == "alpha" else None
-            if opaque is not None:
-                opacity[row, :h, :w] = opaque
+            opacity.set(row, None if opaque is None else _padded(opaque, height, width, 255))
         focal, principal = torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1)
         poses = torch.from_numpy(normalization.poses(capture.world_to_camera[list(indices)]))
         widest = _widest_deg(focal, principal, width, height) if capture.model == "fisheye" else None
         cameras = Cameras(poses, focal, principal, width, height, model=capture.model, widest_deg=widest)
         return cls(
             [capture.names[index] for index in indices],
-            torch.from_numpy(photos).to(where),
-            None if weights.min() == 255 else torch.from_numpy(weights).to(where),
+            photos,
+            weights.rows,
             cameras.world_to_camera.float().to(device),
             cameras.intrinsics().float().to(device),
             cameras.limits().float().to(device),
             sizes,
-            None if opacity.size == 0 or opacity.min() == 255 else torch.from_numpy(opacity).to(where),
+            opacity.rows,
             capture.model,
             widest,
         )
@@ -173,33 +182,40 @@ class PosedImages:
         return photos / 255 * alpha + (1 - alpha) * background[:, None, None], weights
 
     @property
-    def on_host(self) -> bool:
-        """Whether the photographs are in the host's memory, and the fit on another device."""
-        return self.photos.device != self.device
+    def is_staged(self) -> bool:
+        """Whether photographs are elsewhere than on the device of the fit, so that each step has to stage its own."""
+        return isinstance(self.photos, RowFile) or self.photos.device != self.device
 
-    def stage(self, indices: Tensor) -> None:
-        """Copy photographs `indices` [V] of the host to the device, for the next `targets`; else do nothing.
+    def stage(self, steps: Tensor) -> None:
+        """Bring the photographs steps[0] to the device, for the next `targets`; else do nothing.
 
-        A CUDA graph finds the copies: their memory stays the same. They wait in the stream until earlier steps have
-        read the copies before them.
+        A CUDA graph finds them: for a number of photographs their memory stays the same.
+
+        Args:
+            steps: [S,V], the photographs of this step and of following ones, some of which are read ahead.
         """
-        if not self.on_host:
+        if not self.is_staged:
             return
-        for name in ("photos", "weights", "opacity"):
-            stored = getattr(self, name)
-            if stored is None:
-                continue
-            found = stored.index_select(0, indices).pin_memory()
-            if name not in self._staged or self._staged[name].shape != found.shape:
-                self._staged[name] = torch.empty_like(found, device=self.device)
-            self._staged[name].copy_(found, non_blocking=True)
+        if self._reader is None:
+            self._reader = ReadAhead(self._stored(), pinned=self.device.type == "cuda")
+        self._staged = self._reader.take(steps)
+        if self.device.type == "cuda":
+            count = steps.shape[1]
+            if count not in self._copies:
+                self._copies[count] = DeviceRows(self._staged, self.device)
+            self._copies[count].copy(self._staged)
+            self._staged = self._copies[count].rows
+
+    def _stored(self) -> dict[str, Rows]:
+        named = {"photos": self.photos, "weights": self.weights, "opacity": self.opacity}
+        return {name: stored for name, stored in named.items() if stored is not None}
 
     def _select(self, name: str, indices: Tensor) -> Tensor | None:
         """Return photos, weights or opacity at `indices`, or their staged copies."""
-        stored = getattr(self, name)
-        if stored is None:
-            return None
-        return self._staged[name] if self.on_host else stored.index_select(0, indices)
+        if self.is_staged:
+            return self._staged.get(name)
+        stored = self._stored().get(name)
+        return None if stored is None else stored.index_select(0, indices)
 
     def render_job(
         self,
@@ -246,7 +262,9 @@ class PosedImages:
     def select(self, indices: Sequence[int]) -> PosedImages:
         """Return some of the photographs."""
         chosen = list(indices)
-        parts: dict[str, Any] = {name: value[chosen] for name, value in vars(self).items() if isinstance(value, Tensor)}
+        parts: dict[str, Any] = {
+            name: select_rows(value, chosen) for name, value in vars(self).items() if isinstance(value, Rows)
+        }
         parts |= {name: [getattr(self, name)[index] for index in chosen] for name in ("names", "sizes")}
         return replace(self, **parts)
 
@@ -276,6 +294,40 @@ class PosedImages:
     @property
     def width_px(self) -> int:
         return self.photos.shape[2]
+
+
+class _Masks:
+    """Masks of C photographs of one size, which take memory once one of them is not white all over.
+
+    Attributes:
+        rows: [C,H,W] uint8; None: all are white.
+
+    Args:
+        shape: C, H and W.
+        where: see white_rows.
+        name: see white_rows.
+    """
+
+    def __init__(self, shape: tuple[int, int, int], where: str | Path, name: str):
+        self._shape, self._where, self._name = shape, where, name
+        self.rows: Rows | None = None
+
+    def set(self, row: int, mask: np.ndarray | None) -> None:
+        """Set the mask [H,W] of a photograph; None: white."""
+        if mask is None or mask.min() == 255:
+            return
+        if self.rows is None:
+            self.rows = white_rows(self._shape, self._where, self._name)
+        self.rows[row] = torch.from_numpy(mask)
+
+
+def _padded(pixels: np.ndarray, height: int, width: int, value: int = 0) -> np.ndarray:
+    """Return pixels [h,w,...] in the upper left of [height,width,...], contiguous, with `value` elsewhere."""
+    if pixels.shape[:2] == (height, width):
+        return np.ascontiguousarray(pixels)
+    padded = np.full((height, width, *pixels.shape[2:]), value, pixels.dtype)
+    padded[: pixels.shape[0], : pixels.shape[1]] = pixels
+    return padded
 
 
 def _widest_deg(focal: Tensor, principal: Tensor, width_px: int, height_px: int) -> float:

@@ -163,7 +163,7 @@ class Trainer:
             reset_opacities(self.state, settings)
         if settings.sorts_after(self.done):
             order = morton_order(self.state.values.means)
-            self.state = self.state.map(lambda tensor: tensor[order])
+            self.state = self.state.select(order)
             self.statistics.sort(order)
 
     def _refine(self) -> None:
@@ -188,7 +188,8 @@ class Trainer:
                 count = 1 if self._capacity is None else count
                 self._run_cuda(count)
             else:
-                for _ in range(count):
+                for ahead in range(count):
+                    self._stage(ahead)
                     self._step(None)
             self._look(count)
 
@@ -212,9 +213,8 @@ class Trainer:
             self._graph.replay()
 
     def _stage(self, ahead: int) -> None:
-        """Copy the photographs of a step, `ahead` of the next one, to the device if they are on the host."""
-        if self.images.on_host:
-            self.images.stage(self._host_order[min(self.done + ahead, self.settings.steps - 1)])
+        """Bring the photographs of a step, `ahead` of the next one, to the device if they are elsewhere."""
+        self.images.stage(self._host_order[min(self.done + ahead, self.settings.steps - 1) :])
 
     def _look(self, begun: int) -> None:
         """Wait for the device; learn how many of `begun` steps are done, and raise the capacity if they need more.

@@ -14,7 +14,7 @@ from lightfield_gs.base.stages import run_stage
 from lightfield_gs.models.detail import DetailLevel, SheetSurface, sheet_look, surface_look
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.models.ramps import ramp_look
-from lightfield_gs.scene.gaussians import Gaussians, map_fields
+from lightfield_gs.scene.gaussians import Gaussians
 
 _SCRATCH = 8  # scratch numbers of the stage for each texel
 
@@ -48,8 +48,8 @@ def lay_sheet(
         both[:, texels:] = field
         return both
 
-    gaussians = map_fields(cloud, extended)
-    under = map_fields(gaussians, lambda field: field[:, texels:])
+    gaussians = cloud.mapped(extended)
+    under = gaussians[texels:]
     surface = find_surface(under, pixels.mask, intrinsics, layers)
     lay_texels(surface, pixels.mask, fine, intrinsics, level, gaussians)
     return gaussians

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,7 +16,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
-from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, CudaWorkspace, project_images_backward
+from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, project_images_backward
 
 # Memory in addition to the images: a chunk of cameras takes about this much; a larger camera is a chunk by itself
 CHUNK_BYTES = 1 << 29
@@ -103,9 +103,8 @@ class ImageInputs:
             raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
         if not (1 <= width <= 65536 and 1 <= height <= 65536):
             raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
-        self.lead = lead = (scene.batch, world_to_camera.shape[1])
-        self.images, self.width, self.height = lead[0] * lead[1], width, height
-        self.shapes = (*lead, height, width, 3), (*lead, height, width), (*lead, height, width)  # image, alpha, depth
+        lead = (scene.batch, world_to_camera.shape[1])
+        self._set_size(lead, width, height)
         self._camera_tensors = [
             check_tensor("world_to_camera", world_to_camera, (*lead, 4, 4), scene.dtype, scene.device),
             check_tensor("intrinsics", intrinsics, (*lead, 4), scene.dtype, scene.device),
@@ -115,6 +114,21 @@ class ImageInputs:
         self.cameras = scene.core.Cameras(
             *lead, width, height, poses, optics, edges, antialiased, *aperture, model=model
         )
+
+    @classmethod
+    def of_splats(cls, splats: Tensor, scenes: int, width: int, height: int) -> ImageInputs:
+        """Return what without_values returns, for splats [scenes * cameras, N, SPLAT_FIELDS]. Raise InputError."""
+        inputs = cls.__new__(cls)
+        inputs.scene = scene = SceneTensors.of_splats(splats, scenes)
+        inputs._set_size((scenes, splats.shape[0] // max(scenes, 1)), width, height)
+        inputs._camera_tensors = []
+        inputs.cameras = scene.core.Cameras(*inputs.lead, width, height, 0, 0, 0)
+        return inputs
+
+    def _set_size(self, lead: tuple[int, int], width: int, height: int) -> None:
+        """Set the shapes of image, alpha and depth. lead: scenes and cameras of each."""
+        self.lead, self.images, self.width, self.height = lead, lead[0] * lead[1], width, height
+        self.shapes = (*lead, height, width, 3), (*lead, height, width), (*lead, height, width)
 
     def without_values(self) -> ImageInputs:
         """Return a copy that keeps no tensors alive: see SceneTensors.without_values."""
@@ -138,38 +152,49 @@ class ImageRender:
     def __init__(
         self,
         inputs: ImageInputs,
-        background: Tensor,
+        background: Tensor | None,
         *,
         stats: Stats | None = None,
         threads: int | None = None,
         state: RenderState | None = None,
         capacity: int | None = None,
+        hidden: Callable[[Tensor], Tensor] | None = None,
+        splats: Tensor | None = None,
     ):
         """Run project, order and bin, or take their results from `state`.
 
         Args:
             inputs: Gaussians and cameras.
-            background: [B, V, 3].
+            background: [B, V, 3]; None if no image is drawn.
             stats: filled with times and counts.
             threads: of the CPU; None: torch's.
             state: the state of an earlier render of the same inputs.
             capacity: on CUDA, for how many intersections of tiles and splats memory is made. Then nothing waits for
                 the device; if `intersections_on_device` is larger, the images are wrong. None: the host waits for the
                 number.
+            hidden: which splats are not drawn, [I, N] bool, from the splats [I, N, SPLAT_FIELDS].
+            splats: [I, N, SPLAT_FIELDS], in place of a projection, which would also write colours.
 
         Raises:
             InputError: for a background or state that does not fit the inputs.
         """
         self.inputs, self.scene, self.stats = inputs, inputs.scene, stats or Stats()
         like = self.scene.dtype, self.scene.device
-        self.background = check_tensor("background", background, (*inputs.lead, 3), *like)
+        self.background = (
+            None if background is None else check_tensor("background", background, (*inputs.lead, 3), *like)
+        )
         with device_guard(self.scene.device):
             size = RenderSize(inputs.images, inputs.width, inputs.height, capacity=capacity)
             make = WORKSPACES[self.scene.device.type]
             self.work = make(self.scene, size, self.stats, threads or torch.get_num_threads(), state)
             if state is None:
                 with self.stats.stage("project"):
-                    self.work.project_images(inputs.cameras)
+                    if splats is None:
+                        self.work.project_images(inputs.cameras)
+                    else:
+                        self.work.take(splats)
+                    if hidden is not None:
+                        self.work.drop(hidden(self.work.splats.splats))
                 self.work.order_and_bin()
 
     @classmethod
@@ -199,8 +224,63 @@ class ImageRender:
         with device_guard(scene.device), self.stats.stage("composite"):
             image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self.inputs.shapes))
             native = scene.core.Images(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
-            self.work.composite_images(self.inputs.cameras, self.background, native)
+            self.work.composite_images(self.inputs.cameras, self._behind(), native)
         return ImageBuffers(image, alpha, depth)
+
+    def draw_features(self, features: Tensor) -> Tensor:
+        """Return features blended by the weights of the image, [B, V, H, W, D].
+
+        Args:
+            features: [B, N, D], or [B, V, N, D].
+
+        Raises:
+            InputError: for features of other shapes, types or devices.
+        """
+        features, native = self._features(features)
+        out = self.scene.new(*self.inputs.shapes[1], features.shape[-1])
+        with device_guard(self.scene.device), self.stats.stage("composite"):
+            self.work.composite_features(native, out)
+        return out
+
+    def features_backward(self, features: Tensor, image: Tensor, g_image: Tensor) -> tuple[Tensor, Tensor]:
+        """Return sums for fields_backward, and the gradients of features.
+
+        Args:
+            features: as of draw_features.
+            image: what that returned.
+            g_image: its gradient.
+
+        Raises:
+            InputError: for tensors of other shapes, types or devices.
+        """
+        channels, like = features.shape[-1], (self.scene.dtype, self.scene.device)
+        shape = (*self.inputs.shapes[1], channels)
+        held = check_tensor("image", image, shape, *like), check_tensor("g_image", g_image, shape, *like)
+        features, native = self._features(features, *held)
+        with device_guard(self.scene.device):
+            sums, found = self.work.composite_features_backward(native, channels)
+        found = found.view(*self.inputs.lead, self.scene.count, channels)
+        return sums, found if features.dim() == 4 else found.sum(1)
+
+    def median_depth(self) -> Tensor:
+        """Return the depth at which half of the light is left, [B, V, H, W]."""
+        out = self.scene.new(*self.inputs.shapes[1])
+        with device_guard(self.scene.device), self.stats.stage("composite"):
+            self.work.composite_median_depth(out)
+        return out
+
+    def _features(self, features: Tensor, *images: Tensor) -> tuple[Tensor, _core.float32.Features]:
+        """Return features contiguous, and the core's view of them and of their images. Raises InputError."""
+        lead = self.inputs.lead if features.dim() == 4 else self.inputs.lead[:1]
+        shape = (*lead, self.scene.count, features.shape[-1])
+        features = check_tensor("features", features, shape, self.scene.dtype, self.scene.device)
+        per_row = 1 if features.dim() == 4 else max(self.inputs.lead[1], 1)
+        addresses = (t.data_ptr() for t in (features, *images))
+        return features, self.scene.core.Features(features.shape[-1], per_row, *addresses)
+
+    def _behind(self) -> Tensor:
+        assert self.background is not None, "only renders with a background draw images"
+        return self.background
 
     def backward(self, images: ImageBuffers, gradients: ImageBuffers, request: GradientRequest) -> ImageGradients:
         """Return the gradients of the inputs.
@@ -212,19 +292,31 @@ class ImageRender:
         """
         native, native_gradients = self._natives(images, gradients)
         with device_guard(self.scene.device):
-            return self.work.images_backward(self.inputs.cameras, self.background, native, native_gradients, request)
+            return self.work.images_backward(self.inputs.cameras, self._behind(), native, native_gradients, request)
 
     def backward_sums(self, images: ImageBuffers, gradients: ImageBuffers, absolute: bool) -> tuple[Tensor, Tensor]:
-        """Run the first half of backward() on CUDA.
+        """Run the first half of backward().
 
         Returns:
-            Sums over the intersections of each splat [I, N, SPLAT_SUMS], for ImageInputs.backward_from_sums; and the
-            gradient of the background in parts [I * parts, 3].
+            Sums over the intersections of each splat [I, N, SPLAT_FIELDS], for fields_backward; and the gradient of the
+            background in parts [I * parts, 3].
         """
         native, native_gradients = self._natives(images, gradients)
         with device_guard(self.scene.device):
-            work = cast(CudaWorkspace, self.work)
-            return work.composite_images_backward(self.background, native, native_gradients, absolute)
+            return self.work.composite_images_backward(
+                self.inputs.cameras, self._behind(), native, native_gradients, absolute
+            )
+
+    def splat_gradients(self, sums: Tensor) -> Tensor:
+        """Return the gradients of the numbers of splats [I, N, SPLAT_FIELDS] from the sums of backward_sums."""
+        return self.work.splat_gradients(sums)
+
+    def fields_backward(self, sums: Tensor, request: GradientRequest) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Return the gradients of fields, cameras and screen, as in ImageGradients: the second half of backward()."""
+        shape = self.work.splats.splats.shape
+        sums = check_tensor("sums", sums, tuple(shape), self.scene.dtype, self.scene.device)
+        with device_guard(self.scene.device):
+            return self.work.fields_backward(self.inputs.cameras, sums, request)
 
     def _natives(self, images: ImageBuffers, gradients: ImageBuffers) -> list[_core.float32.Images]:
         """Return the core's views of both, which are valid as long as this render."""
@@ -306,7 +398,7 @@ def draw_in_chunks(
 
 
 def divide_by_alpha(depth: Tensor, alpha: Tensor) -> Tensor:
-    """Turn the sum of weight * z [1, V, H, W] into the expected depth in place, an image at a time to save memory."""
-    for image_depth, image_alpha in zip(depth[0], alpha[0]):
+    """Turn the sum of weight * z [B, V, H, W] into the expected depth in place, an image at a time to save memory."""
+    for image_depth, image_alpha in zip(depth.flatten(0, 1), alpha.flatten(0, 1)):
         torch.div(image_depth, image_alpha.clamp_min(1e-10), out=image_depth)
     return depth

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,10 +11,10 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core
 from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import RenderMode
 from lightfield_gs.rasterizer.image_operators import (
     draw_images,
     draw_images_and_splats,
@@ -22,25 +23,70 @@ from lightfield_gs.rasterizer.image_operators import (
 )
 from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
 from lightfield_gs.rasterizer.operators import refuse_tangents
+from lightfield_gs.rasterizer.render_options import BLUR, NEAREST, RenderOptions, with_sh_degree
+from lightfield_gs.rasterizer.splat_render import Drawn, View, draw_splats
+from lightfield_gs.rasterizer.splat_shapes import splat_conics, splat_means, splat_radii, splat_tiles
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
 
 
-class RenderedImages(NamedTuple):
-    """The images of `render`, a named tuple; None where a field was not asked for.
-
-    Attributes:
-        image: [..., C, H, W, 3], over the background.
-        alpha: [..., C, H, W], 0..1.
-        depth: [..., C, H, W], the expected view-space z of the Gaussians that cover a pixel, scene units; 0 where there
-            are none.
-        radii: [..., C, N], of the splats in pixels, without gradients; 0 where a Gaussian is not drawn.
-    """
-
+class _FourImages(NamedTuple):
     image: Tensor
     alpha: Tensor | None = None
     depth: Tensor | None = None
     radii: Tensor | None = None
+
+
+class RenderedImages(_FourImages):
+    """The images of `render`; None where a field was not asked for. The first four are also a named tuple.
+
+    Attributes:
+        image: [..., C, H, W, 3], over the background; by other modes than "RGB" [..., C, H, W, 1 or 4], depth last.
+        alpha: [..., C, H, W], 0..1.
+        depth: [..., C, H, W], the expected view-space z of the Gaussians that cover a pixel, scene units; 0 where there
+            are none. By the modes "D" and "RGB+D" the sum of weight * z.
+        radii: [..., C, N], of the splats in pixels, without gradients; 0 where a Gaussian is not drawn.
+        features: [..., C, H, W, D], the sums of weight * feature.
+        normals: [..., C, H, W, 3], the sums of weight * normal, in world axes.
+        median_depth: [..., C, H, W], scene units, without gradients.
+        means2d: [..., C, N, 2], the projected means in pixels (x right, y down), without gradients; see `screen`.
+        conics: [..., C, N, 3], xx, xy and yy of the inverse covariance on the screen, 1 / px^2, without gradients.
+        tiles: [..., C, N] int32, the number of tiles of 16 x 16 pixels that the box around a splat touches.
+    """
+
+    features: Tensor | None = None
+    normals: Tensor | None = None
+    median_depth: Tensor | None = None
+    means2d: Tensor | None = None
+    conics: Tensor | None = None
+    tiles: Tensor | None = None
+
+    def __new__(
+        cls,
+        image: Tensor,
+        alpha: Tensor | None = None,
+        depth: Tensor | None = None,
+        radii: Tensor | None = None,
+        **others: Tensor | None,
+    ) -> RenderedImages:
+        """Make one; others: the fields after the fourth."""
+        images = super().__new__(cls, image, alpha, depth, radii)
+        for name in _OTHERS:
+            setattr(images, name, others.get(name))
+        return images
+
+    def named(self) -> dict[str, Tensor | None]:
+        """Return all fields by name."""
+        return self._asdict() | {name: getattr(self, name) for name in _OTHERS}
+
+    def changed(self, change: Callable[[str, Tensor], Tensor]) -> RenderedImages:
+        """Return these with each field that is there changed, from its name and tensor."""
+        named = {name: None if tensor is None else change(name, tensor) for name, tensor in self.named().items()}
+        return RenderedImages(**cast(dict[str, Any], named))
+
+
+_OTHERS = ("features", "normals", "median_depth", "means2d", "conics", "tiles")
+_OF_SPLATS = ("radii", "means2d", "conics", "tiles")
 
 
 def render(
@@ -53,10 +99,26 @@ def render(
     antialiased: bool = False,
     screen: Tensor | None = None,
     radii: bool = False,
+    render_mode: RenderMode = "RGB",
+    features: Tensor | None = None,
+    colors: Tensor | None = None,
+    sh_degree: int | None = None,
+    masks: Tensor | None = None,
+    near_plane: float = NEAREST,
+    far_plane: float = math.inf,
+    radius_clip: float = 0.0,
+    normals: bool = False,
+    median_depth: bool = False,
+    means2d: bool = False,
+    conics: bool = False,
+    tiles: bool = False,
+    covars: Tensor | None = None,
+    eps2d: float = BLUR,
 ) -> RenderedImages:
     """Render ordinary images of Gaussians (Kerbl et al. 2023).
 
-    The images are differentiable once, in the five fields of the Gaussians, the background and cameras.world_to_camera.
+    The images are differentiable once, in the five fields of the Gaussians, features, colors, covars, the background
+    and cameras.world_to_camera.
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
@@ -71,35 +133,79 @@ def render(
             root of the ratio of the determinants of the projected covariance without and with blur.
         screen: zeros [..., C, N, 2] that ask for gradients. The image does not depend on them. Their .grad is the
             gradient of the loss by the projected means (x right, y down), in 1 / pixels. With [..., C, N, 4] the last
-            two numbers are the sums over pixels of absolute gradients (Ye et al., "AbsGS", 2024).
+            two numbers are the sums over pixels of absolute gradients (Ye et al., "AbsGS", 2024), of colours, alpha and
+            depth alone.
         radii: also return radii: half the longest extent of the region where a Gaussian's alpha is 1/255 or more.
+        render_mode: what `image` has: "RGB"; "D", the sum of weight * z; "ED", the expected z, which is D / alpha;
+            "RGB+D" or "RGB+ED", both. Modes with depth also return `depth`.
+        features: [..., N, D], or [..., C, N, D] for each camera its own; D from 1 on. They are blended by the weights
+            of the image, over zeros.
+        colors: [..., N, 3], or [..., C, N, 3] for each camera its own: colours as they are, of any value, in place of
+            the spherical harmonics.
+        sh_degree: 0..degree of the Gaussians: harmonics of higher degrees are left out. None: all count.
+        masks: bool [..., N], or [..., C, N] for each camera its own: the Gaussians that are drawn.
+        near_plane: Gaussians at a smaller depth are not drawn; 0.01 or more, scene units.
+        far_plane: Gaussians at a larger depth are not drawn; scene units.
+        radius_clip: Gaussians whose radius (see `radii`) is this or smaller are not drawn, pixels. 0: all are.
+        normals: also return normals. The normal of a Gaussian is its shortest axis, turned towards the camera; it has
+            gradients in the quaternions.
+        median_depth: also return the depth of the Gaussian at which the light that is left falls below half. Of a pixel
+            that keeps more it is the depth of its last Gaussian (Huang et al., "2D Gaussian Splatting", 2024), and 0
+            without any. It has no gradients.
+        means2d: also return means2d.
+        conics: also return conics.
+        tiles: also return tiles.
+        covars: [..., N, 3, 3] covariances, in place of scales and quaternions, whose values then do not matter. They
+            have gradients. For pinhole and orthographic cameras, as `eps2d`: torch projects the Gaussians then.
+        eps2d: variance of the blur, px^2, 0 or more; others than 0.3 by torch.
 
     Returns:
-        The named tuple (image, alpha, depth, radii).
+        The images that were asked for, by name. As a tuple they are (image, alpha, depth, radii).
 
     Raises:
         InputError: for arguments of other types, shapes, devices or values.
     """
     expect("gaussians", gaussians, Gaussians)
     expect("cameras", cameras, Cameras)
-    for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased), ("radii", radii)):
-        expect(name, value, bool)
-    draw = partial(_render_by_model, gaussians, alpha=alpha, depth=depth, antialiased=antialiased, radii=radii)
+    options = RenderOptions(
+        alpha=alpha,
+        depth=depth,
+        radii=radii,
+        antialiased=antialiased,
+        render_mode=render_mode,
+        features=features,
+        colors=colors,
+        masks=masks,
+        near_plane=near_plane,
+        far_plane=far_plane,
+        radius_clip=radius_clip,
+        normals=normals,
+        median_depth=median_depth,
+        means2d=means2d,
+        conics=conics,
+        tiles=tiles,
+        covars=covars,
+        eps2d=eps2d,
+    )
+    gaussians.validate_layout()
+    if colors is not None and sh_degree is not None:
+        raise InputError("sh_degree: colors take the place of the harmonics: leave sh_degree or colors out")
+    gaussians, options = with_sh_degree(gaussians, sh_degree), options.checked(gaussians, cameras)
     if not cameras.is_all_round:
-        return draw(cameras, background=background, screen=screen)
+        return _render_by_model(gaussians, cameras, background, options, screen)
+    for name in ("means2d", "conics", "tiles"):
+        if getattr(options, name):
+            raise InputError(f"{name}: equirectangular images are drawn in two halves, and have none: leave it out")
     if screen is not None:
         raise InputError("screen: equirectangular images are drawn in two halves, and have no screen: leave it out")
-    return _render_all_round(draw, cameras, background)
+    return _render_all_round(gaussians, cameras, background, options)
 
 
-def _render_all_round(draw_half: Callable[..., RenderedImages], cameras: Cameras, background: Colour) -> RenderedImages:
+def _render_all_round(
+    gaussians: Gaussians, cameras: Cameras, background: Colour, options: RenderOptions
+) -> RenderedImages:
     """Return equirectangular images of two halves, 90 degrees to either side of z and of -z: a seam in the middle of a
     half would cut Gaussians in two.
-
-    Args:
-        draw_half: draws images before cameras and background.
-        cameras: of the whole images.
-        background: of `render`.
     """
     quarter = cast(int, cameras.width_px) // 4
     poses, centres = cameras.world_to_camera, cast(Tensor, cameras.principal_point_px)
@@ -112,41 +218,30 @@ def _render_all_round(draw_half: Callable[..., RenderedImages], cameras: Cameras
     )
     if isinstance(background, Tensor) and background.dim() > 1 and background.shape[-2] > 1:
         background = torch.cat([background, background], -2)
-    image, alpha, depth, radii = draw_half(both, background=background)
+    twice = options.for_cameras(lambda tensor, dimension: torch.cat([tensor, tensor], dimension))
+    halves = _render_by_model(gaussians, both, background, twice, None)
 
-    def joined(picture: Tensor | None, columns: int, camera: int) -> Tensor | None:
-        if picture is None:
-            return None
+    def joined(name: str, picture: Tensor) -> Tensor:
+        if name == "radii":
+            return torch.maximum(*picture.chunk(2, -2))
+        columns, camera = (-1, -3) if name in ("alpha", "depth", "median_depth") else (-2, -4)
         ahead, back = picture.chunk(2, camera)
         right, left = back.split(quarter, columns)
         return torch.cat([left, ahead, right], columns)
 
-    whole = cast(Tensor, joined(image, -2, -4))
-    return RenderedImages(
-        whole,
-        joined(alpha, -1, -3),
-        joined(depth, -1, -3),
-        None if radii is None else torch.maximum(*radii.chunk(2, -2)),
-    )
+    return halves.changed(joined)
 
 
 def _render_by_model(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    background: Colour,
-    alpha: bool,
-    depth: bool,
-    antialiased: bool,
-    radii: bool,
-    screen: Tensor | None = None,
+    gaussians: Gaussians, cameras: Cameras, background: Colour, options: RenderOptions, screen: Tensor | None
 ) -> RenderedImages:
     """Render as `render` does, each image whole."""
-    gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     like, *others = gaussians.fields().values()
-    refuse_tangents(like, *others, background, cameras.world_to_camera)
+    refuse_tangents(
+        like, *others, background, cameras.world_to_camera, options.features, options.colors, options.covars
+    )
     if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
         raise InputError(
             "cameras: focal_px and principal_point_px (K) and jacobian_limits have no gradients, and one of them "
@@ -164,44 +259,77 @@ def _render_by_model(
     if shared:
         views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    fields = (means, *others)
-    options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
-    model = cameras.model_number
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)
-    asked = screen is not None or any(t.requires_grad for t in (*fields, colour, *views))
+    view = View._make((colour, *views, cameras.width_px, cameras.height_px, cameras.model_number))
+    drawn = _drawn((means, *others), view, options, screen)
+    images = _asked_for(drawn, view, options, gaussians.count)
+    return images if batched else images.changed(lambda name, tensor: tensor.squeeze(0))
+
+
+def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, screen: Tensor | None) -> Drawn:
+    """Draw by the operators that serve these options fastest.
+
+    Args:
+        fields: of the Gaussians, in sets or not.
+        view: images and cameras.
+        options: of render.
+        screen: [B, V, N, 2 or 4].
+    """
+    batched = fields[0].dim() == 3
+    batch = list(fields) if batched else [field.unsqueeze(0) for field in fields]
+    if options.by_splats:
+        if not batched:
+            given = {name: getattr(options, name) for name in ("features", "colors", "masks", "covars")}
+            options = replace(options, **{name: t.unsqueeze(0) for name, t in given.items() if t is not None})
+        return draw_splats(batch, view, options, screen)
+    size = view.width, view.height, options.antialiased
+    cameras = view[1:4]
+    asked = screen is not None or any(t.requires_grad for t in (*fields, *view[:4]))
     with_gradients = torch.is_grad_enabled() and asked
-    if not with_gradients and not radii and not batched:
-        batch = [field.unsqueeze(0) for field in fields]
-        asked_for: dict[str, Any] = {"alpha": alpha or depth, "depth": depth, "model": model}
-        drawn = draw_in_chunks(batch, colour, views, *options, **asked_for)
-        if drawn.depth is not None and drawn.alpha is not None:
-            divide_by_alpha(drawn.depth, drawn.alpha)
-        return _of_one_scene(RenderedImages(drawn.image, drawn.alpha if alpha else None, drawn.depth))
-    splats: list[Tensor] = []
-    if with_gradients and not radii and not batched:
-        image, coverage, weighted_depth = render_scene(fields, colour, (*views,), (*options, screen, model))
-    else:
-        draw: Callable[..., tuple[Tensor, ...]]
-        if with_gradients:
-            draw = render_images_and_splats if radii else torch.ops.lightfield_gs.render_images
-        else:  # at the first call of an operator with a backward torch spends a second on imports
-            draw = draw_images_and_splats if radii else draw_images
-        batch = list(fields) if batched else [field.unsqueeze(0) for field in fields]
-        image, coverage, weighted_depth, *splats = draw(*batch, colour, *views, *options, screen, model)
-    images = RenderedImages(
-        image,
-        coverage if alpha else None,
-        weighted_depth / coverage.clamp_min(1e-10) if depth else None,
-        splat_radii(splats[0]).view(*coverage.shape[:2], gaussians.count) if radii else None,
-    )
-    return images if batched else _of_one_scene(images)
+    if not with_gradients and not options.reads_splats and not batched and options.render_mode == "RGB":
+        wanted: dict[str, Any] = {"alpha": options.alpha or options.depth, "depth": options.depth, "model": view.model}
+        return Drawn._make((*draw_in_chunks(batch, view.background, cameras, *size, **wanted), *(None,) * 4))
+    if with_gradients and not options.reads_splats and not batched:
+        return Drawn(*render_scene(fields, view.background, cameras, (*size, screen, view.model)))
+    draw: Callable[..., tuple[Tensor, ...]]
+    if with_gradients:
+        draw = render_images_and_splats if options.reads_splats else torch.ops.lightfield_gs.render_images
+    else:  # at the first call of an operator with a backward torch spends a second on imports
+        draw = draw_images_and_splats if options.reads_splats else draw_images
+    return Drawn(*draw(*batch, view.background, *cameras, *size, screen, view.model))
 
 
-def _of_one_scene(images: RenderedImages) -> RenderedImages:
-    """Remove the leading dimension of a batch of one scene."""
-    image, *others = images
-    return RenderedImages(image.squeeze(0), *(None if t is None else t.squeeze(0) for t in others))
+def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> RenderedImages:
+    """Return the images that the options ask for, [B, C, ...]; count: of Gaussians."""
+    image, shown = drawn.image, None
+    mode = options.render_mode
+    if mode in ("D", "RGB+D"):
+        shown = drawn.depth
+    elif options.depth or mode != "RGB":
+        shown = _expected_depth(drawn.depth, drawn.alpha)
+    if mode != "RGB":
+        assert shown is not None
+        depths = shown.unsqueeze(-1)
+        image = torch.cat([image, depths], -1) if mode.startswith("RGB") else depths
+    others: dict[str, Tensor | None] = {name: getattr(drawn, name) for name in _OTHERS[:3]}
+    if drawn.splats is not None:
+        splats = drawn.splats.view(*image.shape[:2], count, drawn.splats.shape[-1])
+        read: dict[str, Callable[[Tensor], Tensor]] = {
+            "radii": splat_radii,
+            "means2d": splat_means,
+            "conics": splat_conics,
+            "tiles": partial(splat_tiles, width=view.width, height=view.height),
+        }
+        others |= {name: read[name](splats) for name in _OF_SPLATS if getattr(options, name)}
+    return RenderedImages(image, drawn.alpha if options.alpha else None, shown, **others)
+
+
+def _expected_depth(depth: Tensor, alpha: Tensor) -> Tensor:
+    """Return the sum of weight * z [B, C, H, W] divided by alpha; in place where there are no gradients."""
+    if torch.is_grad_enabled() and (depth.requires_grad or alpha.requires_grad):
+        return depth / alpha.clamp_min(1e-10)
+    return divide_by_alpha(depth, alpha)
 
 
 def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tensor:
@@ -214,22 +342,3 @@ def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tenso
     if not screen.requires_grad:
         raise InputError("screen: nothing but its gradient means anything; make it with requires_grad=True")
     return screen if gaussians.is_batched else screen.unsqueeze(0)
-
-
-def splat_radii(splats: Tensor) -> Tensor:
-    """Return half the longest extent of the region that each splat covers, [...] in pixels; 0 where it is not drawn.
-
-    The region is where its alpha is 1/255 or more.
-
-    Args:
-        splats: [..., SPLAT_FIELDS], in conditional form (csrc/math/projection.h). In units of log2 the inverse
-            covariance is [[1/S, -c0/S], [-c0/S, tau + c0^2/S]], so the covariance is [[S + c0^2/tau, c0/tau], [c0/tau,
-            1/tau]].
-    """
-    log2_opacity, square, tau, c0 = (splats[..., k] for k in _core.SPLAT_SHAPE_INDICES)
-    down = 1 / tau
-    across = square + c0 * c0 * down
-    middle = (across + down) / 2
-    longest = middle + torch.sqrt(((across - down) / 2).square() + (c0 * down).square())
-    radii = torch.sqrt(longest * (log2_opacity - _core.LOG2_MIN_ALPHA).clamp_min(0))
-    return torch.where(splats[..., _core.SPLAT_REACH_INDEX] >= 0, radii, torch.zeros_like(radii))

@@ -53,6 +53,44 @@ def is_eager(arguments: tuple) -> bool:
     return plain and not torch.compiler.is_compiling()
 
 
+def differentiable_operator(
+    name: str,
+    schema: str,
+    forward: Callable[..., Any],
+    fake: Callable[..., Any],
+    setup_context: Callable[..., None],
+    backward: Callable[..., tuple],
+) -> Callable[..., Any]:
+    """Register lightfield_gs::`name` with its backward; return a function that calls it, without the operator if eager.
+
+    Args:
+        name: of the operator.
+        schema: of its arguments and outputs.
+        forward: from arguments to outputs.
+        fake: the same for the shapes of the outputs.
+        setup_context: see torch.library.register_autograd.
+        backward: likewise; wrapped by differentiable_once.
+    """
+    operator = torch.library.custom_op(
+        f"lightfield_gs::{name}", forward, mutates_args=(), device_types=("cpu", "cuda"), schema=schema
+    )
+    operator.register_fake(fake)
+    operator.register_autograd(backward, setup_context=setup_context)
+
+    def apply_forward(ctx: Any, *inputs: Any) -> Any:
+        outputs = forward(*inputs)
+        setup_context(ctx, inputs, outputs)
+        return outputs
+
+    members = {"forward": staticmethod(apply_forward), "backward": staticmethod(backward)}
+    node: Any = type(name, (torch.autograd.Function,), members)
+
+    def call(*arguments: Any) -> Any:
+        return node.apply(*arguments) if is_eager(arguments) else operator(*arguments)
+
+    return call
+
+
 def differentiable_once(backward: Callable[..., tuple]) -> Callable[..., tuple]:
     """Wrap the `backward`(ctx, *grads) of a node of autograd: its gradients refuse to be differentiated.
 

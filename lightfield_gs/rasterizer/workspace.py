@@ -20,6 +20,14 @@ from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats, direct_counts
 
+# The numbers of a splat whose gradients are summed, in the order of csrc/stages/stages.h: SplatSum
+_SUMMED_FIELDS = (
+    *_core.SPLAT_PLACE_INDICES,
+    *(_core.SPLAT_SHAPE_INDICES[k] for k in (0, 2, 3, 1)),
+    _core.SPLAT_DEPTH_INDEX,
+)
+_NOT_SEEN = -1.0  # reach of a splat that is not drawn, see csrc/math/footprint.h
+
 
 def _devices() -> str:
     """Return the devices of this build in words for messages."""
@@ -69,6 +77,16 @@ class SceneTensors:
                 ("sh", sh, (sh.shape[2], 3)),
             )
         ]
+
+    @classmethod
+    def of_splats(cls, splats: Tensor, batch: int) -> SceneTensors:
+        """Return what without_values returns, for splats [I, N, SPLAT_FIELDS] of `batch` scenes; raise InputError."""
+        if splats.dim() != 3 or splats.shape[2] != _core.SPLAT_FIELDS:
+            raise InputError(f"splats must be [images, N, {_core.SPLAT_FIELDS}], got {list(splats.shape)}")
+        scene = cls.__new__(cls)
+        scene.core, scene.batch, scene.count, scene.tensors = _stages(splats), batch, splats.shape[1], []
+        scene.dtype, scene.device, scene.degree = splats.dtype, splats.device, 0
+        return scene
 
     def without_values(self) -> SceneTensors:
         """Return a copy that keeps no tensors alive: enough for a composite and its backward, which read splats."""
@@ -175,6 +193,10 @@ class Splats:
             0 if self.compensations is None else self.compensations.data_ptr(),
         )
 
+    def drop(self, hidden: Tensor) -> None:
+        """Mark splats as not drawn. hidden: [I, N] bool."""
+        self.splats[..., _core.SPLAT_REACH_INDEX].masked_fill_(hidden, _NOT_SEEN)
+
     def buffers(self) -> list[Tensor]:
         """Return all tensors, for counting their memory."""
         extra = [] if self.compensations is None else [self.compensations]
@@ -203,15 +225,15 @@ class ImageGradients(NamedTuple):
 
     Attributes:
         fields: Gradients of the five fields.
-        background_parts: [I * parts, 3].
         cameras: [I, 4, 4], or [0, 4, 4].
         screen: Gradients of the projected means, [I, N, screen_numbers].
+        background_parts: [I * parts, 3].
     """
 
     fields: list[Tensor]
-    background_parts: Tensor
     cameras: Tensor
     screen: Tensor
+    background_parts: Tensor
 
 
 class CpuWorkspace:
@@ -234,7 +256,7 @@ class CpuWorkspace:
             state: left by an earlier render, in place of project, order and bin.
         """
         self.scene, self.images, self.stats, self.threads = scene, size.images, stats, threads
-        self.height = size.height
+        self.width, self.height = size.width, size.height
         self.offsets = size.images * _core.band_count(size.height) + 1  # where each band's list begins, and the end
         if state is not None:
             state = state.check(scene, size, 8 * self.offsets)
@@ -340,37 +362,127 @@ class CpuWorkspace:
         request: GradientRequest,
     ) -> ImageGradients:
         """Return the gradients of the inputs from `gradients`, of the images."""
-        core, scene = self.scene.core, self.scene
-        first, sums, g_background = self._gradient_buffers(_core.image_intersection_gradient_size(request.absolute))
-        core.composite_images_backward(
+        first, found, g_background = self._composite_backward(cameras, background, images, gradients, request.absolute)
+        return ImageGradients(*self._fields_backward(cameras, first.data_ptr(), found, request), g_background)
+
+    def composite_images_backward(
+        self,
+        cameras: _core.float32.Cameras,
+        background: Tensor,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
+        absolute: bool,
+    ) -> tuple[Tensor, Tensor]:
+        """Run the first half of images_backward.
+
+        Return sums over the intersections of each splat [I, N, SPLAT_FIELDS], for fields_backward, and the background's
+        gradient in parts [I * parts, 3].
+        """
+        first, found, g_background = self._composite_backward(cameras, background, images, gradients, absolute)
+        sums = self.scene.new(self.images, self.scene.count, _core.SPLAT_FIELDS)
+        self.scene.core.sum_intersections(
+            self.splats.native, self.height, first.data_ptr(), found.data_ptr(), absolute, sums.data_ptr(), self.threads
+        )
+        return sums, g_background
+
+    def fields_backward(
+        self, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Run the second half of images_backward: gradients of fields, cameras and screen as in ImageGradients."""
+        return self._fields_backward(cameras, 0, sums, request)
+
+    def _composite_backward(
+        self,
+        cameras: _core.float32.Cameras,
+        background: Tensor,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
+        absolute: bool,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return each splat's first intersection, the gradients of intersections, and the background's in parts."""
+        first, found, g_background = self._gradient_buffers(_core.image_intersection_gradient_size(absolute))
+        self.scene.core.composite_images_backward(
             self.splats.native,
             self.bins,
             cameras,
             background.data_ptr(),
             images,
             gradients,
-            request.absolute,
+            absolute,
             first.data_ptr(),
-            sums.data_ptr(),
+            found.data_ptr(),
             g_background.data_ptr(),
             self.threads,
         )
+        return first, found, g_background
+
+    def _fields_backward(
+        self, cameras: _core.float32.Cameras, first: int, found: Tensor, request: GradientRequest
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Take the gradients `found` of intersections, or of splats if the address `first` is 0, to the inputs."""
+        scene = self.scene
         out, native = scene.gradients(zero=True)
         g_cameras = scene.new(self.images, 4, 4, zero=True)
         screen = scene.new(self.images, scene.count, request.screen_numbers)
-        core.project_images_backward(
+        scene.core.project_images_backward(
             scene.native(),
             cameras,
             self.splats.native,
-            first.data_ptr(),
-            sums.data_ptr(),
+            first,
+            found.data_ptr(),
             native,
             screen.data_ptr() if request.screen_numbers else 0,
             request.absolute,
             g_cameras.data_ptr(),
             self.threads,
         )
-        return ImageGradients(out, g_background, g_cameras, screen)
+        return out, g_cameras, screen
+
+    def composite_features(self, features: _core.float32.Features, out: Tensor) -> None:
+        """Blend features into `out` [I, H, W, D]."""
+        core, size = self.scene.core, (self.width, self.height)
+        core.composite_features(self.splats.native, self.bins, *size, features, out.data_ptr(), self.threads)
+
+    def composite_median_depth(self, out: Tensor) -> None:
+        """Write the depth at which half of the light is left into `out` [I, H, W]."""
+        core, size = self.scene.core, (self.width, self.height)
+        core.composite_median_depth(self.splats.native, self.bins, *size, out.data_ptr(), self.threads)
+
+    def composite_features_backward(self, features: _core.float32.Features, channels: int) -> tuple[Tensor, Tensor]:
+        """Return the sums of fields_backward, and the gradients of features [I, N, channels]."""
+        scene = self.scene
+        first = self._first_intersections()
+        found = scene.new(self.intersection_count, _core.FEATURE_GRADIENT)
+        sums = scene.new(self.images, scene.count, _core.SPLAT_FIELDS)
+        g_features = scene.new(self.images, scene.count, channels)
+        scene.core.composite_features_backward(
+            self.splats.native,
+            self.bins,
+            self.width,
+            self.height,
+            features,
+            self.intersection_count,
+            first.data_ptr(),
+            found.data_ptr(),
+            sums.data_ptr(),
+            g_features.data_ptr(),
+            self.threads,
+        )
+        return sums, g_features
+
+    def take(self, splats: Tensor) -> None:
+        """Use splats [I, N, SPLAT_FIELDS] in place of a projection."""
+        self.splats.splats.copy_(splats)
+
+    def splat_gradients(self, sums: Tensor) -> Tensor:
+        """Return the gradients of the splats' numbers [I, N, SPLAT_FIELDS] from sums of composites."""
+        gradients = torch.zeros_like(sums)
+        gradients[..., list(_SUMMED_FIELDS)] = sums[..., : len(_SUMMED_FIELDS)]
+        return gradients
+
+    def drop(self, hidden: Tensor) -> None:
+        """Do not draw splats: before order_and_bin. hidden: [I, N] bool."""
+        self.splats.drop(hidden)
 
     def direct_backward(
         self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
@@ -406,7 +518,12 @@ class CpuWorkspace:
 
     def _gradient_buffers(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return each splat's first intersection [I, N], and gradients: [intersections, size] and [bands, 3]."""
+        gradients = self.scene.new(self.intersection_count, size, zero=True)
+        g_background = self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)
+        return self._first_intersections(), gradients, g_background
+
+    def _first_intersections(self) -> Tensor:
+        """Return the number of each splat's first intersection [I, N]."""
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
         self.scene.core.first_intersections(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
-        gradients = self.scene.new(self.intersection_count, size, zero=True)
-        return first, gradients, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)
+        return first

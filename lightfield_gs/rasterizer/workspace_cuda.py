@@ -11,6 +11,7 @@ from torch.nn import functional
 from lightfield_gs import _core
 from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.splat_shapes import is_drawn
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import (
     CpuWorkspace,
@@ -22,6 +23,8 @@ from lightfield_gs.rasterizer.workspace import (
     Splats,
 )
 
+_NOT_DRAWN = -1  # key of a splat that is not sorted: all bits
+_DEPTH_BITS = 31  # of a key, below the number of the image: csrc/cuda/stages/stages.h
 _ALIGNMENT = 256  # bytes, that of memory from CUDA
 
 
@@ -174,13 +177,13 @@ class CudaWorkspace:
         )
 
     def composite_images_backward(
-        self, background: Tensor, images: _core.float32.Images, gradients: _core.float32.Images, absolute: bool
+        self,
+        cameras: _core.float32.Cameras,
+        background: Tensor,
+        images: _core.float32.Images,
+        gradients: _core.float32.Images,
+        absolute: bool,
     ) -> tuple[Tensor, Tensor]:
-        """Run the first half of images_backward.
-
-        Return sums over the intersections of each splat [I, N, SPLAT_SUMS], and the background's gradient in parts [I *
-        parts, 3]. The gradients of the Gaussians follow from the sums.
-        """
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.intersection_count, cuda.ABSOLUTE_IMAGE_SUMS if absolute else cuda.IMAGE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
@@ -208,9 +211,60 @@ class CudaWorkspace:
         gradients: _core.float32.Images,
         request: GradientRequest,
     ) -> ImageGradients:
-        sums, g_background = self.composite_images_backward(background, images, gradients, request.absolute)
-        fields, g_cameras, screen = project_images_backward(self.scene, cameras, sums, request)
-        return ImageGradients(fields, g_background, g_cameras, screen)
+        sums, g_background = self.composite_images_backward(cameras, background, images, gradients, request.absolute)
+        return ImageGradients(*self.fields_backward(cameras, sums, request), g_background)
+
+    def fields_backward(
+        self, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        return project_images_backward(self.scene, cameras, sums, request)
+
+    def composite_features(self, features: _core.float32.Features, out: Tensor) -> None:
+        lists = self.splats.native, self.image, self.ranges, self.tile_lists
+        _core.cuda.composite_features(*lists, features, out.data_ptr(), self.stream)
+
+    def composite_median_depth(self, out: Tensor) -> None:
+        lists = self.splats.native, self.image, self.ranges, self.tile_lists
+        _core.cuda.composite_median_depth(*lists, out.data_ptr(), self.stream)
+
+    def composite_features_backward(self, features: _core.float32.Features, channels: int) -> tuple[Tensor, Tensor]:
+        scene, cuda = self.scene, _core.cuda
+        slots = scene.new(self.intersection_count, cuda.FEATURE_SUMS)
+        sums = scene.new(self.images, scene.count, cuda.SPLAT_SUMS)
+        g_features = scene.new(self.images, scene.count, channels)
+        cuda.composite_features_backward(
+            self.splats.native,
+            self.image,
+            self.ranges,
+            self.tile_lists,
+            self.slot_ranges,
+            features,
+            slots.data_ptr(),
+            sums.data_ptr(),
+            g_features.data_ptr(),
+            self.stream,
+        )
+        return sums, g_features
+
+    def take(self, splats: Tensor) -> None:
+        self.splats.splats.copy_(splats)
+        images = torch.arange(self.images, device=splats.device).unsqueeze(1) << _DEPTH_BITS
+        depths = splats[..., _core.SPLAT_DEPTH_INDEX].contiguous().view(torch.int32)
+        keys = torch.where(is_drawn(splats), images | depths, _NOT_DRAWN)
+        self.keys.copy_(keys.flatten())
+
+    def splat_gradients(self, sums: Tensor) -> Tensor:
+        power, power_dy, power_dy2, x, x_dy, square, g_depth = sums[..., :7].unbind(-1)  # csrc/math/gradient_sums.h
+        _, _, tau, c0 = (self.splats.splats[..., k] for k in _core.SPLAT_SHAPE_INDICES)
+        numbers = -x, 2 * tau * power_dy + c0 * x, power, square, -power_dy2, -x_dy, g_depth
+        fields = *_core.SPLAT_PLACE_INDICES, *_core.SPLAT_SHAPE_INDICES, _core.SPLAT_DEPTH_INDEX
+        gradients = torch.zeros_like(sums)
+        gradients[..., list(fields)] = torch.stack(numbers, -1)
+        return gradients
+
+    def drop(self, hidden: Tensor) -> None:
+        self.splats.drop(hidden)
+        self.keys.view(hidden.shape).masked_fill_(hidden, _NOT_DRAWN)
 
     def direct_backward(
         self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor

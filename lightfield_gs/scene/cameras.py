@@ -17,6 +17,7 @@ from lightfield_gs.base.checks import expect, real_number, shown, whole_number, 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CAMERA_MODELS, CameraModel
 from lightfield_gs.scene.gaussians import check_finite
+from lightfield_gs.scene.rows import Rows
 
 # Largest deviation from orthonormal rows: rotations written with three decimals deviate by up to 1.7e-3
 _ORTHONORMAL = 2e-3
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(eq=False)
-class Cameras:
+class Cameras(Rows):
     """The C cameras of one scene, or [B, C] cameras of B scenes; all have one image size.
+
+    They are used like a tensor: `len`, `cameras[3]`, `cameras[:10]`, `Cameras.cat`, `clone`, `to`, see Rows.
 
     Instead of focal_px and principal_point_px, K may be given as in other rasterizers, [..., C, 3, 3] without skew:
     Cameras(world_to_camera, K, width_px=..., height_px=...).
@@ -65,6 +68,8 @@ class Cameras:
     model: CameraModel = "pinhole"
     distortion: torch.Tensor | None = None
     widest_deg: float | None = None
+
+    _first, _row_numbers = "world_to_camera", 2
 
     def __post_init__(self) -> None:
         if self.principal_point_px is None:
@@ -157,6 +162,60 @@ class Cameras:
         return cls(world_to_camera, focal, centre, width, width // 2, model="equirectangular")
 
     @classmethod
+    def from_K(cls, K: Any, world_to_camera: Any, width_px: int, height_px: int) -> Cameras:  # noqa: N803
+        """Return pinhole cameras of matrices, as gsplat and OpenCV have them.
+
+        Args:
+            K: [3, 3], of all cameras, or [..., C, 3, 3]: fx 0 cx, 0 fy cy, 0 0 1, pixels.
+            world_to_camera: [4, 4], of one camera, or [..., C, 4, 4]; [3, 4] for both without the row 0 0 0 1. OpenCV
+                axes: x right, y down, z forward.
+            width_px, height_px: of the images.
+
+        Raises:
+            InputError: shapes or values make no camera.
+        """
+        poses = _as_poses("world_to_camera", world_to_camera)
+        matrices = _as_floats("K", K).to(poses)
+        if matrices.ndim == 2:
+            matrices = matrices.expand(*poses.shape[:-2], *matrices.shape)
+        return cls(poses, matrices, width_px=width_px, height_px=height_px)
+
+    @classmethod
+    def from_opengl(
+        cls,
+        camera_to_world: Any,
+        K: Any,  # noqa: N803
+        width_px: int,
+        height_px: int,
+        *,
+        dataparser: str | Path | None = None,
+    ) -> Cameras:
+        """Return pinhole cameras of nerfstudio's poses: camera to world, x right, y up, z backward.
+
+        Args:
+            camera_to_world: [4, 4] or [3, 4], of one camera, or [..., C, 4, 4] or [..., C, 3, 4].
+            K: as in from_K.
+            width_px, height_px: of the images.
+            dataparser: a dataparser_transforms.json. The poses are then those of the capture, and the cameras those for
+                a scene that nerfstudio exported.
+
+        Raises:
+            InputError: shapes or values make no camera, or the file cannot be read.
+        """
+        from lightfield_gs.io.captures.dataparser import read_dataparser_transform
+
+        poses = _as_poses("camera_to_world", camera_to_world)
+        axes = poses.new_tensor([1.0, -1.0, -1.0])
+        rotation = (poses[..., :3, :3] * axes).mT
+        inverse = poses.clone()
+        inverse[..., :3, :3], inverse[..., :3, 3:] = rotation, -rotation @ poses[..., :3, 3:]
+        if dataparser is not None:
+            moved = read_dataparser_transform(Path(dataparser))
+            places = [torch.from_numpy(moved.pose(pose)) for pose in inverse.double().cpu().reshape(-1, 4, 4).numpy()]
+            inverse = torch.stack(places).reshape(inverse.shape).to(inverse)
+        return cls.from_K(K, inverse, width_px, height_px)
+
+    @classmethod
     def from_inria(cls, path: str | Path, index: int | None = None) -> Cameras:
         """Read the cameras [C] of a cameras.json of 3D Gaussian splatting, float64.
 
@@ -216,9 +275,8 @@ class Cameras:
         return functional.pad((edges / focal.unsqueeze(-1)).flatten(-2), (0, 1))
 
     def select(self, indices: slice | list[int] | torch.Tensor) -> Cameras:
-        """Select cameras by their indices along C."""
-        some: dict[str, Any] = {name: value[..., indices, :] for name, value in self._optics().items()}
-        return replace(self, world_to_camera=self.world_to_camera[..., indices, :, :], **some)
+        """Select cameras by their indices along C, as cameras[indices]."""
+        return self[indices]
 
     def _optics(self) -> dict[str, torch.Tensor]:
         """Return the tensors [..., C, numbers] by name."""
@@ -239,11 +297,6 @@ class Cameras:
         poses = self.world_to_camera.clone()
         poses[..., :3, 3] += poses[..., :3, :3] @ poses.new_tensor(origin)
         return replace(self, world_to_camera=poses)
-
-    def to(self, *args, **kwargs) -> Cameras:
-        """Apply torch.Tensor.to to every tensor."""
-        optics: dict[str, Any] = {name: value.to(*args, **kwargs) for name, value in self._optics().items()}
-        return replace(self, world_to_camera=self.world_to_camera.to(*args, **kwargs), **optics)
 
 
 _FAR = 64  # units, and times the cameras' extent: cameras farther from the origin are moved to it
@@ -338,6 +391,31 @@ def _check_poses(poses: torch.Tensor) -> None:
     raise InputError(f"cameras: world_to_camera[{index}]: expected a rotation and 0 0 0 1 below, got {found}")
 
 
+def _as_floats(name: str, values: Any) -> torch.Tensor:
+    """Return numbers of any kind as a tensor of floats. Raises InputError."""
+    try:
+        tensor = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError(f"cameras: {name}: expected a tensor or numbers, got {shown(values)}") from None
+    if tensor.is_complex() or tensor.dtype == torch.bool:
+        raise InputError(f"cameras: {name}: expected real numbers, got {tensor.dtype}")
+    return tensor if tensor.is_floating_point() else tensor.double()
+
+
+def _as_poses(name: str, values: Any) -> torch.Tensor:
+    """Return poses [C, 4, 4] or [B, C, 4, 4]; the last row may be missing, and so may C for one. Raises InputError."""
+    poses = _as_floats(name, values)
+    if poses.ndim < 2 or poses.ndim > 4 or poses.shape[-1] != 4 or poses.shape[-2] not in (3, 4):
+        raise InputError(
+            f"cameras: {name}: expected [4, 4], [C, 4, 4] or [B, C, 4, 4], or 3 rows in place of 4, got "
+            f"{list(poses.shape)}"
+        )
+    if poses.shape[-2] == 3:
+        last = poses.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*poses.shape[:-2], 1, 4)
+        poses = torch.cat([poses, last], -2)
+    return poses[None] if poses.ndim == 2 else poses
+
+
 def _split_intrinsics(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Split intrinsics K [..., C, 3, 3] into focal_px and principal_point_px; values on a device are not checked."""
     expect("cameras: K", matrices, torch.Tensor)
@@ -378,3 +456,6 @@ def _from_file(cls: type[Cameras], path: str | Path, cameras: list[FileCamera], 
     ((width, height),) = sizes
     # numbers of any kind in the file; Cameras checks that they are whole
     return cls(pose, focal, centre, cast(int, width), cast(int, height))
+
+
+torch.serialization.add_safe_globals([Cameras])  # torch.load reads them without weights_only=False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,13 +19,15 @@ from lightfield_gs.base.checks import is_row, real_number, shown, wrong_type
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
 from lightfield_gs.scene.rotation import rotated_fields
+from lightfield_gs.scene.rows import Rows
 
 
 @dataclass(eq=False)
-class Gaussians:
+class Gaussians(Rows):
     """N Gaussians, or B sets of N, in right-handed world axes (Kerbl et al., "3D Gaussian Splatting", 2023).
 
-    All fields are floating-point tensors of one dtype on one device. `...` is empty, or the batch dimension B.
+    All fields are floating-point tensors of one dtype on one device. `...` is empty, or the batch dimension B. A set is
+    used like a tensor: `len`, `scene[mask]`, `Gaussians.cat`, `clone`, `to`, see Rows.
 
     Attributes:
         means: [..., N, 3] centres, scene units.
@@ -44,6 +46,8 @@ class Gaussians:
     opacities: torch.Tensor
     sh: torch.Tensor
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    _first, _row_numbers = "means", 1
 
     def __post_init__(self) -> None:
         self._expect_tensors()
@@ -94,14 +98,6 @@ class Gaussians:
             "opacities": self.opacities,
             "sh": self.sh,
         }
-
-    def to(self, *args, **kwargs) -> Gaussians:
-        """Apply torch.Tensor.to to every field."""
-        return map_fields(self, lambda tensor: tensor.to(*args, **kwargs))
-
-    def detach(self) -> Gaussians:
-        """Return the same data outside the autograd graph."""
-        return map_fields(self, torch.Tensor.detach)
 
     def rotated(self, rotation: Any) -> Gaussians:
         """Rotate the Gaussians about the zero of their file: centres, quaternions and harmonics.
@@ -248,18 +244,6 @@ def from_tensors(fields: Iterable[torch.Tensor]) -> Gaussians:
     return Gaussians(means, quaternions, scales, opacities, sh)
 
 
-def map_fields(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tensor]) -> Gaussians:
-    """Apply a function to each of the five tensors."""
-    return replace(
-        gaussians,
-        means=change(gaussians.means),
-        quaternions=change(gaussians.quaternions),
-        scales=change(gaussians.scales),
-        opacities=change(gaussians.opacities),
-        sh=change(gaussians.sh),
-    )
-
-
 def from_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
     """Make Gaussians on the CPU that share the memory of arrays [N, ...], named as in Gaussians.fields."""
     return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)
@@ -276,3 +260,6 @@ def scene_hash(gaussians: Gaussians) -> str:
 def scene_facts(gaussians: Gaussians) -> dict[str, Any]:
     """Return the count, the degree and the hash of one set, for the metadata of images."""
     return {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
+
+
+torch.serialization.add_safe_globals([Gaussians])  # torch.load reads them without weights_only=False

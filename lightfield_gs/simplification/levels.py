@@ -25,7 +25,7 @@ from lightfield_gs.io.scenes.scene_arrays import Fields, header_losses
 from lightfield_gs.io.scenes.streamed_sog import WrittenChunk, write
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.scene.gaussians import Gaussians, map_fields
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.simplification.footprints import Sides
 from lightfield_gs.simplification.merging import MergedScene
 from lightfield_gs.simplification.pruning import summed_weights
@@ -80,12 +80,8 @@ def write_levels(
         assume(f"{path}: {words}", Loss)
     tree = split(gaussians.means)
     rows = list(leaves_of(tree))
-    chunks = (build_chunk(_some(gaussians, own), levels, antialiased) for own in rows)
+    chunks = (build_chunk(gaussians[own], levels, antialiased) for own in rows)
     return write(path, chunks, tree, comments, lambda done: progress(done, len(rows)))
-
-
-def _some(gaussians: Gaussians, rows: Tensor) -> Gaussians:
-    return map_fields(gaussians, lambda field: field[rows])
 
 
 def split(means: Tensor) -> list:

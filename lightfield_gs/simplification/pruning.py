@@ -15,7 +15,7 @@ from lightfield_gs.base.options import Output
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import Gaussians, from_tensors, map_fields
+from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 
 def prune(
@@ -52,7 +52,7 @@ def prune(
     contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     weights = contributions(gaussians, panel, rig, antialiased, view_filter)
     kept = ~left_out(weights, panel, contribution_cut)
-    return map_fields(gaussians, lambda field: field[kept])
+    return gaussians[kept]
 
 
 def left_out(weights: Tensor, panel: Panel, contribution_cut: float) -> Tensor:

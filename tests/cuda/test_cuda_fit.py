@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import fit_scene
 import pytest
@@ -13,8 +14,9 @@ from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting import trainer
 from lightfield_gs.fitting.evaluate import evaluate
-from lightfield_gs.fitting.optimizer import Gradients, RawParameters, activate, update, update_table
+from lightfield_gs.fitting.optimizer import GaussianState, Gradients, RawParameters, activate, update, update_table
 from lightfield_gs.fitting.photo_loss import photo_loss, photo_loss_and_gradient
+from lightfield_gs.fitting.photo_storage import RowFile
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
@@ -92,23 +94,40 @@ def test_what_cannot_be_used_is_said():
         photo_loss(image, image.cpu())
 
 
-def fitted_state(images: PosedImages) -> list[torch.Tensor]:
+def fitted_state(images: PosedImages, moments_on_host: bool = False, **others: Any) -> list[torch.Tensor]:
     """Return the tensors of a few Gaussians after 60 steps, with changes of density between them."""
-    settings = FitSettings(steps=60, cap_max=400, sh_degree=1)
-    fit = Trainer(fit_scene.first_state(fit_scene.known_scene(), settings, device=CUDA), images, settings)
+    settings = FitSettings(steps=60, cap_max=400, sh_degree=1, **others)
+    first = fit_scene.first_state(fit_scene.known_scene(), settings, device=CUDA)
+    fit = Trainer(GaussianState.start(first.gaussians(), moments_on_host), images, settings)
+    assert fit.state.first.sh.is_pinned() == moments_on_host
     fit.advance(60)
-    assert fit.done == 60 and fit.state.count == 400 and not int(fit.counters.skipped)
+    assert fit.done == 60 and not int(fit.counters.skipped)
+    assert settings.density == "adaptive" or fit.state.count == 400
     return list(fit.state.tensors().values())
 
 
-def test_photographs_of_the_host_make_the_same_scene():
+@pytest.mark.parametrize("batch_size", [1, 3])
+def test_photographs_of_the_host_and_of_files_make_the_same_scene(tmp_path, batch_size):
     images = fit_scene.photograph_scene(fit_scene.known_scene(), device=CUDA)
-    hosted = replace(images, photos=images.photos.cpu())
-    assert hosted.on_host and not images.on_host
-    for value, same in zip(fitted_state(images), fitted_state(hosted), strict=True):
-        assert torch.equal(value, same)
+    file = RowFile(tmp_path / "photographs.uint8", images.photos.shape)
+    for row, photo in enumerate(images.photos.cpu()):
+        file[row] = photo
     gaussians = fit_scene.known_scene().to(CUDA)
-    assert evaluate(gaussians, hosted, (0.0, 0.0, 0.0)) == evaluate(gaussians, images, (0.0, 0.0, 0.0))
+    expected = fitted_state(images, batch_size=batch_size)
+    for stored in (images.photos.cpu(), file):
+        other = replace(images, photos=stored)
+        assert other.is_staged and not images.is_staged
+        for value, same in zip(expected, fitted_state(other, batch_size=batch_size), strict=True):
+            assert torch.equal(value, same)
+        assert evaluate(gaussians, other, (0.0, 0.0, 0.0)) == evaluate(gaussians, images, (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("density", ["mcmc", "adaptive"])
+def test_moments_of_the_host_make_the_same_scene(density):
+    images = fit_scene.photograph_scene(fit_scene.known_scene(), device=CUDA)
+    expected, hosted = (fitted_state(images, on_host, density=density, grow_grad2d=1e-5) for on_host in (False, True))
+    for value, same in zip(expected, hosted, strict=True):
+        assert torch.equal(value.cpu(), same.cpu())
 
 
 def test_too_little_capacity_changes_nothing_but_time(monkeypatch):

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from cuda_on_cpu import cases, fit_cases, intersection_cases
+from cuda_on_cpu import cases, feature_cases, fit_cases, intersection_cases
 from cuda_on_cpu.drawings import EMULATED
 
 from lightfield_gs import reference
 
 pytestmark = EMULATED
 
-DRAWN = ("images", "capacities", "gradients", "antialiased gradients", "camera models", "view filter", "fit")
+DRAWN = (
+    "images",
+    "features",
+    "capacities",
+    "gradients",
+    "antialiased gradients",
+    "camera models",
+    "view filter",
+    "fit",
+)
 
 
 def test_images_and_gradients_are_those_of_float64(drawn):
@@ -19,6 +28,16 @@ def test_images_and_gradients_are_those_of_float64(drawn):
     for name, expected in cases.images_step(torch.float64).items():
         error = (found[name].double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
+
+
+def test_features_and_their_gradients_are_those_of_float64(drawn):
+    for found, expected in zip(drawn("features"), feature_cases.steps(torch.float64), strict=True):
+        for name, right in expected.items():
+            error = (found[name].double() - right).abs()
+            if name == "median_depth":  # where half of the light is left but for rounding, either may be it
+                assert (error > 1e-5).double().mean() < 1e-3
+            else:
+                assert error.norm() < (1e-3 if name.startswith("gradient") else 1e-5) * right.norm(), name
 
 
 def test_splats_that_fill_images_and_capacities_for_intersections(drawn):

@@ -20,6 +20,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
 import cases
 import crop_cases
+import feature_cases
 import fit_cases
 import intersection_cases
 import png_cases
@@ -194,6 +195,8 @@ def main(what: str) -> object:
         return intersection_cases.with_capacities()
     if what == "images":
         return cases.images_step(torch.float32)
+    if what == "features":
+        return feature_cases.steps(torch.float32)
     if what == "words":
         return [
             lattice_frame("pixel", "fast", "integer", changes, 0, dtype=dtype)

@@ -13,7 +13,7 @@ from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.detail import SheetSurface, sheet_surface
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.sheet import find_surface
-from lightfield_gs.scene.gaussians import Gaussians, map_fields
+from lightfield_gs.scene.gaussians import Gaussians
 
 
 class Case(NamedTuple):
@@ -44,7 +44,7 @@ def inputs(case: Case) -> tuple[Gaussians, Tensor, Tensor]:
 @torch.no_grad()
 def found(case: Case, device: str = "cpu") -> dict[str, Tensor]:
     cloud, images, camera = inputs(case)
-    cloud = map_fields(cloud, lambda field: field.to(device).contiguous())
+    cloud = cloud.mapped(lambda field: field.to(device).contiguous())
     surface = find_surface(cloud, images[:, 3:].to(device), camera.to(device), case.layers)
     return {name: part.cpu() for name, part in (surface._asdict() | cloud.fields()).items()}
 
@@ -54,7 +54,7 @@ def expected(case: Case) -> tuple[SheetSurface, Gaussians]:
     """PyTorch's in float64, of the same numbers."""
     cloud, images, camera = inputs(case)
     pixels = describe_pixels(images.double(), camera.double())
-    return sheet_surface(map_fields(cloud, Tensor.double), pixels, case.layers)
+    return sheet_surface(cloud.to(torch.float64), pixels, case.layers)
 
 
 def compare(case: Case, have: dict[str, Tensor]) -> None:

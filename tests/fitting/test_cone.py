@@ -320,6 +320,7 @@ class Photo:
 
     pixels: np.ndarray
     orientation: int = 1
+    may_be_masked: bool = False
 
     def image(self) -> np.ndarray:
         return self.pixels

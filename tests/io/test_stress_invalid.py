@@ -217,7 +217,32 @@ CALLS = {
     ),
     "render": (
         render,
-        dict(gaussians=SCENE, cameras=CAMERAS.to(torch.float32), background=(1, 1, 1), alpha=True, depth=True),
+        dict(
+            gaussians=SCENE,
+            cameras=CAMERAS.to(torch.float32),
+            background=(1, 1, 1),
+            alpha=True,
+            depth=True,
+            render_mode="RGB+ED",
+            sh_degree=0,
+            normals=True,
+            conics=True,
+        ),
+    ),
+    "render with tensors": (
+        render,
+        dict(
+            gaussians=SCENE,
+            cameras=CAMERAS.to(torch.float32),
+            features=torch.zeros(1, 5),
+            colors=torch.zeros(1, 3),
+            masks=torch.ones(1, dtype=torch.bool),
+            near_plane=0.1,
+            far_plane=9.0,
+            radius_clip=0.1,
+            covars=torch.eye(3)[None],
+            eps2d=0.5,
+        ),
     ),
 }
 FLOATS = st.floats(allow_nan=True, allow_infinity=True, width=64)

@@ -8,7 +8,6 @@ from lightfield_gs import encode, simplify
 from lightfield_gs.base.harmonics import rotations
 from lightfield_gs.bench.scenes import benchmark_rig, sheet
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.scene.gaussians import map_fields
 
 
 def _psnr_db(image, other):
@@ -24,14 +23,14 @@ def test_equal_counts_by_merging_beat_the_most_visible_and_random_ones():
     fewer = simplify(scene, whole, fan, count=2048).gaussians
     kept = contributions(scene, whole, fan).argsort(descending=True)[:2048]
     random = torch.randperm(scene.count, generator=torch.Generator().manual_seed(0))[:2048]
-    rivals = [map_fields(scene, lambda field, rows=rows: field[rows]) for rows in (kept, random)]
+    rivals = [scene[rows] for rows in (kept, random)]
     scores = [_psnr_db(encode(one, whole, fan, output="float32"), exact) for one in (fewer, *rivals)]
     assert fewer.count == 2048 and scores[0] > max(scores[1:]) + 3
 
 
 def test_a_pair_has_the_moments_of_its_mixture():
     shown = panel(width_px=160, height_px=80)
-    scene = map_fields(sheet(8), lambda field: field[27:28].repeat(2, *[1] * (field.ndim - 1)))
+    scene = sheet(8)[[27, 27]]
     scene.means[1, 0] += 0.3 * scene.scales[0].min()
     scene.scales[1] *= 1.2
     merged = simplify(scene, shown, rig(shown), count=1).gaussians
@@ -64,7 +63,7 @@ def test_the_bound_holds_and_is_used():
 def test_equal_gaussians_become_one_with_the_alpha_of_both():
     """Two equal Gaussians of opacity a cover 1 - (1 - a)^2, and no light is made or lost beyond the bound."""
     shown = panel(width_px=160, height_px=80)
-    scene = map_fields(sheet(8), lambda field: field[27:28].repeat(2, *[1] * (field.ndim - 1)))
+    scene = sheet(8)[[27, 27]]
     scene.opacities[:] = 0.3
     merged = simplify(scene, shown, rig(shown), count=1)
     assert merged.gaussians.count == 1 and merged.psnr_db > 40

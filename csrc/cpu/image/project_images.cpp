@@ -63,8 +63,11 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
         T* place = screen ? screen + (image * n + i) * screen_numbers : nullptr;
         if (place) std::fill_n(place, screen_numbers, T(0));
         if (splat.reach_y < 0) continue;
-        sum_intersections(splat, cameras.height_px, first_intersection[image * n + i], size, intersection_gradients,
-                          sum.data());
+        if (first_intersection)
+          sum_intersections(splat, cameras.height_px, first_intersection[image * n + i], size, intersection_gradients,
+                            sum.data());
+        else
+          read_sums(intersection_gradients + (image * n + i) * kSplatSums, absolute, g_intersection);
 
         // From the splat to the Gaussian and the camera
         const Shape<double> shape = load_shape<double>(scene, i);
@@ -107,7 +110,22 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
   }
 }
 
+template <class T>
+void sum_intersections(const Splats<T>& splats, int64_t height_px, const int64_t* first_intersection,
+                       const T* intersection_gradients, bool absolute, T* sums, int threads) {
+  const int64_t all = splats.images * splats.count, size = image_intersection_gradient_size(absolute);
+  parallel_for((all + kGrain - 1) / kGrain, threads, [&](int64_t item, int) {
+    std::vector<double> sum(size);
+    for (int64_t i = item * kGrain; i < std::min(all, (item + 1) * kGrain); ++i) {
+      sum_intersections(splats.splats[i], height_px, first_intersection[i], int(size), intersection_gradients,
+                        sum.data());
+      write_sums(IntersectionGradient<double>{sum.data()}, absolute, sums + i * kSplatSums);
+    }
+  });
+}
+
 #define LFGS_INSTANTIATE(T)                                                                             \
+  template void sum_intersections(const Splats<T>&, int64_t, const int64_t*, const T*, bool, T*, int);  \
   template void project_images(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);    \
   template void project_images_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, \
                                         const int64_t*, const T*, const Gaussians<T>&, T*, bool, T*, int);

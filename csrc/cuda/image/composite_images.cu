@@ -1,94 +1,25 @@
 // Stage composite for ordinary images on the device, and its backward pass. The forward pass reads the splats and the
 // sorted intersections, and writes colour, alpha and depth. The backward pass reads these images and their gradients,
 // and writes the sums of every intersection and of the background.
-//
-// A block has a tile of 16 x 16 pixels, a warp a patch of 8 x 4 of them, a thread a pixel. Both directions go over the
-// splats nearest first. A warp passes over the splats that cannot touch its patch.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
+#include "cuda/image/patches.cuh"
 #include "cuda/stages/stages.h"
-#include "math/footprint.h"
 
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kSide = 16, kThreads = kSide * kSide, kWarps = kThreads / 32;
-constexpr int kPatchWidth = 8, kPatchHeight = 4, kPatchesAcross = kSide / kPatchWidth;
-constexpr unsigned kAll = ~0u;  // lanes
-static_assert(kImageTile.width_px == kSide && kImageTile.height_px == kSide && kPatchWidth * kPatchHeight == 32);
-
-// A splat as the pixels of a tile read it.
-struct Staged {
-  float4 place;      // u0 and v0, from the tile's corner; c0, tau
-  float4 colour;     // r, g, b, depth
-  float2 size;       // log2 opacity, 1 / S
-  uint32_t patches;  // bit w: it may touch the patch of warp w
-
-  // log2 of opacity * weight at a pixel.
-  __device__ float power(float x, float y) const {
-    const float dy = y - place.y, dx = x - place.x - place.z * dy;
-    return size.x - place.w * dy * dy - dx * dx * size.y;
-  }
+// A splat with the numbers that an image blends.
+struct Staged : Outline {
+  float4 colour;  // r, g, b, depth
 };
-
-// The tile of this block, the patch of this warp and the pixel of this thread.
-struct Pixel {
-  int warp, lane;
-  int64_t image, x0, y0, index;
-  float x, y;  // centre, from the tile's corner
-  bool inside;
-
-  __device__ explicit Pixel(const Image& all) : warp(threadIdx.x / 32), lane(threadIdx.x % 32) {
-    const int64_t tiles = tile_count(all.tile, all.width_px, all.height_px), place = blockIdx.x % tiles;
-    const int64_t across = (all.width_px + kSide - 1) / kSide;
-    const int column = warp % kPatchesAcross * kPatchWidth + lane % kPatchWidth;
-    const int row = warp / kPatchesAcross * kPatchHeight + lane / kPatchWidth;
-    image = blockIdx.x / tiles, x0 = place % across * kSide, y0 = place / across * kSide;
-    x = column + 0.5f, y = row + 0.5f;
-    inside = x0 + column < all.width_px && y0 + row < all.height_px;
-    index = (image * all.height_px + y0 + row) * all.width_px + x0 + column;
-  }
-};
-
-// The patches of a tile that a splat may touch, a bit for each warp. The splat's centre counts from the tile's corner.
-__device__ uint32_t touched_patches(const Splat<float>& s) {
-  uint32_t patches = 0;
-#pragma unroll
-  for (int down = 0; down < kSide / kPatchHeight; ++down) {
-    const float top = down * kPatchHeight + 0.5f;
-    float low, high;
-    if (!footprint_columns(s, top, top + (kPatchHeight - 1), 0.f, low, high)) continue;
-#pragma unroll
-    for (int across = 0; across < kPatchesAcross; ++across) {
-      const float left = across * kPatchWidth + 0.5f;
-      if (high >= left && low <= left + (kPatchWidth - 1)) patches |= 1u << (down * kPatchesAcross + across);
-    }
-  }
-  return patches;
-}
 
 // Read a splat for the tile of this block.
 __device__ Staged stage(const Splats<float>& splats, uint32_t id, const Pixel& pixel) {
-  Splat<float> s = read_splat(splats.splats + id);
+  const Splat<float> s = read_splat(splats.splats + id);
   const float4 c = __ldg(reinterpret_cast<const float4*>(splats.colours) + id);
-  s.u0 -= float(pixel.x0), s.v0 -= float(pixel.y0);
-  return {make_float4(s.u0, s.v0, s.c0, s.tau), make_float4(c.x, c.y, c.z, s.depth),
-          make_float2(s.log2_opacity, 1 / s.S0), touched_patches(s)};
-}
-
-// Which of 32 staged splats, from `first` on, may touch the patch of this warp. The first of them is the highest bit,
-// so that it is found in one step.
-__device__ unsigned candidates(const Staged* staged, int first, int count, const Pixel& pixel) {
-  const int own = first + 31 - pixel.lane;
-  return __ballot_sync(kAll, own < count && staged[own].patches >> pixel.warp & 1);
-}
-
-// Take the first splat out of such a set, and return its number there.
-__device__ int take_first(unsigned& set) {
-  const int first = __clz(int(set));
-  set ^= 0x80000000u >> first;
-  return first;
+  return {outline_of(s, pixel), make_float4(c.x, c.y, c.z, s.depth)};
 }
 
 // Draw a tile: the block stages its splats in batches, and each thread blends them into its pixel.
@@ -136,8 +67,6 @@ __global__ void __launch_bounds__(kThreads)
 
 template <int kSums>
 constexpr int kBatchOf = kSums == kImageSums ? 64 : 60;  // splats staged at a time: 48 KiB hold no more with all sums
-constexpr int kIntersections = 8;                        // with the four rows of a patch, a sum for every lane
-static_assert(kIntersections * kPatchHeight == 32);
 
 // A sample in the backward pass. `behind` is the part of the loss of everything behind the current splat. Before the
 // first splat it follows from the sample's gradients and its image.
@@ -203,12 +132,8 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
   }
 
   // The numbers of an intersection follow from these
-  for (float& moment : moments) moment *= float(kLn2);
-  const float dy = y - s.place.y, dx = x - s.place.x - s.place.z * dy, g = moments[0];
-  const float gx = -2 * s.size.y * (moments[1] + dx * g);
-  sums[kPowerSum] = g, sums[kPowerDySum] = g * dy, sums[kPowerDy2Sum] = g * dy * dy;
-  sums[kXSum] = gx, sums[kXDySum] = gx * dy;
-  sums[kSSum] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
+  const float dy = y - s.place.y, dx = x - s.place.x - s.place.z * dy;
+  footprint_sums(s, moments, dx, dy, sums);
   sums[kDepthSum] = depth;
   for (int c = 0; c < 3; ++c) sums[kColourSum + c] = colour[c];
   if constexpr (kSums == kAbsoluteImageSums) {

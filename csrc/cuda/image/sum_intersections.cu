@@ -33,12 +33,28 @@ __device__ double strided_sum(const float* indices, uint32_t begin, uint32_t end
   return sum;
 }
 
+// Where the sums of a splat go: those of images, and those of a chunk of features (FeatureSums).
+struct ToSums {
+  float* sums;
+  __device__ void store(int64_t splat, unsigned number, float sum) const { sums[splat * kSplatSums + number] = sum; }
+};
+struct ToFeatures {
+  FeatureSums out;
+  __device__ void store(int64_t splat, unsigned number, float sum) const {
+    const int channel = int(number) - kImageFootprintSums;
+    if (channel < 0)
+      out.sums[splat * kSplatSums + number] += sum;
+    else if (channel < out.used)
+      out.g_features[splat * out.channels + out.first + channel] = sum;
+  }
+};
+
 // Each thread of the grid brings one splat into its block. The first of a warp is `warp`, and the others follow at the
 // distance of the number of warps.
-template <int kNumbers>
+template <int kNumbers, class Out>
 __global__ void __launch_bounds__(kThreads)
     sum_intersections_kernel(int64_t splats, const IntersectionRange* intersection_ranges, const float* indices,
-                             float* sums) {
+                             Out out) {
   constexpr int kGroups = 32 / kNumbers;  // splats that a warp sums up at once; the lanes that are left over do nothing
   __shared__ IntersectionRange ranges[kThreads];
   __shared__ unsigned many[kWarps];
@@ -62,7 +78,7 @@ __global__ void __launch_bounds__(kThreads)
     if (own_lane < 0) continue;
     const IntersectionRange range = ranges[32 * warp + own_lane];
     const double sum = strided_sum<kNumbers>(indices, range.first, range.last, 1, number);
-    sums[(first + own_lane * apart) * kSplatSums + number] = float(sum);
+    out.store(first + own_lane * apart, number, float(sum));
   }
 
   // Splats of many intersections, each by all warps
@@ -78,7 +94,7 @@ __global__ void __launch_bounds__(kThreads)
         double sum = 0;
         for (int k = 0; k < kWarps; ++k)
           for (int g = 0; g < kGroups; ++g) sum += partial[k][g][threadIdx.x];
-        sums[(first - warp + w + own_lane * apart) * kSplatSums + threadIdx.x] = float(sum);
+        out.store(first - warp + w + own_lane * apart, threadIdx.x, float(sum));
       }
       __syncthreads();
     }
@@ -90,10 +106,21 @@ __global__ void __launch_bounds__(kThreads)
 void sum_intersections(int64_t splats, const IntersectionRange* intersection_ranges, bool absolute,
                        const float* intersection_gradients, float* sums, Stream stream) {
   if (splats == 0) return;
-  const auto kernel = absolute ? sum_intersections_kernel<kAbsoluteImageSums> : sum_intersections_kernel<kImageSums>;
-  kernel<<<unsigned(blocks_for(splats, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, intersection_ranges,
-                                                                                        intersection_gradients, sums);
+  const auto kernel =
+      absolute ? sum_intersections_kernel<kAbsoluteImageSums, ToSums> : sum_intersections_kernel<kImageSums, ToSums>;
+  kernel<<<unsigned(blocks_for(splats, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+      splats, intersection_ranges, intersection_gradients, ToSums{sums});
   check_launch("sum_intersections");
+}
+
+void sum_feature_intersections(int64_t splats, const IntersectionRange* intersection_ranges,
+                               const float* intersection_gradients, int width, const FeatureSums& out, Stream stream) {
+  if (splats == 0) return;
+  const auto kernel = width == 4 ? sum_intersections_kernel<kImageFootprintSums + 4, ToFeatures>
+                                 : sum_intersections_kernel<kFeatureSums, ToFeatures>;
+  kernel<<<unsigned(blocks_for(splats, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+      splats, intersection_ranges, intersection_gradients, ToFeatures{out});
+  check_launch("sum_feature_intersections");
 }
 
 }  // namespace lfgs::cuda

@@ -85,6 +85,11 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
 // --- composite. Read the intersections of every tile, `ranges`, and write the images.
 void composite_images(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                       const Intersections& intersections, const float* background, Images<float> out, Stream stream);
+// Features and the median depth, see stages/stages.h.
+void composite_features(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                        const Intersections& intersections, const Features<float>& features, float* out, Stream stream);
+void composite_median_depth(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                            const Intersections& intersections, float* out, Stream stream);
 void composite_direct(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                       const Intersections& intersections, const Lens& lens, const float* background, float* out,
                       Stream stream);
@@ -97,8 +102,7 @@ void composite_direct(const Splats<float>& splats, const Image& image, const int
 // gradients of depth, r, g and b. With absolute gradients, the sums of |gradient| of u0 and of v0 over the samples
 // follow (Ye et al., "AbsGS", 2024). For a panel they are all of FootprintSum, the gradients of r, g, b for each power
 // of s, and with compensation the gradients of D.
-constexpr int kDepthSum = kImageFootprintSums, kColourSum = kDepthSum + 1, kImageSums = kColourSum + 3;
-constexpr int kAbsoluteSum = kImageSums, kAbsoluteImageSums = kAbsoluteSum + 2;
+constexpr int kImageSums = kAbsoluteSum, kAbsoluteImageSums = kSplatSums;
 constexpr int kDirectSums = kDirectFootprintSums;
 // Gradients of alpha and of depth may be null: zero everywhere.
 void composite_images_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
@@ -107,10 +111,26 @@ void composite_images_backward(const Splats<float>& splats, const Image& image, 
                                float* tile_background, Stream stream);
 // Add up the intersections of each splat: sums [I, N, kSplatSums], the numbers of an intersection, all zero where a
 // splat has none. Numbers behind them are left alone.
-constexpr int kSplatSums = kAbsoluteImageSums;
-static_assert(kSplatSums == kSplatFields);  // for torch the sums are the gradient of the splats, and so of their shape
 void sum_intersections(int64_t splats, const IntersectionRange* intersection_ranges, bool absolute,
                        const float* intersection_gradients, float* sums, Stream stream);
+// The backward pass of composite_features, kFeatureChunk channels at a time: g_features [I, N, D], and sums [I, N,
+// kSplatSums], of which the first kImageFootprintSums are written and all others zero. The caller lends
+// intersection_gradients [intersections, kFeatureSums].
+constexpr int kFeatureSums = kImageFootprintSums + kFeatureChunk;
+void composite_features_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                                 const Intersections& intersections, const IntersectionRange* intersection_ranges,
+                                 const Features<float>& features, float* intersection_gradients, float* sums,
+                                 float* g_features, Stream stream);
+// Where the sums of a chunk of channels go: the footprint's numbers are added to `sums`, and the gradients of `used`
+// channels from `first` on are written to g_features.
+struct FeatureSums {
+  float *sums, *g_features;
+  int64_t channels, first;
+  int used;
+};
+// Add up the intersections of each splat, of `width` (4 or kFeatureChunk) channels.
+void sum_feature_intersections(int64_t splats, const IntersectionRange* intersection_ranges,
+                               const float* intersection_gradients, int width, const FeatureSums& out, Stream stream);
 // From the sums of all splats. All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the
 // splats' places, u0 and v0 in pixels. With `absolute` it is [I, N, 4], with the absolute gradients behind.
 // camera_partials [I, camera_blocks(N), 12], or null, receives gradients of the rows of [R|t], which the caller sums

@@ -11,11 +11,15 @@ from lightfield_gs.base.options import (
     DENSITIES,
     DEVICES,
     MASKS,
+    MOMENTS_ON,
+    PHOTOS_ON,
     POSE_MODEL,
     POSED_FRAMES,
     Density,
     Device,
     Masks,
+    MomentsOn,
+    PhotosOn,
     TestEvery,
 )
 from lightfield_gs.commands.options import groups
@@ -141,6 +145,8 @@ class FitOptions:
     Attributes:
         output: File of the scene.
         device: Device of the fit.
+        photos_on: Place of the decoded photographs.
+        moments_on: Place of Adam's moments.
     """
 
     output: Path
@@ -149,6 +155,8 @@ class FitOptions:
     cone: ConeOptions
     report: ReportOptions
     device: Device = "auto"
+    photos_on: PhotosOn = "auto"
+    moments_on: MomentsOn = "auto"
 
 
 def _every_or_none(text: str) -> TestEvery:
@@ -201,6 +209,14 @@ def add_capture(add: Add) -> None:
         type=whole(16, 1 << 20),
         metavar="PIXELS",
         help="shrink photographs whose longer side has more pixels (default: as far as the memory takes them)",
+    )
+    add(
+        "--photos-on",
+        choices=PHOTOS_ON,
+        default="auto",
+        help="place of the decoded photographs during the fit. disk: files in the folder of the run, so that thousands "
+        "of photographs need little memory; the next ones are read while a step runs (default auto: memory where they "
+        "fill less than half of it)",
     )
     add(
         "--test-every",
@@ -346,6 +362,13 @@ def add_optimisation(add: Add) -> None:
         default="auto",
         short="cpu or cuda (default auto: a GPU where there is one)",
         help="device of the fit (default auto: cuda if there is a GPU and this build can use it)",
+    )
+    add(
+        "--moments-on",
+        choices=MOMENTS_ON,
+        default="auto",
+        help="place of Adam's moments in a fit on a GPU. host: the memory of the computer, which leaves the GPU room "
+        "for more Gaussians; steps take longer (default auto: device where its memory suffices)",
     )
 
 

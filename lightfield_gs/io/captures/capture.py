@@ -87,6 +87,12 @@ class Capture:
         return self.photographs[index].valid_area()
 
     @property
+    def may_be_masked(self) -> bool:
+        """Whether a photograph may have pixels that do not count; only decoding tells for sure."""
+        several = len(np.unique(self.sizes_px, axis=0)) > 1
+        return several or any(photograph.may_be_masked for photograph in self.photographs)
+
+    @property
     def centres(self) -> np.ndarray:
         """Camera centres, [C,3] float64."""
         rotations, translations = self.world_to_camera[:, :3, :3], self.world_to_camera[:, :3, 3]

@@ -60,6 +60,20 @@ def find_dataparser_transform(path: Path) -> Similarity | None:
     file = path.parent / _NAME
     if not file.is_file():
         return None
+    found = read_dataparser_transform(file)
+    assume(
+        f"cameras and points of {path} are moved as {_NAME} says, scaled by {found.scale:.4g}, as nerfstudio's scenes "
+        "are"
+    )
+    return found
+
+
+def read_dataparser_transform(file: Path) -> Similarity:
+    """Read a dataparser_transforms.json.
+
+    Raises:
+        InputError: names the field.
+    """
     data = read_object(file, _LIMIT_BYTES)
     matrix = data.get("transform")
     try:
@@ -72,5 +86,4 @@ def find_dataparser_transform(path: Path) -> Similarity | None:
     pose[:3] = numbers[:3]
     check_pose(f"{file}: transform", pose)
     scale = real_number(f"{file}: scale", data.get("scale", 1.0), 1e-9, 1e9)
-    assume(f"cameras and points of {path} are moved as {_NAME} says, scaled by {scale:.4g}, as nerfstudio's scenes are")
     return Similarity(nearest_rotation(pose[:3, :3]), pose[:3, 3], scale)

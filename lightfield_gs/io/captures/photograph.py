@@ -122,6 +122,11 @@ class Photograph:
         """
         return self._minimum([*self._opacity_masks(), *self._valid_areas()])
 
+    @property
+    def may_be_masked(self) -> bool:
+        """Whether mask() may return one."""
+        return self.mask_path is not None or self.alpha or self.border_px > 0 or self.distortion is not None
+
     def opacity(self) -> np.ndarray | None:
         """Return the mask of the mask's file and the alpha alone. Beyond the valid area it is undefined."""
         return self._minimum(self._opacity_masks())
