@@ -202,9 +202,12 @@ def fit(
     with ExitStack() as opened:
         group, own = opened.enter_context(join_group(choose_device(device)))
         room = Room.find(own, files, group.size)
-        place = partial(Placement.choose, room=room, photos_on=photos_on, moments_on=moments_on)
-        read = read if group.size > 1 else _fit_memory(read, chosen, place, options)
-        placement = place(_estimate(read, chosen))
+
+        def place(one: Capture) -> Placement:
+            return Placement.choose(_estimate(one, chosen, own), room, photos_on, moments_on)
+
+        read = read if group.size > 1 else _fit_memory(read, place, options)
+        placement = place(read)
         for line in placement.assumptions(photos_on, moments_on):
             assume(line)
         run, normalization, display = _prepare(
@@ -242,14 +245,12 @@ def _read_photographs(
     return read, *read.split(test_every, None if test_names is None else list(test_names))
 
 
-def _estimate(capture: Capture, settings: FitSettings) -> MemoryEstimate:
+def _estimate(capture: Capture, settings: FitSettings, device: str) -> MemoryEstimate:
     width, height = map(int, capture.sizes_px.max(0))
-    return estimate_memory(settings, len(capture.names), width, height, capture.may_be_masked)
+    return estimate_memory(settings, device, len(capture.names), width, height, capture.may_be_masked)
 
 
-def _fit_memory(
-    capture: Capture, settings: FitSettings, place: Callable[[MemoryEstimate], Placement], options: RunOptions
-) -> Capture:
+def _fit_memory(capture: Capture, place: Callable[[Capture], Placement], options: RunOptions) -> Capture:
     """Reduce photographs of their files' size, with a note, until the memory suffices.
 
     A fit that goes on takes the size that it began with. Where no size suffices, the photographs stay as they are, and
@@ -258,17 +259,14 @@ def _fit_memory(
     if not capture.is_whole:
         return capture
 
-    def suffices(one: Capture) -> bool:
-        return place(_estimate(one, settings)).suffices
-
     path = None if options.folder is None or options.fresh else options.folder / checkpoint.FILE
     begun = None if path is None else checkpoint.stored_sizes_digest(path)
-    if begun == checkpoint.sizes_digest(capture) or begun is None and suffices(capture):
+    if begun == checkpoint.sizes_digest(capture) or begun is None and place(capture).suffices:
         return capture
     for longest in smaller_sizes(int(capture.sizes_px.max()), SMALLEST_PX):
         smaller = capture.reduced(longest)
-        if begun == checkpoint.sizes_digest(smaller) or begun is None and suffices(smaller):
-            need, (width, height) = _estimate(capture, settings), map(int, capture.sizes_px.max(0))
+        if begun == checkpoint.sizes_digest(smaller) or begun is None and place(smaller).suffices:
+            need, (width, height) = place(capture).need, map(int, capture.sizes_px.max(0))
             assume(
                 f"photographs are reduced to {longest} pixels on the longer side: as they are, {width} x {height}, the "
                 f"fit needs too much memory ({need.words()}); longest_px= or scale= sets another size"

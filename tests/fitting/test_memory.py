@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -27,10 +28,12 @@ def capture(tmp_path_factory) -> Path:
 
 def test_memory_is_that_of_the_formula():
     settings = FitSettings(cap_max=1000, sh_degree=1, batch_size=2)
-    parameters, moments, gradients = 2 * 4 * 1000 * 27, 2 * 8 * 1000 * 23, 4 * 1000 * 23
-    rest = parameters, moments, gradients, 2 * (450 * 1000 + 90 * 1200)
-    assert estimate_memory(settings, 10, 40, 30, False) == (10 * 1200 * 3, 10 * 1200 * 3, *rest)
-    assert estimate_memory(settings, 10, 40, 30, True) == (10 * 1200 * 4, 10 * 1200 * 4, *rest)
+    parameters, moments, gradients = 4 * 1000 * 27, 8 * 1000 * 23, 4 * 1000 * 23
+    rest = parameters, moments, gradients, 2 * (450 * 1000 + 90 * 1200), parameters, moments
+    assert estimate_memory(settings, "cuda", 10, 40, 30, False) == (10 * 1200 * 3, 10 * 1200 * 3, *rest)
+    assert estimate_memory(settings, "cuda", 10, 40, 30, True) == (10 * 1200 * 4, 10 * 1200 * 4, *rest)
+    on_cpu = estimate_memory(replace(settings, sh_degree=3, batch_size=1), "cpu", 10, 40, 30, False)
+    assert sum(on_cpu[2:]) == 2 * 4 * 1000 * (63 + 118)  # copies take more than a step
 
 
 def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
@@ -87,12 +90,23 @@ def test_photographs_and_moments_go_where_there_is_room(device, free_gb, expecte
     assert Placement.choose(NEED, room, "memory", "device").photographs in ("device", "host")
 
 
+@pytest.mark.parametrize(
+    "memory_gb, gaussians, moments", [(80, 10_000_000, "device"), (8, 2_200_000, "device"), (8, 4_100_000, "host")]
+)
+def test_three_thousand_photographs_of_12_megapixels_are_fitted(memory_gb, gaussians, moments):
+    """The table of docs/scenes.md."""
+    need = estimate_memory(FitSettings(cap_max=gaussians), "cuda", 3000, 4000, 3000, False)
+    room = Room("cuda", memory_gb * GB, 32 * GB, 500 * GB, folder=Path("run/photographs"))
+    chosen = Placement.choose(need, room, "auto", "auto")
+    assert chosen.suffices and (chosen.photographs, chosen.moments) == ("disk", moments)
+
+
 def test_more_than_there_is_is_refused():
     room = Room("cuda", 14 * GB, 12 * GB, 9 * GB, folder=Path("run/photographs"))
     with pytest.raises(InputError, match="photographs need 10.0 GB of disk, and run has 9.0 GB free; use a folder="):
         Placement.choose(NEED, room, "disk", "auto")
     chosen = Placement.choose(NEED, room, "auto", "auto")
-    with pytest.raises(InputError, match="needs 18.0 GB of the memory of the host .* and 12.0 GB are free"):
+    with pytest.raises(InputError, match="needs 26.0 GB of the memory of the host .* and 12.0 GB are free"):
         chosen.check(is_certain=True)
     chosen.check(is_certain=False)
 
