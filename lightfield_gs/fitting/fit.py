@@ -28,10 +28,11 @@ from lightfield_gs.fitting.initialization import initialize_gaussians
 from lightfield_gs.fitting.memory import MemoryEstimate, estimate_memory, smaller_sizes
 from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.panel_pruning import CONTRIBUTION_CUT, PanelPruning, WindowScores, prune_run
+from lightfield_gs.fitting.photo_loss import Loss
 from lightfield_gs.fitting.placement import Placement, Room
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.progress import Progress
-from lightfield_gs.fitting.run import Run, RunOptions
+from lightfield_gs.fitting.run import FitState, Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over, scratch_folder
@@ -122,6 +123,9 @@ def fit(
     tensorboard: bool = False,
     progress: bool = True,
     stop: Callable[[], bool] = lambda: False,
+    callback: Callable[[FitState], None] | None = None,
+    callback_every: int | None = None,
+    loss: Loss | None = None,
     **settings: Any,
 ) -> FitResult:
     """Fit Gaussians to posed photographs of a static scene (Kerbl et al. 2023).
@@ -158,6 +162,11 @@ def fit(
         tensorboard: write scalars for TensorBoard.
         progress: print lines and a bar.
         stop: function called between steps; True ends the fit.
+        callback: function called with a FitState (step, loss, gaussians, scores) now and then, and after the last step.
+        callback_every: steps between its calls; None: those between evaluations.
+        loss: function of renders [V,H,W,3], photographs [V,H,W,3] in 0..1, and weights [V,H,W] of their pixels or None,
+            in place of L1 and SSIM. It returns one number, the sum over V, by torch's operations. A fit that goes on
+            needs a function of the same name.
         settings: further fields of FitSettings.
 
     Raises:
@@ -166,8 +175,20 @@ def fit(
     chosen = make_settings(steps=steps, cap_max=cap_max, density=density, **settings)
     where = None if folder is None else checked_path(folder)
     options = RunOptions(
-        where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
+        where,
+        fresh,
+        checkpoint_every,
+        evaluate_every,
+        picture_every,
+        stop_early,
+        tensorboard,
+        progress,
+        stop,
+        callback,
+        callback_every,
     )
+    if loss is not None and not callable(loss):
+        raise InputError(f"loss: expected a function of renders, photographs and weights, got {shown(loss)}")
     for name, word, words in (
         ("device", device, DEVICES),
         ("photos_on", photos_on, PHOTOS_ON),
@@ -190,7 +211,7 @@ def fit(
         for line in placement.assumptions(photos_on, moments_on):
             assume(line)
         run, normalization, display = _prepare(
-            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened
+            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened, loss
         )
         run.go()
         trainer, pruning, window_scores = run.trainer, None, None
@@ -275,16 +296,18 @@ def _prepare(
     group: Group,
     cones: tuple[Panel | str | Path | float | None, str | None, float | None],
     opened: ExitStack,
+    loss: Loss | None,
 ) -> tuple[Run, Normalization, Display | None]:
     """Return the run before its first step, its coordinates and its display; print the choices.
 
     Args:
         cones: cone, centre and score_cone.
         opened: gets the folder of the run's temporary files.
+        loss: in place of L1 and SSIM.
     """
     display, judged, messages = place_display(capture, *cones)
     weights = None if display is None else display.photo_weights(train)
-    identity = Identity.make(settings, capture, train, weights)
+    identity = Identity.make(settings, capture, train, weights, loss)
     progress = Progress(
         options.progress and group.is_first, options.folder if options.tensorboard and group.is_first else None
     )
@@ -311,7 +334,7 @@ def _prepare(
     points, centres = normalization.points(capture.points), normalization.points(capture.centres)
     gaussians = initialize_gaussians(points, capture.colours, centres, settings)
     state = GaussianState.start(gaussians.to(images.device), placement.moments == "host")
-    trainer = Trainer(state, images, settings, group, weights)
+    trainer = Trainer(state, images, settings, group, weights, loss)
     width, height = map(int, capture.sizes_px.max(0))
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {images.device}: "
