@@ -49,7 +49,12 @@ class Identity:
 
     @classmethod
     def make(
-        cls, settings: FitSettings, capture: Capture, train: Sequence[int], weights: Sequence[float] | None = None
+        cls,
+        settings: FitSettings,
+        capture: Capture,
+        train: Sequence[int],
+        weights: Sequence[float] | None = None,
+        loss: Any = None,
     ) -> Identity:
         """Return the identity of a fit.
 
@@ -58,6 +63,7 @@ class Identity:
             capture: its photographs and cameras.
             train: indices of the training photographs.
             weights: of the training photographs, in a cone.
+            loss: the function in place of the usual loss, known by its name.
         """
         cameras = capture.world_to_camera, capture.intrinsics, capture.readouts
         parts = {
@@ -67,6 +73,8 @@ class Identity:
             "photographs held out": json.dumps(list(train)).encode(),
             "cone": json.dumps(weights).encode(),
         }
+        if loss is not None:
+            parts["loss"] = str(getattr(loss, "__qualname__", type(loss).__qualname__)).encode()
         digests = {name: _digest(data) for name, data in parts.items()} | {"sizes": sizes_digest(capture)}
         return cls(json.loads(json.dumps(asdict(settings))), digests, len(train) if weights is None else sum(weights))
 

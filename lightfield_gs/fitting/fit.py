@@ -28,10 +28,11 @@ from lightfield_gs.fitting.initialization import initialize_gaussians
 from lightfield_gs.fitting.memory import MemoryEstimate, estimate_memory, smaller_sizes
 from lightfield_gs.fitting.optimizer import GaussianState
 from lightfield_gs.fitting.panel_pruning import CONTRIBUTION_CUT, PanelPruning, WindowScores, prune_run
+from lightfield_gs.fitting.photo_loss import Loss
 from lightfield_gs.fitting.placement import Placement, Room
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.progress import Progress
-from lightfield_gs.fitting.run import Run, RunOptions
+from lightfield_gs.fitting.run import FitState, Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over, scratch_folder
@@ -122,6 +123,9 @@ def fit(
     tensorboard: bool = False,
     progress: bool = True,
     stop: Callable[[], bool] = lambda: False,
+    callback: Callable[[FitState], None] | None = None,
+    callback_every: int | None = None,
+    loss: Loss | None = None,
     **settings: Any,
 ) -> FitResult:
     """Fit Gaussians to posed photographs of a static scene (Kerbl et al. 2023).
@@ -158,6 +162,11 @@ def fit(
         tensorboard: write scalars for TensorBoard.
         progress: print lines and a bar.
         stop: function called between steps; True ends the fit.
+        callback: function called with a FitState (step, loss, gaussians, scores) now and then, and after the last step.
+        callback_every: steps between its calls; None: those between evaluations.
+        loss: function of renders [V,H,W,3], photographs [V,H,W,3] in 0..1, and weights [V,H,W] of their pixels or None,
+            in place of L1 and SSIM. It returns one number, the sum over V, by torch's operations. A fit that goes on
+            needs a function of the same name.
         settings: further fields of FitSettings.
 
     Raises:
@@ -166,8 +175,20 @@ def fit(
     chosen = make_settings(steps=steps, cap_max=cap_max, density=density, **settings)
     where = None if folder is None else checked_path(folder)
     options = RunOptions(
-        where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
+        where,
+        fresh,
+        checkpoint_every,
+        evaluate_every,
+        picture_every,
+        stop_early,
+        tensorboard,
+        progress,
+        stop,
+        callback,
+        callback_every,
     )
+    if loss is not None and not callable(loss):
+        raise InputError(f"loss: expected a function of renders, photographs and weights, got {shown(loss)}")
     for name, word, words in (
         ("device", device, DEVICES),
         ("photos_on", photos_on, PHOTOS_ON),
@@ -181,13 +202,16 @@ def fit(
     with ExitStack() as opened:
         group, own = opened.enter_context(join_group(choose_device(device)))
         room = Room.find(own, files, group.size)
-        place = partial(Placement.choose, room=room, photos_on=photos_on, moments_on=moments_on)
-        read = read if group.size > 1 else _fit_memory(read, chosen, place, options)
-        placement = place(_estimate(read, chosen))
+
+        def place(one: Capture) -> Placement:
+            return Placement.choose(_estimate(one, chosen, own), room, photos_on, moments_on)
+
+        read = read if group.size > 1 else _fit_memory(read, place, options)
+        placement = place(read)
         for line in placement.assumptions(photos_on, moments_on):
             assume(line)
         run, normalization, display = _prepare(
-            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened
+            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened, loss
         )
         run.go()
         trainer, pruning, window_scores = run.trainer, None, None
@@ -221,14 +245,12 @@ def _read_photographs(
     return read, *read.split(test_every, None if test_names is None else list(test_names))
 
 
-def _estimate(capture: Capture, settings: FitSettings) -> MemoryEstimate:
+def _estimate(capture: Capture, settings: FitSettings, device: str) -> MemoryEstimate:
     width, height = map(int, capture.sizes_px.max(0))
-    return estimate_memory(settings, len(capture.names), width, height, capture.may_be_masked)
+    return estimate_memory(settings, device, len(capture.names), width, height, capture.may_be_masked)
 
 
-def _fit_memory(
-    capture: Capture, settings: FitSettings, place: Callable[[MemoryEstimate], Placement], options: RunOptions
-) -> Capture:
+def _fit_memory(capture: Capture, place: Callable[[Capture], Placement], options: RunOptions) -> Capture:
     """Reduce photographs of their files' size, with a note, until the memory suffices.
 
     A fit that goes on takes the size that it began with. Where no size suffices, the photographs stay as they are, and
@@ -237,17 +259,14 @@ def _fit_memory(
     if not capture.is_whole:
         return capture
 
-    def suffices(one: Capture) -> bool:
-        return place(_estimate(one, settings)).suffices
-
     path = None if options.folder is None or options.fresh else options.folder / checkpoint.FILE
     begun = None if path is None else checkpoint.stored_sizes_digest(path)
-    if begun == checkpoint.sizes_digest(capture) or begun is None and suffices(capture):
+    if begun == checkpoint.sizes_digest(capture) or begun is None and place(capture).suffices:
         return capture
     for longest in smaller_sizes(int(capture.sizes_px.max()), SMALLEST_PX):
         smaller = capture.reduced(longest)
-        if begun == checkpoint.sizes_digest(smaller) or begun is None and suffices(smaller):
-            need, (width, height) = _estimate(capture, settings), map(int, capture.sizes_px.max(0))
+        if begun == checkpoint.sizes_digest(smaller) or begun is None and place(smaller).suffices:
+            need, (width, height) = place(capture).need, map(int, capture.sizes_px.max(0))
             assume(
                 f"photographs are reduced to {longest} pixels on the longer side: as they are, {width} x {height}, the "
                 f"fit needs too much memory ({need.words()}); longest_px= or scale= sets another size"
@@ -277,16 +296,18 @@ def _prepare(
     group: Group,
     cones: tuple[Panel | str | Path | float | None, str | None, float | None],
     opened: ExitStack,
+    loss: Loss | None,
 ) -> tuple[Run, Normalization, Display | None]:
     """Return the run before its first step, its coordinates and its display; print the choices.
 
     Args:
         cones: cone, centre and score_cone.
         opened: gets the folder of the run's temporary files.
+        loss: in place of L1 and SSIM.
     """
     display, judged, messages = place_display(capture, *cones)
     weights = None if display is None else display.photo_weights(train)
-    identity = Identity.make(settings, capture, train, weights)
+    identity = Identity.make(settings, capture, train, weights, loss)
     progress = Progress(
         options.progress and group.is_first, options.folder if options.tensorboard and group.is_first else None
     )
@@ -313,7 +334,7 @@ def _prepare(
     points, centres = normalization.points(capture.points), normalization.points(capture.centres)
     gaussians = initialize_gaussians(points, capture.colours, centres, settings)
     state = GaussianState.start(gaussians.to(images.device), placement.moments == "host")
-    trainer = Trainer(state, images, settings, group, weights)
+    trainer = Trainer(state, images, settings, group, weights, loss)
     width, height = map(int, capture.sizes_px.max(0))
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {images.device}: "

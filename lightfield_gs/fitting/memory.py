@@ -4,13 +4,16 @@ With N Gaussians of K harmonics, V photographs of H x W pixels in a step, and C 
 
     photographs    C H W (3 + masks): colours; a mask where there are any, and one more where it is the target of alpha
     read ahead     (8 + V) H W (3 + masks), where photographs are not on the device
-    parameters     4 N (15 + 3 K): values, and the scales and opacities that are drawn; twice while the density changes
-    moments        8 N (11 + 3 K), the two of Adam; twice while the density changes
+    parameters     4 N (15 + 3 K): values, and the scales and opacities that are drawn
+    moments        8 N (11 + 3 K), the two of Adam
     gradients      4 N (11 + 3 K)
-    work           V (450 N + 90 H W)
+    work           V (a N + b H W): projecting, sorting and drawing; images, their gradients, derivatives of the loss
+    copies         parameters and moments once more, while the density changes
 
-The factors of work are from a step on one H100. Projecting, sorting and drawing 1 M Gaussians at 1600 x 1066 took
-471 MB. For each pixel there are the images, their gradients and the derivatives of the loss.
+On a CPU copies take the place of gradients and work; on a GPU a graph of the step holds those.
+
+    CUDA    a = 450, b = 90     one H100, 1 M Gaussians at 1600 x 1066
+    CPU     a = 130, b = 70     0.02 to 1 M Gaussians at 656 x 492 and 1312 x 984; resident sizes are within 10 %
 """
 
 from __future__ import annotations
@@ -23,8 +26,8 @@ from lightfield_gs.fitting.settings import FitSettings
 
 _SHRINK = 0.8  # factor from one size of photographs to the next smaller one
 _NUMBER_BYTES, _RAW_NUMBERS, _DRAWN_NUMBERS = 4, 11, 4  # of a Gaussian, but for its harmonics; see above
-_MOMENTS, _COPIES = 2, 2
-_WORK_PER_GAUSSIAN, _WORK_PER_PIXEL = 450, 90
+_MOMENTS = 2
+_WORK = {"cuda": (450, 90), "cpu": (130, 70)}  # of a Gaussian and of a pixel
 
 
 class MemoryEstimate(NamedTuple):
@@ -36,39 +39,44 @@ class MemoryEstimate(NamedTuple):
     moments: int
     gradients: int
     work: int
+    parameter_copies: int = 0
+    moment_copies: int = 0
 
     def words(self) -> str:
         """Return the uses in words, but for photographs that are read ahead."""
-        return (
-            f"photographs {to_words(self.photographs)}, Gaussians {to_words(self.parameters)}, Adam's moments "
-            f"{to_words(self.moments)}, gradients {to_words(self.gradients)}, work {to_words(self.work)}"
-        )
+        uses = {
+            "photographs": self.photographs,
+            "Gaussians": self.parameters,
+            "Adam's moments": self.moments,
+            "gradients": self.gradients,
+            "work": self.work,
+            "copies while the density changes": self.parameter_copies + self.moment_copies,
+        }
+        return ", ".join(f"{name} {to_words(bytes_)}" for name, bytes_ in uses.items())
 
 
 def estimate_memory(
-    settings: FitSettings, photographs: int, width_px: int, height_px: int, is_masked: bool
+    settings: FitSettings, device: str, photographs: int, width_px: int, height_px: int, is_masked: bool
 ) -> MemoryEstimate:
     """Return the memory of a fit with settings.cap_max Gaussians.
 
     Args:
         settings: of the fit.
+        device: "cpu", or a GPU.
         photographs: their number, fitted and held out.
         width_px: of each.
         height_px: of each.
         is_masked: whether some have masks.
     """
-    pixels = width_px * height_px
+    pixels, count = width_px * height_px, settings.cap_max
     photo = pixels * (3 + is_masked * (2 if settings.masks == "alpha" else 1))
-    raw = _NUMBER_BYTES * settings.cap_max * (_RAW_NUMBERS + 3 * SH_COEFFICIENTS[settings.sh_degree])
-    drawn = _NUMBER_BYTES * settings.cap_max * _DRAWN_NUMBERS
-    return MemoryEstimate(
-        photographs=photographs * photo,
-        read_ahead=(AHEAD + settings.batch_size) * photo,
-        parameters=_COPIES * (raw + drawn),
-        moments=_COPIES * _MOMENTS * raw,
-        gradients=raw,
-        work=settings.batch_size * (_WORK_PER_GAUSSIAN * settings.cap_max + _WORK_PER_PIXEL * pixels),
-    )
+    raw = _NUMBER_BYTES * count * (_RAW_NUMBERS + 3 * SH_COEFFICIENTS[settings.sh_degree])
+    parameters, moments = raw + _NUMBER_BYTES * count * _DRAWN_NUMBERS, _MOMENTS * raw
+    per_gaussian, per_pixel = _WORK["cpu" if device == "cpu" else "cuda"]
+    work = settings.batch_size * (per_gaussian * count + per_pixel * pixels)
+    copies = (max(0, parameters + moments - raw - work), 0) if device == "cpu" else (parameters, moments)
+    ahead = (AHEAD + settings.batch_size) * photo
+    return MemoryEstimate(photographs * photo, ahead, parameters, moments, raw, work, *copies)
 
 
 def smaller_sizes(longest_px: int, least_px: int) -> list[int]:

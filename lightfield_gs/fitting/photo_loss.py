@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -9,10 +10,38 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
-from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.checks import expect, real_number, shown
 from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stages import optional_address, run_stage, select_stages
+
+# A loss of one's own, without dimensions: of renders [V,H,W,3], photographs [V,H,W,3] in 0..1, and weights [V,H,W] in
+# 0..1 of their pixels (None: 1); summed over V
+Loss = Callable[[Tensor, Tensor, Tensor | None], Tensor]
+
+
+def own_loss_and_gradient(
+    loss: Loss, image: Tensor, photo: Tensor, weights: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Return a loss of one's own and its gradient by the image, by autograd.
+
+    Args:
+        loss: see Loss.
+        image: [V,H,W,3] float32.
+        photo: [V,H,W,3], 0..1, or uint8 in steps of 1/255.
+        weights: [V,H,W].
+
+    Raises:
+        InputError: it returns no number that depends on the image.
+    """
+    leaf = image.detach().requires_grad_()
+    with torch.enable_grad():
+        value = loss(leaf, photo / 255 if photo.dtype == torch.uint8 else photo, weights)
+    if not isinstance(value, Tensor) or value.numel() != 1 or not value.requires_grad:
+        found = f"a tensor {list(value.shape)}" if isinstance(value, Tensor) else shown(value)
+        raise InputError(f"loss: expected one number that depends on the image by torch's operations, got {found}")
+    (gradient,) = torch.autograd.grad(value, leaf)
+    return value.detach().reshape(()).to(image), gradient.contiguous()
 
 
 def photo_loss_and_gradient(

@@ -141,12 +141,17 @@ class Placement:
     def _needs(self) -> list[tuple[str, int, int | None]]:
         """Return names of memories, the bytes that a fit needs of each, and its free ones."""
         need, room = self.need, self.room
-        host = {"device": 0, "host": need.photographs + need.read_ahead, "disk": need.read_ahead}[self.photographs] + (
-            need.moments if self.moments == "host" else 0
-        )
-        device = need.parameters + need.gradients + need.work
-        device += need.photographs if self.photographs == "device" else need.read_ahead
-        device += need.moments if self.moments == "device" else 0
+        device = need.parameters + need.parameter_copies + need.gradients + need.work
+        host, moments = 0, need.moments + need.moment_copies
+        if self.photographs == "device":
+            device += need.photographs
+        else:
+            device += need.read_ahead
+            host += need.read_ahead + (need.photographs if self.photographs == "host" else 0)
+        if self.moments == "device":
+            device += moments
+        else:
+            host += _PINNED * moments
         if room.device == "cpu":
             return [("the host", device, room.on_device)]
         return [(room.device, device, room.on_device), *([("the host", host, room.on_host)] if host else [])]

@@ -25,6 +25,23 @@ _PATIENCE = 3  # evaluations without a better one, after which stop_early ends a
 
 
 @dataclass(frozen=True)
+class FitState:
+    """A fit under way, as callbacks see it.
+
+    Attributes:
+        step: number of steps done.
+        loss: mean of the last 100 steps.
+        gaussians: a copy of the scene, in the normalised coordinates of the fit, on its device.
+        scores: of the last evaluation; None before it, and without held-out photographs.
+    """
+
+    step: int
+    loss: float
+    gaussians: Gaussians
+    scores: Scores | None
+
+
+@dataclass(frozen=True)
 class RunOptions:
     """The side tasks of a fit: checkpoints, scores and pictures. They do not change a bit of the scene.
 
@@ -38,6 +55,8 @@ class RunOptions:
         tensorboard: write scalars in the folder.
         progress: print lines and a bar.
         stop: function called between steps; True ends the fit.
+        callback: function called with the state of the fit after the steps of callback_every, and after the last step.
+        callback_every: steps between its calls; None: as evaluate_every.
     """
 
     folder: Path | None = None
@@ -49,15 +68,19 @@ class RunOptions:
     tensorboard: bool = False
     progress: bool = True
     stop: Callable[[], bool] = lambda: False
+    callback: Callable[[FitState], None] | None = None
+    callback_every: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("checkpoint_every", "evaluate_every", "picture_every"):
+        for name in ("checkpoint_every", "evaluate_every", "picture_every", "callback_every"):
             if getattr(self, name) is not None:
                 whole_number(name, getattr(self, name), 1, 10_000_000)
         for name in ("fresh", "stop_early", "tensorboard", "progress"):
             expect(name, getattr(self, name), bool)
         if not callable(self.stop):
             raise InputError(f"stop: expected a function without arguments, got {shown(self.stop)}")
+        if self.callback is not None and not callable(self.callback):
+            raise InputError(f"callback: expected a function of a FitState, got {shown(self.callback)}")
         if self.tensorboard and self.folder is None:
             raise InputError("tensorboard: expected a folder for its files too")
 
@@ -117,7 +140,8 @@ class Run:
     def _next_stop(self) -> int:
         """Return the next step after which something is due."""
         options = self.options
-        every = [n for n in (options.checkpoint_every, options.picture_every, self._evaluate_every) if n is not None]
+        wanted = options.checkpoint_every, options.picture_every, options.callback_every, self._evaluate_every
+        every = [n for n in wanted if n is not None]
         return min((self.trainer.done // n + 1) * n for n in every)
 
     @property
@@ -127,15 +151,26 @@ class Run:
     def _between(self) -> None:
         trainer, options = self.trainer, self.options
         done = trainer.done
-        losses = trainer.counters.losses[max(0, done - 100) : done]
-        self._progress.step(done, float(losses.mean()), trainer.state.count)
+        self._progress.step(done, self._mean_loss(), trainer.state.count)
         if done % self._evaluate_every == 0 and done < trainer.settings.steps:
             self._evaluate()
+        if done % (options.callback_every or self._evaluate_every) == 0 and done < trainer.settings.steps:
+            self._call_back()
         if options.picture_every is not None and done % options.picture_every == 0:
             self._write_pictures()
         if self._checkpoint_is_due():
             self._save()
         self.stopped = bool(self._agree(1 if options.stop() else 0))
+
+    def _mean_loss(self) -> float:
+        done = self.trainer.done
+        return float(self.trainer.counters.losses[max(0, done - 100) : done].mean())
+
+    def _call_back(self) -> None:
+        if self.options.callback is not None:
+            trainer = self.trainer
+            scene = trainer.state.gaussians().detach().clone()
+            self.options.callback(FitState(trainer.done, self._mean_loss(), scene, self.scores))
 
     def _agree(self, number: int) -> int:
         """Return the largest of the processes' numbers: all stop at the same step."""
@@ -150,6 +185,7 @@ class Run:
         """Score the present scene, and write checkpoint and pictures."""
         if not self.history or self.history[-1]["step"] != self.trainer.done or self.scores is None:
             self._evaluate()
+        self._call_back()
         self._save()
         self._write_pictures()
 

@@ -22,7 +22,7 @@ from lightfield_gs.fitting.density import DensityStatistics, morton_order, refin
 from lightfield_gs.fitting.distributed import ALONE, Group
 from lightfield_gs.fitting.image_optimizers import ExposureOptimizer, PoseOptimizer
 from lightfield_gs.fitting.optimizer import GaussianState, Gradients, update
-from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
+from lightfield_gs.fitting.photo_loss import Loss, own_loss_and_gradient, photo_loss_and_gradient
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.random import dropout
 from lightfield_gs.fitting.schedule import Schedule
@@ -89,6 +89,7 @@ class Trainer:
         settings: FitSettings,
         group: Group = ALONE,
         photo_weights: Sequence[float] | None = None,
+        loss: Loss | None = None,
     ):
         """Prepare the first step.
 
@@ -98,12 +99,13 @@ class Trainer:
             settings: settings of the fit; batch_size counts the photographs of all processes.
             group: the processes that fit together.
             photo_weights: of the photographs, see Schedule.make; None: 1.
+            loss: in place of L1 and SSIM.
 
         Raises:
             InputError: the processes cannot split a batch equally, or were not given the same.
         """
         self.state, self.images, self.settings, self.group = state, images, settings, group
-        self.device = images.device
+        self.device, self._loss = images.device, loss
         self.schedule = Schedule.make(settings, images.count, self.device, photo_weights)
         self.counters = StepCounters.start(settings.steps, self.device)
         self.statistics = DensityStatistics(state.count, settings, self.device)
@@ -308,7 +310,10 @@ class Trainer:
         behind = background if exposure is None else exposure.apply(background, chosen)
         exposed = image if exposure is None else exposure.apply(image, chosen)
         photos, weights = self.images.targets(chosen, behind)
-        loss, gradient = photo_loss_and_gradient(exposed, photos, weights, self.settings.ssim_lambda)
+        if self._loss is None:
+            loss, gradient = photo_loss_and_gradient(exposed, photos, weights, self.settings.ssim_lambda)
+        else:
+            loss, gradient = own_loss_and_gradient(self._loss, exposed, photos, weights)
         loss, gradient = loss / batch_size, gradient / batch_size
         if exposure is None:
             return loss, gradient, loss.new_zeros(0)

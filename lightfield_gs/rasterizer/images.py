@@ -313,7 +313,7 @@ def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> 
         image = torch.cat([image, depths], -1) if mode.startswith("RGB") else depths
     others: dict[str, Tensor | None] = {name: getattr(drawn, name) for name in _OTHERS[:3]}
     if drawn.splats is not None:
-        splats = drawn.splats.view(*image.shape[:2], count, -1)
+        splats = drawn.splats.view(*image.shape[:2], count, drawn.splats.shape[-1])
         read: dict[str, Callable[[Tensor], Tensor]] = {
             "radii": splat_radii,
             "means2d": splat_means,

@@ -79,7 +79,9 @@ def draw_splats(fields: Sequence[Tensor], view: View, options: RenderOptions, sc
     scenes, cameras = view.background.shape[:2]
     numbers = 2 * image_render._SPLAT_NUMBERS * scenes * fields[0].shape[1]
     step = max(1, image_render.CHUNK_BYTES // max(fields[0].element_size() * numbers, 1))
-    if torch.is_grad_enabled() or step >= cameras:
+    moving = (*fields, *view[:4], options.features, options.colors, options.covars, screen)
+    asked = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in moving)
+    if asked or step >= cameras:
         return _draw(fields, view, options, screen)
     parts = []
     for first in range(0, cameras, step):

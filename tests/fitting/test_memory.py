@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from fit_capture import write_capture
+from fit_scene import first_state, known_scene, photograph_scene
 
 import lightfield_gs as lf
 from lightfield_gs import InputError
-from lightfield_gs.fitting import placement
+from lightfield_gs.fitting import checkpoint, placement
+from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.memory import MemoryEstimate, estimate_memory
+from lightfield_gs.fitting.optimizer import RawParameters
 from lightfield_gs.fitting.photo_storage import ReadAhead, RowFile
 from lightfield_gs.fitting.placement import Placement, Room
 from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.io.captures.capture import read_capture
 
 QUICK = dict(steps=60, cap_max=200, device="cpu", test_every=4)
 GB = 1_000_000_000
@@ -27,10 +33,12 @@ def capture(tmp_path_factory) -> Path:
 
 def test_memory_is_that_of_the_formula():
     settings = FitSettings(cap_max=1000, sh_degree=1, batch_size=2)
-    parameters, moments, gradients = 2 * 4 * 1000 * 27, 2 * 8 * 1000 * 23, 4 * 1000 * 23
-    rest = parameters, moments, gradients, 2 * (450 * 1000 + 90 * 1200)
-    assert estimate_memory(settings, 10, 40, 30, False) == (10 * 1200 * 3, 10 * 1200 * 3, *rest)
-    assert estimate_memory(settings, 10, 40, 30, True) == (10 * 1200 * 4, 10 * 1200 * 4, *rest)
+    parameters, moments, gradients = 4 * 1000 * 27, 8 * 1000 * 23, 4 * 1000 * 23
+    rest = parameters, moments, gradients, 2 * (450 * 1000 + 90 * 1200), parameters, moments
+    assert estimate_memory(settings, "cuda", 10, 40, 30, False) == (10 * 1200 * 3, 10 * 1200 * 3, *rest)
+    assert estimate_memory(settings, "cuda", 10, 40, 30, True) == (10 * 1200 * 4, 10 * 1200 * 4, *rest)
+    on_cpu = estimate_memory(replace(settings, sh_degree=3, batch_size=1), "cpu", 10, 40, 30, False)
+    assert sum(on_cpu[2:]) == 2 * 4 * 1000 * (63 + 118)  # copies take more than a step
 
 
 def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
@@ -87,14 +95,57 @@ def test_photographs_and_moments_go_where_there_is_room(device, free_gb, expecte
     assert Placement.choose(NEED, room, "memory", "device").photographs in ("device", "host")
 
 
+@pytest.mark.parametrize(
+    "memory_gb, gaussians, moments", [(80, 10_000_000, "device"), (8, 2_200_000, "device"), (8, 4_100_000, "host")]
+)
+def test_three_thousand_photographs_of_12_megapixels_are_fitted(memory_gb, gaussians, moments):
+    """The table of docs/scenes.md."""
+    need = estimate_memory(FitSettings(cap_max=gaussians), "cuda", 3000, 4000, 3000, False)
+    room = Room("cuda", memory_gb * GB, 32 * GB, 500 * GB, folder=Path("run/photographs"))
+    chosen = Placement.choose(need, room, "auto", "auto")
+    assert chosen.suffices and (chosen.photographs, chosen.moments) == ("disk", moments)
+
+
 def test_more_than_there_is_is_refused():
     room = Room("cuda", 14 * GB, 12 * GB, 9 * GB, folder=Path("run/photographs"))
     with pytest.raises(InputError, match="photographs need 10.0 GB of disk, and run has 9.0 GB free; use a folder="):
         Placement.choose(NEED, room, "disk", "auto")
     chosen = Placement.choose(NEED, room, "auto", "auto")
-    with pytest.raises(InputError, match="needs 18.0 GB of the memory of the host .* and 12.0 GB are free"):
+    with pytest.raises(InputError, match="needs 26.0 GB of the memory of the host .* and 12.0 GB are free"):
         chosen.check(is_certain=True)
     chosen.check(is_certain=False)
+
+
+@pytest.mark.parametrize("density", ["mcmc", "adaptive"])
+def test_moments_stay_in_pinned_memory(density, capture, tmp_path, monkeypatch):
+    """Through changes of density, sorts, more harmonics and a checkpoint. Here memory is pinned in name only."""
+    pinned: list[int] = []
+
+    def pin(tensor: torch.Tensor) -> torch.Tensor:
+        kept.append(tensor.clone())
+        pinned.append(id(kept[-1]))
+        return kept[-1]
+
+    kept: list[torch.Tensor] = []
+    monkeypatch.setattr(torch.Tensor, "pin_memory", pin)
+    monkeypatch.setattr(torch.Tensor, "is_pinned", lambda tensor: id(tensor) in pinned)
+    settings = FitSettings(steps=600, cap_max=220, density=density, grow_grad2d=1e-5)
+    images, identity = photograph_scene(known_scene()), Identity.make(settings, read_capture(capture), [0])
+    fits = [Trainer(first_state(known_scene(), settings), images, settings) for _ in range(3)]
+    for fit in fits[1:]:
+        fit.state.first, fit.state.second = (
+            RawParameters(*(t.pin_memory() for t in moments)) for moments in (fit.state.first, fit.state.second)
+        )
+    plain, hosted, resumed = fits
+    plain.advance(110)
+    hosted.advance(110)
+    checkpoint.save(tmp_path / checkpoint.FILE, hosted, identity, [])
+    checkpoint.restore(tmp_path / checkpoint.FILE, resumed, identity)
+    assert hosted.state.count != 150 and hosted.state.degree == 3
+    for fit in (hosted, resumed):
+        for name, tensor in fit.state.tensors().items():
+            assert tensor.is_pinned() == name.startswith(("first", "second")), name
+            assert torch.equal(tensor, plain.state.tensors()[name]), name
 
 
 def test_rows_of_a_file_are_read_in_any_order(tmp_path):

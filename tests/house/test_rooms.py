@@ -30,6 +30,7 @@ ROOMS = (
     "lightfield_gs.pose_estimation",
     "lightfield_gs.view_sets",
     "lightfield_gs.fitting",
+    "lightfield_gs.gsplat",
     "training",
     "lightfield_gs.app",
     "lightfield_gs.commands.options",

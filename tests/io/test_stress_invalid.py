@@ -240,6 +240,8 @@ CALLS = {
             near_plane=0.1,
             far_plane=9.0,
             radius_clip=0.1,
+            covars=torch.eye(3)[None],
+            eps2d=0.5,
         ),
     ),
 }

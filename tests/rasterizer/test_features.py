@@ -13,6 +13,8 @@ from torch import Tensor
 import lightfield_gs as lf
 from lightfield_gs import InputError, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
+from lightfield_gs.rasterizer.render_options import RenderOptions
+from lightfield_gs.rasterizer.splat_render import View, draw_splats
 from lightfield_gs.reference.blend import Eye, Projection, Samples, Scene
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -267,6 +269,18 @@ def test_sets_of_a_batch_are_drawn_as_each_alone_and_in_chunks(monkeypatch):
             assert whole is None or torch.equal(whole[b], alone[name]), name
 
 
+def test_no_gaussians_and_none_that_is_drawn_leave_the_background():
+    seen, scene = cameras(), leaves(random_scene(COUNT, 1, seed=14))
+    none = Gaussians(*(t[:0] for t in scene.fields().values()))
+    options = dict(normals=True, median_depth=True, radii=True, conics=True, tiles=True, alpha=True)
+    for gaussians, masks in ((none, None), (scene, torch.zeros(COUNT).bool())):
+        features = random(gaussians.count, 18).requires_grad_()
+        drawn = lf.render(gaussians, seen, features=features, masks=masks, **options)
+        drawn.features.sum().backward()
+        assert features.grad is not None and not features.grad.any() and (drawn.image == 1).all()
+        assert not any(drawn.named()[name].any() for name in ("features", "normals", "median_depth", "radii", "alpha"))
+
+
 def test_all_round_features_are_joined_as_the_image():
     scene = random_scene(COUNT, 0, seed=14)
     seen, colors = lf.Cameras.equirectangular(torch.eye(4, dtype=torch.float64)[None], 64), random(COUNT, 3)
@@ -295,6 +309,28 @@ def test_operators_are_registered_as_torch_wants_them(dtype):
         given = (splats, colours.detach(), lists, features.requires_grad_(), *size)
         torch.library.opcheck(operators.composite_features, given)
     torch.library.opcheck(operators.composite_median_depth, (splats.detach(), colours.detach(), lists, 2, *size))
+
+
+def test_the_stages_compile_into_one_graph():
+    scene, seen = leaves(random_scene(6, 1, seed=17)), cameras(width=12, height=9)
+    views = [t[None] for t in (seen.world_to_camera, seen.intrinsics(), seen.limits())]
+    view = View(torch.ones(1, VIEWS, 3).double(), *views, 12, 9, 0)
+    moving = [*scene.fields().values(), random(6, 5).requires_grad_()]
+
+    def draw(*tensors: Tensor) -> list[Tensor]:
+        *fields, features = (t[None] for t in tensors)
+        options = RenderOptions(features=features[None], normals=True, median_depth=True, masks=mask)
+        drawn = draw_splats(fields, view, options, None)
+        return [t for t in drawn if t is not None and t.is_floating_point()]
+
+    mask = torch.ones(1, VIEWS, 6).bool()
+    found = []
+    for call in (draw, torch.compile(draw, fullgraph=True, backend="aot_eager")):
+        images = call(*moving)
+        loss = sum(t.square().sum() for t in images if t.requires_grad)
+        found.append([*images, *torch.autograd.grad(loss, moving)])
+    for have, true in zip(*found):
+        torch.testing.assert_close(have, true)
 
 
 def test_a_second_derivative_is_refused():

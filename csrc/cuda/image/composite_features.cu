@@ -53,7 +53,7 @@ __device__ void stage_channels(const Splats<float>& splats, const Intersections&
 
 // Draw one chunk of a tile: the block stages its splats in batches, and each thread blends them into its pixel.
 template <int kChannels>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, kChannels > 16 ? 3 : 4)
     composite_features_kernel(Splats<float> splats, Image image, const int64_t* ranges, Intersections intersections,
                               Features<float> features, Chunk chunk, float* out) {
   constexpr int kFours = kChannels / 4;

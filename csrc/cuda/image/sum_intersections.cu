@@ -36,12 +36,12 @@ __device__ double strided_sum(const float* indices, uint32_t begin, uint32_t end
 // Where the sums of a splat go: those of images, and those of a chunk of features (FeatureSums).
 struct ToSums {
   float* sums;
-  __device__ void store(int64_t splat, int number, float sum) const { sums[splat * kSplatSums + number] = sum; }
+  __device__ void store(int64_t splat, unsigned number, float sum) const { sums[splat * kSplatSums + number] = sum; }
 };
 struct ToFeatures {
   FeatureSums out;
-  __device__ void store(int64_t splat, int number, float sum) const {
-    const int channel = number - kImageFootprintSums;
+  __device__ void store(int64_t splat, unsigned number, float sum) const {
+    const int channel = int(number) - kImageFootprintSums;
     if (channel < 0)
       out.sums[splat * kSplatSums + number] += sum;
     else if (channel < out.used)
@@ -94,7 +94,7 @@ __global__ void __launch_bounds__(kThreads)
         double sum = 0;
         for (int k = 0; k < kWarps; ++k)
           for (int g = 0; g < kGroups; ++g) sum += partial[k][g][threadIdx.x];
-        out.store(first - warp + w + own_lane * apart, int(threadIdx.x), float(sum));
+        out.store(first - warp + w + own_lane * apart, threadIdx.x, float(sum));
       }
       __syncthreads();
     }
