@@ -144,6 +144,21 @@ def test_the_image_depends_on_nothing_but_the_motion():
     torch.testing.assert_close(render(scene, both).image[1:], image, atol=0, rtol=0)
 
 
+def test_features_go_by_the_same_splats():
+    """Features that are the channels of an image of plain colours, with the gradients of both poses."""
+    scene, cameras = _scene(), _cameras("pinhole", "top_to_bottom")
+    colours, found = torch.rand(scene.count, 3).double(), []
+    for name in ("image", "features"):
+        ends = {key: pose.clone().requires_grad_() for key, pose in cameras.ends().items()}
+        drawn = render(scene, replace(cameras, **ends), background=(0.0, 0.0, 0.0), colors=colours, features=colours)
+        getattr(drawn, name).square().sum().backward()
+        found.append((getattr(drawn, name).detach(), *(pose.grad for pose in ends.values())))
+    for ours, truth in zip(*found):
+        torch.testing.assert_close(ours, truth, atol=1e-9, rtol=1e-9)
+    with pytest.raises(InputError, match="got a rolling shutter"):
+        render(scene, cameras, eps2d=0.1)
+
+
 def test_gaussians_that_move_with_the_readout_are_not_drawn():
     """A camera that turns up by as much as it sees while it reads down sees one row all the time."""
     scene, pose = _scene(), torch.eye(4).double()
