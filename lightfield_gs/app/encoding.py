@@ -88,7 +88,7 @@ class Encoding:
 
     def read(self) -> None:
         """Read the files of the input."""
-        self._source = read_source(self.options.scene)
+        self._source = read_source(self.options.scene, by_rig="cameras" not in self._sorted_views)
 
     def draw(self) -> None:
         """Build the scene, draw its image, and start the copy of the image to the host."""

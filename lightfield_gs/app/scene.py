@@ -19,6 +19,7 @@ from lightfield_gs.app.cameras import (
     report_depth,
     turned_words,
 )
+from lightfield_gs.app.levels import LevelledFile, read_levelled, turned_round
 from lightfield_gs.app.options import WHITE, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import PhotoPlacement, ReadPhoto, photo_rig, photo_scene, quilt_in_name, read_photo
 from lightfield_gs.app.photo_depth import has_depth
@@ -182,10 +183,20 @@ def say_origin(path: Path, gaussians: Gaussians) -> None:
         print(f"{path}: origin {origin}, taken off its double coordinates (rigs and cameras are in the file's)")
 
 
-def read_source(options: SceneOptions) -> SceneFile | ReadPhoto:
-    """Read the files of the input; nothing is computed yet. Raises InputError."""
+def read_source(options: SceneOptions, by_rig: bool = True) -> SceneFile | ReadPhoto:
+    """Read the files of the input; nothing is computed yet.
+
+    Args:
+        options: the options of the input.
+        by_rig: whether a rig will show the scene, and levels of detail are read when it is known.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
     path = options.input
     if is_scene_path(path):
+        if by_rig and options.lod is None and (levelled := read_levelled(path, options.skip_invalid)) is not None:
+            return levelled
         file = read_noted(path, options.skip_invalid, options.time, options.lod)
         say_origin(path, file.gaussians)
         return file
@@ -389,14 +400,26 @@ def _wide_cone(look: LookOptions, rig: Rig, panel: Panel, scene: LoadedScene) ->
     ]
 
 
-def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, panel: Panel) -> tuple[Rig, list[str]]:
+def frame_scene(
+    choice: CameraChoice, look: LookOptions, scene: LoadedScene, panel: Panel, is_turned: bool = False
+) -> tuple[Rig, list[str]]:
     """Return the rig as the options want it, and lines on how it came about and how deep the scene is.
 
-    The rig is in the coordinates of the Gaussians. Raises InputError.
+    Of a scene in levels of detail, the coarsest is framed; then it becomes what the rig shows.
+
+    Args:
+        choice: the cameras that are asked for.
+        look: changes of the rig.
+        scene: what is shown.
+        panel: the panel to fill.
+        is_turned: whether the cameras will go round the scene.
+
+    Returns:
+        The rig in the coordinates of the Gaussians, and the lines. Raises InputError.
     """
     chosen = choose_rig(choice, scene, panel)
-    how = chosen.messages
     rig, looks = apply_look(look, chosen.rig, panel, scene.gaussians)
+    how = [*chosen.messages, *show_levels(scene, turned_round(rig) if is_turned else [rig], panel)]
     if not chosen.is_settled:
         rig, eased = _ease_depth(look, rig, panel, scene)
         looks += eased
@@ -409,6 +432,15 @@ def frame_scene(choice: CameraChoice, look: LookOptions, scene: LoadedScene, pan
     return rig, [*how, *looks, *report_depth(look, rig, panel, scene.gaussians, may_fill)]
 
 
+def show_levels(scene: LoadedScene, rigs: list[Rig], panel: Panel) -> list[str]:
+    """Let a scene in levels of detail become what these rigs show; return a line on it. Raises InputError."""
+    if not isinstance(scene.file, LevelledFile):
+        return []
+    gaussians, words = scene.file.choose(panel, rigs)
+    scene.gaussians = gaussians.to(scene.gaussians.device)
+    return [words]
+
+
 def load_framed(
     options: SceneOptions,
     choice: CameraChoice,
@@ -417,8 +449,9 @@ def load_framed(
     panel: Panel,
     device: str,
     watch: Stopwatch,
+    is_turned: bool = False,
 ) -> FramedScene:
     """Load the scene of a command and frame it, see `build_scene` and `frame_scene`. Raises InputError."""
     scene = load_scene(options, render, look, panel, device, watch)
-    rig, how = frame_scene(choice, look, scene, panel)
+    rig, how = frame_scene(choice, look, scene, panel, is_turned)
     return FramedScene(scene, rig, scene.messages + how)

@@ -30,6 +30,7 @@ from lightfield_gs.app.scene import (
     frame_scene,
     load_scene,
     read_source,
+    show_levels,
 )
 from lightfield_gs.app.stereo_film import REACH as PAIRS_REACH
 from lightfield_gs.app.stereo_film import film_parallax, layout_of_film, sample_numbers, steady_pairs
@@ -52,6 +53,7 @@ from lightfield_gs.video.rendering import FrameSource
 from lightfield_gs.video.sequence import ImageSequence, is_sequence, open_sequence, pictures_and_maps
 
 _PHOTO_DEGREES = 20.0
+_RIGS = 24  # of a path, for levels of detail
 # Options that determine the scene of a picture: all frames of a folder must have the same
 _PHOTO_OF_JOB: tuple[str, ...] = (
     "depth_kind",
@@ -109,13 +111,14 @@ def still_shots(options: VideoOptions, panel: Panel, device: str, watch: Stopwat
     if path is not None:
         bare = path.relative_to(gaussians.origin).frames(float(fps), motion.frames)
         rigs = [apply_look(options.look, rig, panel, gaussians)[0] for rig in bare]
+        messages += show_levels(scene, rigs[:: max(1, len(rigs) // _RIGS)], panel)
         messages.append(f"path: {motion.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
-        messages += report_depth(options.look, rigs[0], panel, gaussians)
+        messages += report_depth(options.look, rigs[0], panel, scene.gaussians)
     else:
-        rig, how = frame_scene(choice, options.look, scene, panel)
+        rig, how = frame_scene(choice, options.look, scene, panel, is_turned=True)
         rigs, words = _turntable(options, panel, rig, scene, fps)
         messages += [*how, words]
-    of_file = [scene.in_file(rig) for rig in rigs]
+    gaussians, of_file = scene.gaussians, [scene.in_file(rig) for rig in rigs]
     job = {
         "input": source.name,
         "device": options.device,  # which rounds in its own way

@@ -70,7 +70,7 @@ def _write(options: PageOptions, watch: Stopwatch) -> None:
     watch.lap("start")
     path = options.scene.input
     with torch.inference_mode():
-        framed = load_framed(options.scene, choice, options.render, options.look, panel, device, watch)
+        framed = load_framed(options.scene, choice, options.render, options.look, panel, device, watch, True)
         render = framed.scene.render
         page = write_scene_page(
             options.output,

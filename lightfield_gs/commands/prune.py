@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lightfield_gs.app.scene import LoadedScene
 from lightfield_gs.base.cli_messages import Stopwatch
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.smaller import Smaller, SmallerOptions, make_smaller
+from lightfield_gs.commands.smaller import Smaller, SmallerOptions, make_smaller, smaller
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 
@@ -33,6 +33,6 @@ def run(args: argparse.Namespace) -> None:
 
         render, cut = scene.render, options.contribution_cut
         kept = prune(scene.gaussians, panel, rig, cut, bool(render.antialiased), render.view_filter)
-        return Smaller(kept, f"the others within {cut:g} of the light")
+        return smaller(scene.gaussians, kept, f"the others within {cut:g} of the light", panel)
 
     make_smaller(options, Stopwatch(args.began), pruned)

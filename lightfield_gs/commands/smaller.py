@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 from lightfield_gs.app.cameras import apply_look, read_camera, scene_comments
 from lightfield_gs.app.options import (
@@ -53,21 +52,48 @@ class SmallerOptions:
     stats: bool = False
 
 
-class Smaller(NamedTuple):
-    """The scene that is left, and words on its error."""
+@dataclass(frozen=True)
+class Smaller:
+    """The scene that is left.
 
-    gaussians: Gaussians
-    words: str
+    Attributes:
+        count: of its Gaussians.
+        save: writes it to a path, with the comments of a header.
+        words: returns a line on it, once it is written.
+    """
+
+    count: int
+    save: Callable[[Path, list[str]], None]
+    words: Callable[[], str]
+
+
+def smaller(whole: Gaussians, kept: Gaussians, words: str, panel: Panel) -> Smaller:
+    """Return fewer Gaussians of a scene; words: on their error on the panel."""
+    size = f"{panel.width_px} x {panel.height_px}, {panel.views} views"
+    told = f"{kept.count} of {whole.count} Gaussians, {words} of {size}"
+    return Smaller(kept.count, kept.to("cpu").save, lambda: told)
 
 
 # Makes a scene smaller, drawn on a panel from a rig
 Reduction = Callable[[LoadedScene, Panel, Rig], Smaller]
 
 
-def make_smaller(options: SmallerOptions, watch: Stopwatch, reduce: Reduction) -> None:
-    """Write a smaller scene, and say how much smaller it is. Raises InputError."""
+def make_smaller(
+    options: SmallerOptions, watch: Stopwatch, reduce: Reduction, check: Callable[[Path], object] = check_scene_path
+) -> None:
+    """Write a smaller scene, and say how much smaller it is.
+
+    Args:
+        options: what is asked for.
+        watch: notes the times.
+        reduce: makes the scene smaller.
+        check: raises InputError where the output cannot be written.
+
+    Raises:
+        InputError: the options or the scene do not suit.
+    """
     source, output = options.scene.input, options.output
-    check_scene_path(output)
+    check(output)
     if options.save_rig is not None:
         check_output_path(options.save_rig)
     beside = rig_beside(output)
@@ -86,7 +112,7 @@ def make_smaller(options: SmallerOptions, watch: Stopwatch, reduce: Reduction) -
     rig, looks = apply_look(options.look, chosen.rig, panel, scene.gaussians)
     messages += [*chosen.messages, *looks]
     rig_of_file = scene.in_file(rig)
-    kept, words = reduce(scene, panel, rig)
+    kept = reduce(scene, panel, rig)
     watch.lap("reduce")
     if kept.count == 0:
         raise InputError(
@@ -94,14 +120,11 @@ def make_smaller(options: SmallerOptions, watch: Stopwatch, reduce: Reduction) -
             "another --rig"
         )
     comments = scene_comments(options.camera.up, render.antialiased, panel, file, rig_of_file)
-    kept.to("cpu").save(output, comments)
+    kept.save(output, comments)
     if options.save_rig is not None:
         rig_of_file.to_yaml(options.save_rig, panel)
     watch.lap("write")
-    print(
-        f"{output}: {kept.count} of {scene.gaussians.count} Gaussians, {words} of {panel.width_px} x "
-        f"{panel.height_px}, {panel.views} views"
-    )
+    print(f"{output}: {kept.words()}")
     watch.say_if(options.stats)
     if beside is not None:
         own, _ = settle_render(replace(options.render, background=None), source, file)

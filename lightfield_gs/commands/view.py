@@ -204,7 +204,7 @@ class _Reader:
         check_scene_options(own.scene, own.camera)
         choice, watch = read_camera(own.camera, self._panel), Stopwatch(time.perf_counter())
         with torch.no_grad():
-            framed = load_framed(own.scene, choice, own.render, own.look, self._panel, self._device, watch)
+            framed = load_framed(own.scene, choice, own.render, own.look, self._panel, self._device, watch, True)
         render, self.messages = framed.scene.render, framed.messages
         typed = [(name, words) for name, words in self._typed if name in _GENERAL or not is_dropped]
         if own.scene.photo.depth != self._options.scene.photo.depth:

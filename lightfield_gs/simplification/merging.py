@@ -21,7 +21,7 @@ from torch import Tensor
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 from lightfield_gs.scene.rotation import rotation_quaternions
-from lightfield_gs.simplification.footprints import Eyes, Footprints, camera_moments, overlap, project
+from lightfield_gs.simplification.footprints import Footprints, Viewpoints, camera_moments, overlap
 
 # These were chosen on two captures, a guitar at a fourth of its Gaussians and playbot at half; a biker reports them.
 NEIGHBOURS = 8
@@ -36,7 +36,7 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True)
 class Mixture:
-    """N Gaussians in the axes of the centre camera, and the visible part of each, float32.
+    """N Gaussians in the axes of the images, and the visible part of each, float32.
 
     Attributes:
         means: [N,3].
@@ -67,7 +67,7 @@ class Mixture:
         return self.weights + _HIDDEN * self.masses + _LEAST
 
 
-def merge_moments(a: Mixture, b: Mixture, eyes: Eyes) -> tuple[Mixture, Footprints, Tensor]:
+def merge_moments(a: Mixture, b: Mixture, eyes: Viewpoints) -> tuple[Mixture, Footprints, Tensor]:
     """Return the merged pairs, their footprints, and the mass [N] that an opacity of at most 1 cannot hold."""
     first = a.geometric_weights()
     share = (b.geometric_weights() / (first + b.geometric_weights()))[:, None]
@@ -76,7 +76,7 @@ def merge_moments(a: Mixture, b: Mixture, eyes: Eyes) -> tuple[Mixture, Footprin
     spread = offset[:, i] * offset[:, j]
     means = a.means + share * offset
     covariances = a.covariances + share * (b.covariances - a.covariances) + share * (1 - share) * spread
-    footprints = project(means, covariances, eyes)
+    footprints = eyes.project(means, covariances)
     weights, area = a.weights + b.weights, footprints.area()
     before_a, before_b = a.transmittance(), b.transmittance()
     nearer = torch.maximum(before_a, before_b)
@@ -92,7 +92,7 @@ def _shown(before: Tensor, nearer: Tensor) -> Tensor:
     return (before / nearer / _FADE).clamp_max(1)
 
 
-def merge_costs(a: Mixture, b: Mixture, print_a: Footprints, print_b: Footprints, eyes: Eyes) -> Tensor:
+def merge_costs(a: Mixture, b: Mixture, print_a: Footprints, print_b: Footprints, eyes: Viewpoints) -> Tensor:
     """Return [N], the squared errors of the image by merges, summed over pixels and channels.
 
     The first part is the difference of colours, which the merged Gaussian spreads over both. The second is the
@@ -125,28 +125,28 @@ class MergedScene:
         mixture: the merged Gaussians.
     """
 
-    def __init__(self, gaussians: Gaussians, weights: Tensor, eyes: Eyes) -> None:
+    def __init__(self, gaussians: Gaussians, weights: Tensor, eyes: Viewpoints) -> None:
         """Begin with the Gaussians that show.
 
         Args:
             gaussians: the scene, float32.
             weights: [N], visible weights, px of an opaque image.
-            eyes: of the panel.
+            eyes: the images that judge.
         """
         self.gaussians, self._eyes = gaussians, eyes
         means, covariances = camera_moments(gaussians, eyes)
-        footprints = project(means, covariances, eyes)
+        footprints = eyes.project(means, covariances)
         colours = (0.5 + SH_CONSTANT * gaussians.sh[:, 0]).clamp_min(0)
         area, weights = footprints.area(), weights.float()
         masses = torch.maximum(gaussians.opacities * area, weights)
         whole = Mixture(means, covariances, gaussians.opacities, colours, weights, masses)
-        kept = ((weights > 0) & (means[:, 2] > 0)).nonzero()[:, 0]
+        kept = (weights > 0).nonzero()[:, 0]
         self.labels = torch.full((gaussians.count,), -1, device=weights.device)
         self.labels[kept] = torch.arange(len(kept), device=weights.device)
         self.mixture, self._footprints = whole.take(kept), footprints.take(kept)
         self._shares = whole.geometric_weights()
         self._is_merged = torch.zeros(len(kept), dtype=torch.bool, device=weights.device)
-        self._edges = _nearest(self._footprints.places)
+        self._edges = _nearest(eyes.places(self.mixture.means))
         self._costs = self._edge_costs(self._edges)
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import cast
 
 import torch
@@ -78,12 +79,19 @@ def contributions(
     gaussians.validate_layout()
     if gaussians.is_batched:
         raise InputError(f"contributions are of one scene, means [N, 3], got {list(gaussians.means.shape)}")
+    output = cast(Output, str(gaussians.dtype).removeprefix("torch."))
+    return summed_weights(
+        gaussians,
+        lambda scene: encode(scene, panel, rig, output=output, antialiased=antialiased, view_filter=view_filter),
+    )
+
+
+def summed_weights(gaussians: Gaussians, draw: Callable[[Gaussians], Tensor]) -> Tensor:
+    """Return [N] float64: each Gaussian's weights in what `draw` draws, summed over all samples."""
     means, *shape, _ = (field.detach() for field in gaussians.fields().values())
     grey = torch.zeros(gaussians.count, 1, 3, dtype=means.dtype, device=means.device)
     with torch.inference_mode(False), torch.enable_grad():
         means, *shape, grey = (t.clone() if t.is_inference() else t for t in (means, *shape, grey))
-        scene = from_tensors((means, *shape, grey.requires_grad_()))
-        output = cast(Output, str(means.dtype).removeprefix("torch."))
-        image = encode(scene, panel, rig, output=output, antialiased=antialiased, view_filter=view_filter)
+        image = draw(from_tensors((means, *shape, grey.requires_grad_())))
         (gradient,) = torch.autograd.grad(image, grey, torch.ones_like(image))
     return gradient.double().sum((1, 2)) / SH_CONSTANT

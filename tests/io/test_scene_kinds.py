@@ -313,7 +313,7 @@ def test_a_level_of_a_streamed_sog_is_chosen_by_option_or_by_memory(tmp_path, mo
     coarse = torch.cat([one, one[:1], one])  # a leaf without the level has its own coarsest; files in their order
     scene = read_scene(tmp_path, lod=1)
     assert torch.equal(scene.gaussians.means, coarse) and "level 1 of 0..1" in scene.notes[0]
-    monkeypatch.setattr("lightfield_gs.io.scenes.sog.free_host_memory", lambda: 2 * 5 * 1024)
+    monkeypatch.setattr("lightfield_gs.io.scenes.streamed_sog.free_host_memory", lambda: 2 * 5 * 1024)
     scene = read_scene(tmp_path)
     assert torch.equal(scene.gaussians.means, coarse)
     assert (

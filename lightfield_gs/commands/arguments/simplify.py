@@ -18,6 +18,7 @@ def add_arguments(parser: Parser) -> None:
     parser.text.examples = (
         ("simplify scene.ply -o small.ply", "for the connected display"),
         ("simplify scene.ply -o tiny.spz --gaussians 50000", "as few as that"),
+        ("simplify scene.ply -o levels/lod-meta.json", "in levels of detail, for all distances"),
     )
     add = in_group(parser.add_argument, groups.OWN)
     add_scenes(add)
@@ -34,5 +35,13 @@ def add_arguments(parser: Parser) -> None:
         metavar="N",
         short="how many are left at most",
         help="merge until so many are left; with --psnr as well, or as many as that takes",
+    )
+    add(
+        "--levels",
+        type=whole(1, 16),
+        metavar="N",
+        short="how many levels of detail (default 6)",
+        help="with -o FOLDER/lod-meta.json, a streamed SOG: how many levels of detail, each with half of the Gaussians "
+        "of the one before, for all viewpoints (default 6)",
     )
     add_drawing(add)

@@ -91,10 +91,11 @@ def add_reading(add: Add) -> None:
     )
     add(
         "--lod",
-        type=_lod,
-        metavar="N",
-        help="level of detail of a streamed SOG, 0 being the finest (default: the finest that fits half of the free "
-        "memory; a note states it)",
+        type=lambda text: None if text == "auto" else _lod(text),
+        metavar="N|auto",
+        help="level of detail of a streamed SOG, 0 being the finest. auto (default): for each part of the scene the "
+        "level that it shows on the panel, if the file has the errors of its levels, as `simplify` writes them; else "
+        "the finest that fits half of the free memory",
     )
 
 

@@ -13,7 +13,7 @@ from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.file_kinds import begins_as_scene, refuse_unsupported
-from lightfield_gs.io.scenes import gltf, gltf_writing, ksplat, ply, sog, splat, spz, usd
+from lightfield_gs.io.scenes import gltf, gltf_writing, ksplat, ply, sog, splat, spz, streamed_sog, usd
 from lightfield_gs.io.scenes.comments import ANTIALIASED_WARNING, is_antialiased
 from lightfield_gs.io.scenes.gltf_file import MAGIC as GLTF_MAGIC
 from lightfield_gs.io.scenes.packed import ZIP_MAGIC, is_packed_scene, unpack
@@ -149,7 +149,7 @@ FORMATS = (
     _SOG,
     _USD,
 )
-_STREAMED = Format("streamed SOG", (), (), sog.read_streamed)
+_STREAMED = Format("streamed SOG", (), (), streamed_sog.read)
 SUFFIXES = tuple(suffix for format in FORMATS for suffix in format.suffixes)
 WRITTEN_SUFFIXES = tuple(suffix for format in FORMATS if format.write for suffix in format.suffixes)
 
@@ -164,7 +164,7 @@ def is_scene_path(path: Path) -> bool:
         path.suffix.lower() in SUFFIXES
         or path.name.lower() == sog.META
         or (path / sog.META).is_file()
-        or sog.is_streamed(path)
+        or streamed_sog.is_streamed(path)
         or is_packed_scene(path)
         or begins_as_scene(path)
     )
@@ -177,7 +177,7 @@ def _find_format(path: Path) -> Format:
         InputError: the file is of a known kind that is not read.
     """
     if path.is_dir() or path.suffix.lower() == ".json":
-        if sog.is_streamed(path):
+        if streamed_sog.is_streamed(path):
             return _STREAMED
         if path.name.lower() == sog.META or (path / sog.META).is_file():
             return _SOG
@@ -215,7 +215,7 @@ def _read(path: Path, skip_invalid: bool, time: float | None, lod: int | None) -
     format = _find_format(path)
     if format is _STREAMED:
         ply.refuse_time(path, time)
-        return sog.read_streamed(path, skip_invalid, lod)
+        return streamed_sog.read(path, skip_invalid, lod)
     if lod is not None:
         raise InputError(f"{path}: it is no streamed SOG, and has no levels of detail; leave out lod=")
     if format is _PLY:
@@ -236,7 +236,8 @@ def check_written_suffix(path: Path) -> str:
 
 def keeps_comments(path: Path) -> bool:
     """Tell whether a written file of this name has its comments, and the framing among them."""
-    return any(format.keeps_comments for format in FORMATS if path.suffix.lower() in format.suffixes)
+    is_index = path.name.lower() == streamed_sog.LOD_META
+    return is_index or any(format.keeps_comments for format in FORMATS if path.suffix.lower() in format.suffixes)
 
 
 def write_arrays(path: str | Path, fields: Fields, origin: Origin, comments: Sequence[str] = ()) -> list[str]:

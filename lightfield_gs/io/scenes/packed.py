@@ -23,9 +23,9 @@ from lightfield_gs.io.file_kinds import (
     select_scenes,
 )
 from lightfield_gs.io.scenes.plausibility import MAX_RATIO, MIN_LIMIT_BYTES, check_unpacked_size, gunzip
-from lightfield_gs.io.scenes.sog import LOD_META
 from lightfield_gs.io.scenes.sog_files import BAD_ZIP, META
 from lightfield_gs.io.scenes.spz import GZIP_MAGIC, MAGIC
+from lightfield_gs.io.scenes.streamed_sog import LOD_META
 
 ZIP_MAGIC = b"PK\x03\x04"
 _ITERATION_NAME = re.compile(

@@ -1,13 +1,10 @@
-"""PlayCanvas' SOG, versions 1 and 2 and streamed, and gsplat's PngCompression: images whose pixels are Gaussians.
+"""PlayCanvas' SOG, versions 1 and 2, and gsplat's PngCompression: images whose pixels are Gaussians.
 
 A SOG is a folder or a ZIP (.sog) of a meta.json and images. Centres have 16 bits on a scale of sign(x) log(1 + |x|).
 Quaternions are wxyz by their three smallest components; alpha - 252 is the index of the missing one. Version 1 has
 scales (logarithms), colours and logits between extremes, version 2 by codebooks of 256 numbers, and opacities
 themselves. Harmonics above degree 0 are entries of a palette, 64 in a row. Specification: developer.playcanvas.com,
 "The SOG Format". It calls y up, but files of splat-transform keep the axes of the original .ply, as this reader does.
-
-A streamed SOG is a lod-meta.json with a spatial tree, and SOG files of Gaussians in several levels. Each leaf lists for
-each level a file, an offset and a count; level 0 is the finest. One level is read, and the environment, which has none.
 
 gsplat's PngCompression writes PNG files of fixed names and a meta.json with extremes, mostly in the layout of SOG
 version 1. Quaternions have four components, and harmonics above degree 0 are in a palette in shN.npz.
@@ -16,41 +13,26 @@ version 1. Quaternions have four components, and harmonics above degree 0 are in
 from __future__ import annotations
 
 import math
-import re
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.checks import counted, is_row, shown, whole_number
+from lightfield_gs.base.checks import is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.base.system import free_host_memory
-from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.npy import stored_arrays
-from lightfield_gs.io.scenes.comments import ANTIALIASED, is_antialiased
-from lightfield_gs.io.scenes.scene_arrays import (
-    SceneArrays,
-    checked_fields,
-    complete_quaternions,
-    concatenate_fields,
-    limit_degree,
-)
+from lightfield_gs.io.scenes.comments import ANTIALIASED
+from lightfield_gs.io.scenes.scene_arrays import SceneArrays, checked_fields, complete_quaternions, limit_degree
 from lightfield_gs.io.scenes.sog_files import META, SogFiles
-from lightfield_gs.io.text_files import read_object
 
-LOD_META = "lod-meta.json"
-_COEFFICIENTS = {1: 3, 2: 8, 3: 15, 4: 24}  # above degree 0, by degree
-_ROW_ENTRIES = 64  # of the palette
+COEFFICIENTS = {1: 3, 2: 8, 3: 15, 4: 24}  # above degree 0, by degree
+ROW_ENTRIES = 64  # of the palette
 _MOST_ENTRIES = 1 << 16
 _MOST_COUNT = (1 << 31) - 1  # Gaussians
-_LEAST_MODE = 252  # alpha of quaternions
+LEAST_MODE = 252  # alpha of quaternions
 _FARTHEST = 80.0  # log(1 + |x|); float32 ends there
 _LOSSY_NOTE = "its images are lossy WebP, which a SOG should not have: values may be far off"
-_LOD_META_BYTES = 256 << 20
-_LEVEL = re.compile(r"\d{1,4}")
-_GAUSSIAN_BYTES = 1024  # of memory to read and draw a Gaussian of a streamed SOG, about
 _Meta = dict[str, Any]
-_Leaf = dict[int, tuple[int, int, int]]  # file, offset and count by level
 
 
 def read(path: Path, skip_invalid: bool) -> SceneArrays:
@@ -140,10 +122,10 @@ def _decode_centres(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
 
 
 def _decode_rotations(stored: np.ndarray) -> np.ndarray:
-    if (bad := stored[:, 3] < _LEAST_MODE).any():
+    if (bad := stored[:, 3] < LEAST_MODE).any():
         index = int(bad.argmax())
         raise InputError(f"quats: expected alpha 252..255, got {stored[index, 3]} of Gaussian {index}; a wrong image")
-    return complete_quaternions((stored[:, :3] / 255 - 0.5) * math.sqrt(2), stored[:, 3].astype(np.int64) - _LEAST_MODE)
+    return complete_quaternions((stored[:, :3] / 255 - 0.5) * math.sqrt(2), stored[:, 3].astype(np.int64) - LEAST_MODE)
 
 
 def _decode_harmonics(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
@@ -153,9 +135,9 @@ def _decode_harmonics(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
     entries = whole_number("shN: count", part.get("count", int(labels.max()) + 1), 1, _MOST_ENTRIES)
     if int(labels.max()) >= entries:
         raise InputError(f"shN: expected labels below {entries}, got {labels.max()}; a wrong image or count")
-    bands = whole_number("shN: bands", part["bands"] if "bands" in part else _degree(part), 1, len(_COEFFICIENTS))
-    each, rows = _COEFFICIENTS[bands], -(-entries // _ROW_ENTRIES)
-    width = _ROW_ENTRIES * each
+    bands = whole_number("shN: bands", part["bands"] if "bands" in part else _degree(part), 1, len(COEFFICIENTS))
+    each, rows = COEFFICIENTS[bands], -(-entries // ROW_ENTRIES)
+    width = ROW_ENTRIES * each
     palette = files.image(_file(part, 0), width * rows, width)[: width * rows, :3].reshape(-1, 3)
     return _decode(part, palette).reshape(-1, each, 3)[labels]
 
@@ -163,7 +145,7 @@ def _decode_harmonics(files: SogFiles, part: _Meta, count: int) -> np.ndarray:
 def _degree(part: _Meta) -> Any:
     """Return the degree in version 1, which has the number of coefficients in a shape."""
     shape = part.get("shape")
-    sizes = {each: b for b, each in _COEFFICIENTS.items()} | {3 * each: bands for bands, each in _COEFFICIENTS.items()}
+    sizes = {each: b for b, each in COEFFICIENTS.items()} | {3 * each: bands for bands, each in COEFFICIENTS.items()}
     return sizes.get(shape[-1]) if isinstance(shape, list) and shape and isinstance(shape[-1], int) else None
 
 
@@ -221,7 +203,7 @@ def _gsplat_numbers(meta: _Meta, name: str, end: str, channels: int) -> np.ndarr
 def _gsplat_rest(files: SogFiles, meta: _Meta, count: int) -> np.ndarray:
     """Return harmonics above degree 0, [N, K - 1, 3]."""
     each = (_shape(meta, "shN") + [0, 0])[1]
-    if each not in (0, *_COEFFICIENTS.values()):
+    if each not in (0, *COEFFICIENTS.values()):
         raise InputError(f"{META}: shN: expected a shape of {count} times 0, 3, 8, 15 or 24 times 3, got {shown(each)}")
     if each == 0:
         return np.zeros((count, 0, 3))
@@ -239,109 +221,3 @@ def _gsplat_rest(files: SogFiles, meta: _Meta, count: int) -> np.ndarray:
             f"{list(palette.shape)}"
         )
     return _interpolate(meta, "shN", palette / ((1 << bits) - 1)).reshape(-1, each, 3)[labels]
-
-
-# The streamed SOG
-
-
-def is_streamed(path: Path) -> bool:
-    """Tell whether a path is a lod-meta.json, or its folder."""
-    return path.name.lower() == LOD_META or (path / LOD_META).is_file()
-
-
-def read_streamed(path: Path, skip_invalid: bool, lod: int | None = None) -> SceneArrays:
-    """Read one level of a streamed SOG, by its folder or its lod-meta.json; see files.read_arrays."""
-    file = path / LOD_META if path.is_dir() else path
-    with named(file):
-        meta = read_object(file, _LOD_META_BYTES)
-        whole_number("version", meta.get("version", 1), 1, 1)
-        names, parts = meta.get("filenames"), dict[int, list[tuple[int, int]]]()
-        if not isinstance(names, list) or not isinstance(meta.get("tree"), dict):
-            raise InputError("expected a list filenames and an object tree; this is no streamed SOG")
-        leaves = _collect_leaves(meta["tree"], len(names))
-        level, words = _choose_level(leaves, lod)
-        for leaf in leaves:
-            index, offset, count = _at_level(leaf, level)
-            if count:
-                parts.setdefault(index, []).append((offset, count))
-        if not parts:
-            raise InputError(f"level {level} has no Gaussians; choose another with lod=N")
-        paths = {_beside(file, names[index]): ranges for index, ranges in sorted(parts.items())}
-    scenes = [_select_rows(part, read(part, False), ranges) for part, ranges in paths.items()]
-    if meta.get("environment") is not None:
-        scenes.append(read(_beside(file, meta["environment"]), skip_invalid))
-        words += "; its environment is read too"
-    is_chosen = any(len(leaf) > 1 for leaf in leaves)
-    notes = [*[words] * is_chosen, *dict.fromkeys(note for scene in scenes for note in scene.notes)]
-    are_antialiased = all(is_antialiased(scene.comments) for scene in scenes)
-    return SceneArrays(
-        concatenate_fields([scene.fields for scene in scenes]),
-        comments=(ANTIALIASED,) if are_antialiased else (),
-        notes=notes,
-        kind=f"streamed SOG, level {level} of 0..{max(map(max, leaves))}, {counted(len(scenes), 'file')}",
-    )
-
-
-def _collect_leaves(tree: Any, files: int) -> list[_Leaf]:
-    """Collect the leaves of a tree; raise InputError for a malformed tree; files: their number."""
-    nodes, leaves = [tree], list[_Leaf]()
-    while nodes:
-        node = nodes.pop()
-        children, lods = (node.get("children") or [], node.get("lods") or {}) if isinstance(node, dict) else (0, 0)
-        if not isinstance(children, list) or not isinstance(lods, dict) or not all(map(_LEVEL.fullmatch, lods)):
-            raise InputError(f"tree: expected nodes with children or lods, got {shown(node)}")
-        nodes += reversed(children)
-        leaf = {}
-        for key, part in lods.items():
-            if not isinstance(part, dict):
-                raise InputError(f"tree: expected file, offset and count of a level, got {shown(part)}")
-            most = {"file": files - 1, "offset": _MOST_COUNT, "count": _MOST_COUNT}
-            file, offset, count = (whole_number(f"tree: {name}", part.get(name), 0, most[name]) for name in most)
-            leaf[int(key)] = (file, offset, count)
-        if leaf:
-            leaves.append(leaf)
-    if not any(count for leaf in leaves for _, _, count in leaf.values()):
-        raise InputError("tree: expected leaves with lods, got none")
-    return leaves
-
-
-def _at_level(leaf: _Leaf, level: int) -> tuple[int, int, int]:
-    """Return file, offset and count of a leaf at a level, or at the next coarser or else the coarsest one it has."""
-    return leaf[min((own for own in leaf if own >= level), default=max(leaf))]
-
-
-def _choose_level(leaves: list[_Leaf], lod: int | None) -> tuple[int, str]:
-    """Return the level to read, and a line on it: the one given, or the finest that fits half of the free memory."""
-    levels = sorted({level for leaf in leaves for level in leaf})
-    counts = {level: sum(_at_level(leaf, level)[2] for leaf in leaves) for level in levels}
-    free = free_host_memory()
-    if lod is not None:
-        level, reason = whole_number("lod", lod, 0, levels[-1]), "as chosen"
-        counts.setdefault(level, sum(_at_level(leaf, level)[2] for leaf in leaves))
-    else:
-        fitting = [level for level in levels if free is None or _GAUSSIAN_BYTES * counts[level] <= free / 2]
-        level, reason = fitting[0] if fitting else levels[-1], "the finest; another: lod=N"
-        if level != levels[0]:
-            assert free is not None
-            finest = f"level {levels[0]} has {counts[levels[0]]} for {free / 2**30:.3g} GiB of free memory"
-            reason = f"the finest that fits: {finest}; another: lod=N"
-    return level, f"level {level} of 0..{levels[-1]} is read of a streamed SOG, {counts[level]} Gaussians ({reason})"
-
-
-def _beside(file: Path, name: Any) -> Path:
-    """Return the path of a file in the scene's folder; raise InputError for names of other places."""
-    parts = PurePosixPath(name).parts if isinstance(name, str) else ()
-    if not parts or ".." in parts or "\\" in name or PurePosixPath(name).is_absolute():
-        raise InputError(f"expected the name of a file in its folder, got {shown(name)}")
-    return checked_path(file.parent.joinpath(*parts))
-
-
-def _select_rows(path: Path, scene: SceneArrays, ranges: list[tuple[int, int]]) -> SceneArrays:
-    """Select ranges (offset, count) of a scene's Gaussians; raise InputError where it has fewer."""
-    count = len(scene.fields["means"])
-    if max(start + size for start, size in ranges) > count:
-        raise InputError(f"{path}: {LOD_META} expects more Gaussians than the {count} that it has; a wrong file")
-    if ranges != [(0, count)]:
-        rows = np.concatenate([np.arange(start, start + size) for start, size in ranges])
-        scene.fields = {name: array[rows] for name, array in scene.fields.items()}
-    return scene
