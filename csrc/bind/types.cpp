@@ -124,10 +124,19 @@ void bind_buffers(py::module_ m) {
       .def(py::init([](int64_t scenes, int64_t per_scene, int64_t width_px, int64_t height_px, Address world_to_camera,
                        Address intrinsics, Address limits, bool antialiased, double aperture, double zero_depth,
                        int model) {
-             require(model >= 0 && model <= int(CameraModel::kEquirectangular), "model must be 0..3");
-             return Cameras<T>{
-                 scenes,        per_scene,          width_px,    height_px, at<T>(world_to_camera), at<T>(intrinsics),
-                 at<T>(limits), CameraModel(model), antialiased, aperture,  1 / zero_depth};
+             require(model >= 0 && model < kCameraModels * kShutters, "model must be 0..11");
+             return Cameras<T>{scenes,
+                               per_scene,
+                               width_px,
+                               height_px,
+                               at<T>(world_to_camera),
+                               at<T>(intrinsics),
+                               at<T>(limits),
+                               CameraModel(model % kCameraModels),
+                               antialiased,
+                               aperture,
+                               1 / zero_depth,
+                               Shutter(model / kCameraModels)};
            }),
            py::arg("scenes"), py::arg("per_scene"), py::arg("width_px"), py::arg("height_px"),
            py::arg("world_to_camera"), py::arg("intrinsics"), py::arg("limits"), py::arg("antialiased") = false,

@@ -1,5 +1,6 @@
-// The models of cameras beside the pinhole: where a point in camera axes is seen, with first and second derivatives.
+// The models of cameras: where a point in camera axes is seen, with first and second derivatives.
 // The derivatives are by a Jet, a number that carries its own (forward differentiation to second order).
+//   pinhole           u = fx X / Z + cx,  v = fy Y / Z + cy
 //   orthographic      u = fx X + cx,  v = fy Y + cy
 //   fisheye           u = fx d X / r + cx,  v = fy d Y / r + cy,  r^2 = X^2 + Y^2,  theta = atan2(r, Z),
 //                     d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)   (Kannala & Brandt 2006,
@@ -93,6 +94,12 @@ LFGS_HD Jet<R> jet_atan2(const Jet<R>& y, const Jet<R>& x) {
   return out;
 }
 
+template <class R>
+LFGS_HD glm::vec<3, R> operator*(const Symmetric3<R>& m, const glm::vec<3, R>& v) {
+  return {m.xx * v.x + m.xy * v.y + m.xz * v.z, m.xy * v.x + m.yy * v.y + m.yz * v.z,
+          m.xz * v.x + m.yz * v.y + m.zz * v.z};
+}
+
 // A place in the image, pixels.
 template <class R>
 struct SeenAt {
@@ -119,7 +126,7 @@ LFGS_HD SeenAt<R> seen_by_fisheye(const Camera<R>& camera, const Jet<R>& x, cons
   return {scaled_and_moved(x * bent, camera.fx, camera.cx), scaled_and_moved(y * bent, camera.fy, camera.cy)};
 }
 
-// Where a camera that is no pinhole sees a point in its axes.
+// Where a camera sees a point in its axes.
 template <class R>
 LFGS_HD SeenAt<R> seen_at(const Camera<R>& camera, const glm::vec<3, R>& t) {
   const Jet<R> x{t.x, {1, 0, 0}, {}}, y{t.y, {0, 1, 0}, {}}, z{t.z, {0, 0, 1}, {}};
@@ -127,6 +134,10 @@ LFGS_HD SeenAt<R> seen_at(const Camera<R>& camera, const glm::vec<3, R>& t) {
   if (camera.model == CameraModel::kEquirectangular)
     return {scaled_and_moved(jet_atan2(x, z), camera.fx, camera.cx),
             scaled_and_moved(jet_atan2(y, jet_root(x * x + z * z)), camera.fy, camera.cy)};
+  if (camera.model == CameraModel::kPinhole) {
+    const Jet<R> inverse = jet_inverse(z);
+    return {scaled_and_moved(x * inverse, camera.fx, camera.cx), scaled_and_moved(y * inverse, camera.fy, camera.cy)};
+  }
   return {scaled_and_moved(x, camera.fx, camera.cx), scaled_and_moved(y, camera.fy, camera.cy)};
 }
 
@@ -142,7 +153,7 @@ LFGS_HD bool sees(const Camera<R>& camera, const glm::vec<3, R>& t) {
 // What orders Gaussians before a camera: z where all that it sees lies ahead, else the distance.
 template <class R>
 LFGS_HD R depth_before(const Camera<R>& camera, const glm::vec<3, R>& t) {
-  const bool ahead = camera.model == CameraModel::kOrthographic ||
+  const bool ahead = camera.model == CameraModel::kPinhole || camera.model == CameraModel::kOrthographic ||
                      (camera.model == CameraModel::kFisheye && camera.widest <= R(kPi / 2));
   return ahead ? t.z : glm::length(t);
 }

@@ -9,6 +9,11 @@ namespace lfgs {
 
 // How a camera maps points to pixels, see math/camera_model.h.
 enum class CameraModel : int { kPinhole, kOrthographic, kFisheye, kEquirectangular };
+constexpr int kCameraModels = 4;
+
+// Which part of the image a rolling shutter reads at a time, from the top or the left (math/rolling_shutter.h).
+enum class Shutter : int { kGlobal, kRows, kColumns };
+constexpr int kShutters = 3;
 
 // A camera (OpenCV axes, pixel centres at i + 0.5). A pinhole camera with a sweep is a rig. Its cameras stand on the
 // camera x-axis at offset s. Their principal points are shifted such that the plane z = zero_depth shows no parallax.
@@ -27,6 +32,11 @@ struct Camera {
   R bend[4] = {0, 0, 0, 0};  // of a fisheye: k1..k4 of OpenCV
   R widest = 0;              // of a fisheye: points at larger angles from the axis are not drawn, radians
   bool antialiased = false;  // opacities compensated for the blur, see math/compensation.h
+  Shutter shutter = Shutter::kGlobal;
+  // Of a rolling shutter, from the first row (or column) to the last: the rotation, as a vector, and the camera's way,
+  // both in the axes of the camera at the first row. The pose above is then that of the first row.
+  glm::vec<3, R> turn{R(0)}, way{R(0)};
+  R read_per_px = 0;  // times of a readout
 
   // Whether opacities are lowered, because the blur, the aperture or both widen footprints.
   LFGS_HD bool compensated() const { return antialiased || aperture > 0; }

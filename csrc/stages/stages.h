@@ -75,23 +75,33 @@ struct Counters {
 template <class T>
 struct Cameras {
   int64_t scenes = 0, per_scene = 0, width_px = 0, height_px = 0;
-  const T* world_to_camera = nullptr;  // [I, 4, 4]
+  const T* world_to_camera = nullptr;  // [I, 4, 4]; of rolling shutters [I, 6, 4]: then the turn and the way, 0 each
   const T* intrinsics = nullptr;       // [I, 4]: fx, fy, cx, cy
   const T* limits = nullptr;           // [I, 5], see make_camera
   CameraModel model = CameraModel::kPinhole;
   bool antialiased = false;  // see Camera, as the next two
   double aperture = 0, inverse_zero_depth = 0;
+  Shutter shutter = Shutter::kGlobal;
   int64_t images() const { return scenes * per_scene; }
+  bool rolls() const { return shutter != Shutter::kGlobal; }
+  LFGS_HD int pose_numbers() const { return shutter == Shutter::kGlobal ? 16 : 24; }
   template <class R = double>
   LFGS_HD Camera<R> camera(int64_t image) const {
-    Camera<R> camera = make_camera<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image, model);
+    const T* pose = world_to_camera + pose_numbers() * image;
+    Camera<R> camera = make_camera<R>(pose, intrinsics + 4 * image, limits + 5 * image, model);
     camera.antialiased = antialiased;
     camera.aperture = R(aperture), camera.inverse_zero_depth = R(inverse_zero_depth);
+    if (shutter != Shutter::kGlobal) {
+      camera.shutter = shutter;
+      camera.turn = {pose[16], pose[17], pose[18]}, camera.way = {pose[20], pose[21], pose[22]};
+      const int64_t parts = shutter == Shutter::kRows ? height_px : width_px;
+      camera.read_per_px = 1 / R(parts > 1 ? parts - 1 : 1);
+    }
     return camera;
   }
   bool compensated() const { return antialiased || aperture > 0; }
-  // Whether projection needs double precision: cameras that are no pinholes, and compensated opacities.
-  bool exact() const { return compensated() || model != CameraModel::kPinhole; }
+  // Whether projection needs double precision: cameras that are no pinholes or roll, and compensated opacities.
+  bool exact() const { return compensated() || model != CameraModel::kPinhole || rolls(); }
 };
 
 // The output of project, for I images of N splats.

@@ -36,20 +36,30 @@ _STD_PX, _STD_COUNT, _STD_PIXELS = 1.2, 1_000_000, 1600 * 1066  # median: 1.2 px
 _FOCAL_WIDTHS = 0.75  # the focal length in widths of the image
 _HARMONIC_DEVIATIONS = (0.5, 0.1)  # of the coefficients of degree 0, and of the others
 
-Program = Callable[[Cameras], Callable[[Gaussians], Tensor]]  # what draws images [1, H, W, 3] before black
+Draw = Callable[[Gaussians], Tensor]
+# What draws images [1, H, W, 3] before black; or features [N, D], if there are any, in place of colours
+Program = Callable[[Cameras, Tensor | None], Draw]
 
 
 class Step:
     """A training step in two parts: images of Gaussians that ask for gradients, and the gradients of a loss."""
 
-    def __init__(self, gaussians: Gaussians, draw: Callable[[Gaussians], Any], loss: Callable[[Any], Tensor]) -> None:
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        draw: Callable[[Gaussians], Any],
+        loss: Callable[[Any], Tensor],
+        features: Tensor | None = None,
+    ) -> None:
         self.gaussians, self._draw, self._loss = gaussians, draw, loss
+        leaves = gaussians.fields() | ({} if features is None else {"features": features})
+        self._leaves = {name: leaf for name, leaf in leaves.items() if leaf.requires_grad}
         self._outputs: Any = None
 
     def forward(self) -> None:
         """Run draw(gaussians)."""
-        for field in self.gaussians.fields().values():
-            field.grad = None
+        for leaf in self._leaves.values():
+            leaf.grad = None
         self._outputs = self._draw(self.gaussians)
 
     def backward(self) -> None:
@@ -62,8 +72,8 @@ class Step:
         self.backward()
 
     def image_and_gradients(self) -> dict[str, Tensor]:
-        """Return the image of the last step, and the gradient of every field."""
-        gradients = {name: cast(Tensor, field.grad) for name, field in self.gaussians.fields().items()}
+        """Return the image of the last step, and the gradient of every field that asks for it, and of features."""
+        gradients = {name: cast(Tensor, leaf.grad) for name, leaf in self._leaves.items()}
         return {"image": self._outputs.detach(), **gradients}
 
     def release(self) -> None:
@@ -104,8 +114,14 @@ def camera(width_px: int, height_px: int, device: str) -> Cameras:
     return Cameras(torch.eye(4, device=device)[None], focal, centre, width_px, height_px)
 
 
-def rows(counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: int | None) -> list[dict[str, Any]]:
-    """Return a row for each number of Gaussians and program.
+def rows(
+    counts: Sequence[int],
+    size_px: tuple[int, int],
+    device: str,
+    repeats: int | None,
+    channels: Sequence[int | None] = (None,),
+) -> list[dict[str, Any]]:
+    """Return a row for each number of Gaussians, number of channels of features (None: colours) and program.
 
     There are rows of gsplat on CUDA if it is installed; else a line on stderr says why not.
     """
@@ -118,40 +134,56 @@ def rows(counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: 
             options.progress(f"no rows of gsplat: {error}")
     found = []
     for count in counts:
-        found += _scene_rows(frustum(count, *size_px), camera(*size_px, device), programs, repeats)
-        taken = (f"{row['program']} {in_ms(row['ms_total'])} ms" for row in found[-len(programs) :])
-        options.progress(f"{count} Gaussians: {', '.join(taken)}")
+        for each in channels:
+            found += _scene_rows(frustum(count, *size_px), camera(*size_px, device), programs, repeats, each)
+            taken = (f"{row['program']} {in_ms(row['ms_total'])} ms" for row in found[-len(programs) :])
+            what = "" if each is None else f" of {each} channels"
+            options.progress(f"{count} Gaussians{what}: {', '.join(taken)}")
     return found
 
 
-def _ours(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
-    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0)).image
+def _ours(cameras: Cameras, features: Tensor | None = None) -> Draw:
+    if features is None:
+        return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0)).image
+    return lambda gaussians: cast(Tensor, render(gaussians, cameras, features=features).features)
 
 
-def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
+def _gsplats(cameras: Cameras, features: Tensor | None = None) -> Draw:
     peers = load_from_checkout("peers")
     rasterization, matrices = peers.gsplat().rasterization, peers.intrinsic_matrices(cameras)
     view, black = cameras.world_to_camera, torch.zeros(1, 3, device=cameras.world_to_camera.device)
+    coloured = {"sh_degree": None, "backgrounds": None} if features is not None else {"backgrounds": black}
 
     def draw(gaussians: Gaussians) -> Tensor:
-        fields, size = gaussians.fields().values(), (cameras.width_px, cameras.height_px)
-        options = {**peers.GSPLAT_OPTIONS, "sh_degree": gaussians.sh_degree, "backgrounds": black}
-        return rasterization(*fields, view, matrices, *size, **options)[0]
+        *shapes, sh = gaussians.fields().values()
+        options = {**peers.GSPLAT_OPTIONS, "sh_degree": gaussians.sh_degree, **coloured}
+        colours, size = sh if features is None else features, (cameras.width_px, cameras.height_px)
+        return rasterization(*shapes, colours, view, matrices, *size, **options)[0]
 
     return draw
 
 
 def _scene_rows(
-    gaussians: Gaussians, cameras: Cameras, programs: dict[str, Program], repeats: int | None
+    gaussians: Gaussians,
+    cameras: Cameras,
+    programs: dict[str, Program],
+    repeats: int | None,
+    channels: int | None = None,
 ) -> list[dict[str, Any]]:
     """Return the rows of one scene. Every program has its own Gaussians, which keep their gradients."""
     device, cuda = cameras.world_to_camera.device, cameras.world_to_camera.is_cuda
     width, height = cast(int, cameras.width_px), cast(int, cameras.height_px)
-    gradient = np.random.default_rng(1).normal(size=(1, height, width, 3)).astype(np.float32)
+    random = np.random.default_rng(1)
+    gradient = random.normal(size=(1, height, width, channels or 3)).astype(np.float32)
     weights, steps = torch.from_numpy(gradient).to(device), []
-    for draw in programs.values():
+    numbers = None if channels is None else random.random((gaussians.count, channels), np.float32)
+    for program in programs.values():
         own = from_tensors(field.to(device, copy=True).requires_grad_() for field in gaussians.fields().values())
-        steps.append(Step(own, draw(cameras), lambda image: (image * weights).sum()))
+        features = None
+        if numbers is not None:
+            own.sh.requires_grad_(False)
+            features = torch.from_numpy(numbers).to(device, copy=True).requires_grad_()
+        steps.append(Step(own, program(cameras, features), lambda image: (image * weights).sum(), features))
     peaks = [_peak_bytes(step, cuda) for step in steps]
     first = steps[0].image_and_gradients()
     differences = [{}, *(_differences(first, step.image_and_gradients()) for step in steps[1:])]
@@ -161,7 +193,7 @@ def _scene_rows(
     times = timed_by_turns([(step.forward, step.backward) for step in steps], cuda, repeats)
     in_a_row = [ms_in_a_row(step.both, cuda, RUNS_IN_A_ROW[device.type]) for step in steps]
     what = {"device": device.type, "gaussians": gaussians.count, "sh_degree": gaussians.sh_degree}
-    what |= {"width_px": width, "height_px": height}
+    what |= {"width_px": width, "height_px": height, "channels": channels}
     if cuda:
         what["card"] = torch.cuda.get_device_name()
     return [
@@ -205,6 +237,7 @@ def table(found: list[dict[str, Any]]) -> str:
     """Return the rows as text, one a line, and a comparison of ours with the other program."""
     head = (
         "Gaussians",
+        "channels",
         "program",
         "forward ms",
         "backward ms",
@@ -217,6 +250,7 @@ def table(found: list[dict[str, Any]]) -> str:
     lines = [
         (
             str(row["gaussians"]),
+            or_dash(row["channels"], "d"),
             row["program"],
             *(in_ms(row[f"ms_{part}"]) for part in ("forward", "backward", "total", "in_a_row")),
             megabytes(row["peak_bytes"]),
@@ -237,11 +271,12 @@ def _comparisons(found: list[dict[str, Any]]) -> list[str]:
             ours = row
             continue
         both, backward = (row[key] / ours[key] for key in ("ms_total", "ms_backward"))
+        channels = "" if row["channels"] is None else f" of {row['channels']} channels"
         memory = (
             "" if not row["peak_bytes"] else f", with {ours['peak_bytes'] / row['peak_bytes']:.2f} times its memory"
         )
         lines.append(
-            f"{row['gaussians']} Gaussians: ours is {both:.2f} times as fast as {row['program']}, backward "
+            f"{row['gaussians']} Gaussians{channels}: ours is {both:.2f} times as fast as {row['program']}, backward "
             f"{backward:.2f} times{memory}"
         )
     return lines
@@ -254,10 +289,12 @@ class Options(options.BenchmarkOptions):
     Attributes:
         gaussians: numbers of Gaussians. None: those of COUNTS.
         size: width and height of the image, px. None: that of SIZES_PX.
+        features: numbers of channels that are drawn in place of colours. None: colours.
     """
 
     gaussians: tuple[int, ...] | None = None
     size: tuple[int, int] | None = None
+    features: tuple[int, ...] | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -276,6 +313,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"size of the image, px (default: {_listed(SIZES_PX['cuda'], 'x')}, on the CPU "
         f"{_listed(SIZES_PX['cpu'], 'x')})",
     )
+    parser.add_argument(
+        "--features",
+        type=whole_numbers(1, 4096),
+        metavar="D",
+        help="channels of features in place of colours, several with commas: 3,16,32,64",
+    )
     options.add_repeats(parser)
     options.add_machine(parser)
 
@@ -284,7 +327,7 @@ def run(given: Options) -> tuple[dict[str, Any], str]:
     """Return the rows of every number of Gaussians, also of gsplat if it is installed, on CUDA; and their text."""
     torch.set_num_threads(given.thread_count or torch.get_num_threads())
     counts, size = given.gaussians or COUNTS[given.device], given.size or SIZES_PX[given.device]
-    found = rows(counts, size, given.device, given.repeats)
+    found = rows(counts, size, given.device, given.repeats, given.features or (None,))
     return {"rows": found}, table(found)
 
 

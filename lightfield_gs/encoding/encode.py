@@ -253,6 +253,8 @@ def check_together(
             raise InputError(f"{name}= is for method {only!r}, not {method!r}{_WHY_NOT[name]}")
     if cameras is not None and cameras.model != "pinhole":
         raise InputError(f"cameras=: the views of a panel are by pinhole cameras, and these are {cameras.model}")
+    if cameras is not None and cameras.rolling_shutter != "none":
+        raise InputError("cameras=: the views of a panel are by cameras at rest, and these have a rolling shutter")
     if method != "sorted" and rig is None:
         raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
     if memory_budget is not None and views == "continuous":

@@ -65,9 +65,10 @@ class Identity:
             weights: of the training photographs, in a cone.
             loss: the function in place of the usual loss, known by its name.
         """
+        cameras = capture.world_to_camera, capture.intrinsics, capture.readouts
         parts = {
             "names of photographs": json.dumps(capture.names).encode(),
-            "cameras": capture.world_to_camera.tobytes() + capture.intrinsics.tobytes(),
+            "cameras": b"".join(part.tobytes() for part in cameras if part is not None),
             "points": capture.points.tobytes() + capture.colours.tobytes(),
             "photographs held out": json.dumps(list(train)).encode(),
             "cone": json.dumps(weights).encode(),

@@ -175,7 +175,7 @@ def _align_pose(
     best, least = poses.world_to_camera.clone(), torch.full((), torch.inf, device=device)
     first, kept = torch.zeros(1, dtype=torch.int64, device=device), torch.ones(1, dtype=torch.int64, device=device)
     for step in range(steps):
-        everywhere = poses.world_to_camera.expand(images.count, 4, 4)
+        everywhere = poses.world_to_camera.expand(images.count, -1, -1)
         job = images.render_job(gaussians, chosen, everywhere, background, settings.antialiased)
         rendered = job.draw()
         loss, g_image = photo_loss_and_gradient(rendered.image[0], photos, weights, settings.ssim_lambda)

@@ -304,8 +304,7 @@ def _native_buffers(
     groups = ("", values), ("first moments of ", first), ("second moments of ", second)
     named = [(what + name, name, t) for what, group in groups for name, t in zip(RawParameters._fields, group)]
     for what, name, tensor in [*named, *((name, name, t) for name, t in zip(("scales", "opacities"), drawn))]:
-        is_reached = what != name and means.is_cuda and isinstance(tensor, Tensor) and tensor.is_pinned()
-        where = tensor.device if is_reached else means.device
+        where = tensor.device if what != name and _is_reached(tensor, means.device) else means.device
         check_tensor(what, tensor, (n, *widths.get(name, ())), means.dtype, where, writes=True)
     held = [
         check_tensor(f"gradient of {name}", tensor, (n, *widths.get(name, ())), *like)
@@ -318,6 +317,13 @@ def _native_buffers(
     buffers |= {name: t.data_ptr() for name, t in zip(("scales", "opacities"), drawn)}
     degree = SH_COEFFICIENTS.index(sh.shape[1])
     return stages, {**buffers, "gradients": stages.Gaussians(n, degree, *(t.data_ptr() for t in held))}, held
+
+
+def _is_reached(moment: object, device: torch.device) -> bool:
+    """Return whether a GPU reaches a tensor of the host by itself. A capture follows a step that found out."""
+    if device.type != "cuda" or not isinstance(moment, Tensor) or moment.device.type != "cpu":
+        return False
+    return torch.cuda.is_current_stream_capturing() or moment.is_pinned()
 
 
 def _check_betas(betas: tuple[float, float]) -> tuple[float, float]:

@@ -298,7 +298,7 @@ def mask_to_window(
     for index, (width, height) in enumerate(images.sizes):
         if not inside[index]:
             continue
-        camera = images.world_to_camera[index], images.intrinsics[index]
+        camera = images.world_to_camera[index, :4], images.intrinsics[index]
         counts = images.pixel_weights(index)[:height, :width] * window.mask(*camera, width, height, images.model)
         beyond = (0, images.width_px - width, 0, images.height_px - height)
         weight = pad(counts, beyond).mul(255).round().to(images.photos.device, torch.uint8)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from copy import copy
 from math import prod
 from pathlib import Path
 from typing import NamedTuple
@@ -73,9 +74,8 @@ class RowFile:
 
     def select(self, rows: Sequence[int]) -> RowFile:
         """Return some of the rows, of the same file."""
-        some = object.__new__(RowFile)
-        some.path, some.shape = self.path, (len(rows), *self.shape[1:])
-        some._places, some._filled = [self._places[row] for row in rows], self._filled
+        some = copy(self)
+        some.shape, some._places = (len(rows), *self.shape[1:]), [self._places[row] for row in rows]
         return some
 
 

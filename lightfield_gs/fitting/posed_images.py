@@ -17,12 +17,13 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.options import CAMERA_MODELS, CameraModel
+from lightfield_gs.base.options import CameraModel, RollingShutter
 from lightfield_gs.fitting.photo_storage import DeviceRows, ReadAhead, RowFile, Rows, select_rows, white_rows
+from lightfield_gs.fitting.readouts import last_poses, of_fewer_rows, readout_poses
 from lightfield_gs.fitting.settings import Masks
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageRender
-from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.cameras import Cameras, model_number
 from lightfield_gs.scene.gaussians import Gaussians
 
 _BEYOND = 1.1  # times the angle of the farthest corner of a fisheye: Gaussians beyond the edge reach into the image
@@ -56,6 +57,10 @@ class Normalization:
         poses[:, :3, 3] = (poses[:, :3, :3] @ np.array(self.centre) + poses[:, :3, 3]) / self.extent
         return poses
 
+    def readouts(self, readouts: np.ndarray) -> np.ndarray:
+        """Return turns and ways of cameras [C,2,3] in normalised coordinates."""
+        return readouts / [[1.0], [self.extent]]
+
     def restore(self, gaussians: Gaussians) -> Gaussians:
         """Return Gaussians in units of the capture, with `centre` as their origin."""
         return replace(
@@ -74,7 +79,7 @@ class PosedImages:
         names: of the photographs.
         photos: [C,H,W,3] uint8, as are weights and opacity: tensors, or rows of a file.
         weights: [C,H,W], 255 where a photograph counts; None: everywhere.
-        world_to_camera: [C,4,4] float32, normalised coordinates.
+        world_to_camera: [C,4,4] float32, normalised coordinates; of rolling shutters [C,6,4], see Cameras.poses.
         intrinsics: [C,4] float32, fx, fy, cx, cy.
         limits: [C,5] float32, of the Jacobian.
         sizes: width and height of each.
@@ -146,11 +151,14 @@ class PosedImages:
         poses = torch.from_numpy(normalization.poses(capture.world_to_camera[list(indices)]))
         widest = _widest_deg(focal, principal, width, height) if capture.model == "fisheye" else None
         cameras = Cameras(poses, focal, principal, width, height, model=capture.model, widest_deg=widest)
+        if capture.readouts is not None:
+            readouts = normalization.readouts(capture.readouts[list(indices)])
+            poses = readout_poses(poses, torch.from_numpy(readouts), [h for _, h in sizes], height)
         return cls(
             [capture.names[index] for index in indices],
             photos,
             weights.rows,
-            cameras.world_to_camera.float().to(device),
+            poses.float().to(device),
             cameras.intrinsics().float().to(device),
             cameras.limits().float().to(device),
             sizes,
@@ -180,6 +188,11 @@ class PosedImages:
             return photos, weights
         alpha = opacity[..., None] / 255
         return photos / 255 * alpha + (1 - alpha) * background[:, None, None], weights
+
+    @property
+    def rolling_shutter(self) -> RollingShutter:
+        """Of all cameras."""
+        return "none" if self.world_to_camera.shape[1] == 4 else "top_to_bottom"
 
     @property
     def is_staged(self) -> bool:
@@ -233,7 +246,7 @@ class PosedImages:
         Args:
             gaussians: the scene, normalised coordinates.
             chosen: [V], the photographs.
-            world_to_camera: [C,4,4], the poses of all photographs.
+            world_to_camera: the poses of all photographs, as the attribute.
             background: [V,3].
             antialiased: the scene's render mode.
             capacity: for (tile, Gaussian) intersections, on CUDA; None: the host waits for their number.
@@ -243,9 +256,10 @@ class PosedImages:
         poses, intrinsics, limits = (
             tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, self.intrinsics, self.limits)
         )
+        poses = of_fewer_rows(poses, self.height_px, height)
         fields = [tensor[None] for tensor in gaussians.fields().values()]
         views = (background[None], poses, intrinsics, limits, width, height, antialiased, None)
-        arguments = ImageArguments._make((*fields, *views, CAMERA_MODELS.index(self.model)))
+        arguments = ImageArguments._make((*fields, *views, model_number(self.model, self.rolling_shutter)))
         return ImageRender.from_arguments(arguments, capacity=capacity)
 
     def pixel_weights(self, index: int) -> Tensor:
@@ -280,7 +294,10 @@ class PosedImages:
         focal, centre = intrinsics.split(2, -1)
         edges = limits if self.model == "pinhole" else None
         size = self.width_px, self.height_px
-        return Cameras(poses, focal, centre, *size, edges, self.model, widest_deg=self.widest_deg)
+        cameras = Cameras(poses[:, :4], focal, centre, *size, edges, self.model, widest_deg=self.widest_deg)
+        if self.rolling_shutter == "none":
+            return cameras
+        return replace(cameras, rolling_shutter=self.rolling_shutter, world_to_camera_end=last_poses(poses))
 
     @property
     def count(self) -> int:

@@ -162,7 +162,8 @@ def _backward_of_state(*arguments: Any) -> tuple[Tensor, ...]:
     )
     lead = render.inputs.lead
     g_background = found.background_parts.view(*lead, -1, 3).sum(2)
-    g_cameras = found.cameras.view(*lead, 4, 4) if drawn.cameras else torch.zeros_like(given.world_to_camera)
+    poses = given.world_to_camera
+    g_cameras = found.cameras.view_as(poses) if drawn.cameras else torch.zeros_like(poses)
     g_screen = found.screen.view(*lead, given.means.shape[1], drawn.screen_numbers)
     return (*found.fields, g_background, g_cameras, g_screen)
 
@@ -284,7 +285,7 @@ class _Project(torch.autograd.Function):
         fields, g_cameras, screen = inputs.backward_from_sums(sums.contiguous(), request)
         return (
             *(fields if ctx.batched else (g.squeeze(0) for g in fields)),
-            g_cameras.view(*inputs.lead, 4, 4) if request.cameras else None,
+            g_cameras.view_as(ctx.saved_tensors[5]) if request.cameras else None,
             *(None,) * 4,  # intrinsics, limits, background and options
             screen.view(*inputs.lead, inputs.scene.count, ctx.screen_numbers) if ctx.screen_numbers else None,
             None,

@@ -17,6 +17,7 @@ from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
 from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, project_images_backward
+from lightfield_gs.scene.cameras import pose_rows
 
 # Memory in addition to the images: a chunk of cameras takes about this much; a larger camera is a chunk by itself
 CHUNK_BYTES = 1 << 29
@@ -36,7 +37,7 @@ class ImageArguments(NamedTuple):
         opacities: [B, N], in (0, 1].
         sh: [B, N, K, 3], spherical harmonics, K = 1, 4, 9 or 16.
         background: [B, V, 3].
-        world_to_camera: [B, V, 4, 4].
+        world_to_camera: [B, V, 4, 4], or of rolling shutters [B, V, 6, 4], see Cameras.poses.
         intrinsics: [B, V, 4], fx, fy, cx and cy in pixels.
         limits: [B, V, 5], of the projection's Jacobian, or the lens; see Cameras.limits.
         width, height: Size of all images, 1..65536 pixels.
@@ -72,6 +73,8 @@ class ImageBuffers(NamedTuple):
 class ImageInputs:
     """Checked Gaussians and cameras of a render of ordinary images."""
 
+    pose_rows = 4  # of each camera; 6 of rolling shutters
+
     def __init__(
         self,
         fields: Sequence[Tensor],
@@ -105,8 +108,9 @@ class ImageInputs:
             raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
         lead = (scene.batch, world_to_camera.shape[1])
         self._set_size(lead, width, height)
+        self.pose_rows = rows = pose_rows(model)
         self._camera_tensors = [
-            check_tensor("world_to_camera", world_to_camera, (*lead, 4, 4), scene.dtype, scene.device),
+            check_tensor("world_to_camera", world_to_camera, (*lead, rows, 4), scene.dtype, scene.device),
             check_tensor("intrinsics", intrinsics, (*lead, 4), scene.dtype, scene.device),
             check_tensor("limits", limits, (*lead, 5), scene.dtype, scene.device),
         ]
@@ -143,7 +147,11 @@ class ImageInputs:
             sums: Result of ImageRender.backward_sums.
         """
         with device_guard(self.scene.device):
-            return project_images_backward(self.scene, self.cameras, sums, request)
+            return project_images_backward(self.scene, self.cameras, sums, self.completed(request))
+
+    def completed(self, request: GradientRequest) -> GradientRequest:
+        """Return the request with the rows of these poses."""
+        return request._replace(pose_rows=self.pose_rows)
 
 
 class ImageRender:
@@ -292,7 +300,9 @@ class ImageRender:
         """
         native, native_gradients = self._natives(images, gradients)
         with device_guard(self.scene.device):
-            return self.work.images_backward(self.inputs.cameras, self._behind(), native, native_gradients, request)
+            return self.work.images_backward(
+                self.inputs.cameras, self._behind(), native, native_gradients, self.inputs.completed(request)
+            )
 
     def backward_sums(self, images: ImageBuffers, gradients: ImageBuffers, absolute: bool) -> tuple[Tensor, Tensor]:
         """Run the first half of backward().
@@ -316,7 +326,7 @@ class ImageRender:
         shape = self.work.splats.splats.shape
         sums = check_tensor("sums", sums, tuple(shape), self.scene.dtype, self.scene.device)
         with device_guard(self.scene.device):
-            return self.work.fields_backward(self.inputs.cameras, sums, request)
+            return self.work.fields_backward(self.inputs.cameras, sums, self.inputs.completed(request))
 
     def _natives(self, images: ImageBuffers, gradients: ImageBuffers) -> list[_core.float32.Images]:
         """Return the core's views of both, which are valid as long as this render."""

@@ -118,7 +118,7 @@ def render(
     """Render ordinary images of Gaussians (Kerbl et al. 2023).
 
     The images are differentiable once, in the five fields of the Gaussians, features, colors, covars, the background
-    and cameras.world_to_camera.
+    and the cameras' poses (world_to_camera and world_to_camera_end).
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
@@ -239,9 +239,8 @@ def _render_by_model(
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     like, *others = gaussians.fields().values()
-    refuse_tangents(
-        like, *others, background, cameras.world_to_camera, options.features, options.colors, options.covars
-    )
+    given = options.features, options.colors, options.covars
+    refuse_tangents(like, *others, background, *cameras.ends().values(), *given)
     if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
         raise InputError(
             "cameras: focal_px and principal_point_px (K) and jacobian_limits have no gradients, and one of them "
@@ -255,7 +254,7 @@ def _render_by_model(
             f"cameras {list(cameras.world_to_camera.shape)}"
         )
     means, cameras = recentre(like, cameras)
-    views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+    views = [t.to(like) for t in (cameras.poses(), cameras.intrinsics(), cameras.limits())]
     if shared:
         views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)

@@ -71,10 +71,11 @@ class RenderOptions:
                 found[name] = _per_gaussian(name, value, gaussians, cameras.count, (last,))
         if self.covars is not None:
             found["covars"] = _checked_covariances(self.covars, gaussians)
-        if self.by_torch and cameras.model not in MODELS:
+        if self.by_torch and (cameras.model not in MODELS or cameras.rolling_shutter != "none"):
             name = "eps2d" if self.covars is None else "covars"
+            got = cameras.model if cameras.model not in MODELS else "a rolling shutter"
             raise InputError(
-                f"{name}: expected cameras of the models {' or '.join(MODELS)}, got {cameras.model}: leave {name} out"
+                f"{name}: expected cameras of the models {' or '.join(MODELS)}, got {got}: leave {name} out"
             )
         if self.masks is not None:
             found["masks"] = _per_gaussian("masks", self.masks, gaussians, cameras.count, (), torch.bool)

@@ -93,7 +93,8 @@ def _project_backward(*arguments: Any) -> tuple[Tensor, ...]:
     render = ImageRender(given.inputs(), None, state=RenderState(*known[:3]))
     fields, g_cameras, screen = render.fields_backward(known.sums, GradientRequest(known.screen_numbers, known.cameras))
     lead, count = given.world_to_camera.shape[:2], given.means.shape[1]
-    g_cameras = g_cameras.view(*lead, 4, 4) if known.cameras else torch.zeros_like(given.world_to_camera)
+    poses = given.world_to_camera
+    g_cameras = g_cameras.view_as(poses) if known.cameras else torch.zeros_like(poses)
     return (*fields, g_cameras, screen.view(*lead, count, known.screen_numbers))
 
 

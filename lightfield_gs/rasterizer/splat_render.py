@@ -169,6 +169,8 @@ def _projected_by_torch(
 def facing_normals(fields: Sequence[Tensor], view: View) -> Tensor:
     """Return the shortest axis of each Gaussian in world axes, turned towards each camera, [B, V, N, 3] of length 1.
 
+    Before a rolling shutter it is turned to where the camera reads its first row.
+
     Args:
         fields: see draw_splats.
         view: likewise.
@@ -178,7 +180,7 @@ def facing_normals(fields: Sequence[Tensor], view: View) -> Tensor:
     normals = rotations(quaternions).gather(-1, shortest).squeeze(-1).unsqueeze(1)
     poses = view.world_to_camera.detach()
     rotation, translation = poses[..., :3, :3], poses[..., :3, 3:]
-    if CAMERA_MODELS[view.model] == "orthographic":
+    if CAMERA_MODELS[view.model % len(CAMERA_MODELS)] == "orthographic":
         directions = rotation[..., 2:, :]
     else:
         directions = means.detach().unsqueeze(1) + (rotation.mT @ translation).mT

@@ -209,10 +209,12 @@ class GradientRequest(NamedTuple):
     Attributes:
         screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.
         cameras: Whether the gradient of world_to_camera is asked for.
+        pose_rows: Of each pose; ImageInputs knows.
     """
 
     screen_numbers: int = 0
     cameras: bool = True
+    pose_rows: int = 4
 
     @property
     def absolute(self) -> bool:
@@ -225,7 +227,7 @@ class ImageGradients(NamedTuple):
 
     Attributes:
         fields: Gradients of the five fields.
-        cameras: [I, 4, 4], or [0, 4, 4].
+        cameras: [I, pose_rows, 4], or [0, pose_rows, 4].
         screen: Gradients of the projected means, [I, N, screen_numbers].
         background_parts: [I * parts, 3].
     """
@@ -422,7 +424,7 @@ class CpuWorkspace:
         """Take the gradients `found` of intersections, or of splats if the address `first` is 0, to the inputs."""
         scene = self.scene
         out, native = scene.gradients(zero=True)
-        g_cameras = scene.new(self.images, 4, 4, zero=True)
+        g_cameras = scene.new(self.images, request.pose_rows, 4, zero=True)
         screen = scene.new(self.images, scene.count, request.screen_numbers)
         scene.core.project_images_backward(
             scene.native(),

@@ -304,7 +304,8 @@ def project_images_backward(
     """
     cuda, images = _core.cuda, sums.shape[0]
     out, native = scene.gradients(zero=False)
-    views = scene.new(images, cuda.camera_blocks(scene.count), 3, 4) if request.cameras else None
+    numbers = 12 + 3 * (request.pose_rows - 4)  # no zeros
+    views = scene.new(images, cuda.camera_blocks(scene.count), numbers) if request.cameras else None
     screen = scene.new(images, scene.count, request.screen_numbers)
     cuda.project_images_backward(
         scene.native(),
@@ -316,8 +317,11 @@ def project_images_backward(
         0 if views is None else views.data_ptr(),
         torch.cuda.current_stream(sums.device).cuda_stream,
     )
-    g_cameras = scene.new(0, 4, 4) if views is None else functional.pad(views.sum(1), (0, 0, 0, 1))
-    return out, g_cameras, screen
+    if views is None:
+        return out, scene.new(0, request.pose_rows, 4), screen
+    pose, motion = views.sum(1).split([12, numbers - 12], -1)
+    rows = functional.pad(pose.view(-1, 3, 4), (0, 0, 0, 1)), functional.pad(motion.view(images, -1, 3), (0, 1))
+    return out, torch.cat(rows, 1), screen
 
 
 Workspace = CpuWorkspace | CudaWorkspace

@@ -15,12 +15,14 @@ from torch.nn import functional
 
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number, wrong_type
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import CAMERA_MODELS, CameraModel
+from lightfield_gs.base.options import CAMERA_MODELS, ROLLING_SHUTTERS, CameraModel, RollingShutter
 from lightfield_gs.scene.gaussians import check_finite
+from lightfield_gs.scene.rolling_shutter import moving_poses, rotation_vector, shutter_number
 from lightfield_gs.scene.rows import Rows
 
 # Largest deviation from orthonormal rows: rotations written with three decimals deviate by up to 1.7e-3
 _ORTHONORMAL = 2e-3
+_MOST_TURN_DEG = 90.0  # of a camera during a readout
 _WIDEST_DEG = 100.0  # of fisheyes that do not say what they see: lenses of 200 degrees are common
 _BOTTOM = 1e-5  # largest deviation of the bottom row: checks of gradients move every number by 1e-6
 
@@ -53,6 +55,13 @@ class Cameras(Rows):
         widest_deg: 0..180, of a fisheye: what lies at larger angles from the axis is not drawn. None: 100, or where the
             distortion turns the image inside out, if that is less. Up to 90 Gaussians are ordered by z, else by their
             distance.
+        rolling_shutter: of all cameras, one of ROLLING_SHUTTERS: in which direction rows or columns are read. Each
+            Gaussian is then drawn by the pose at which the row (or column) of its mean is read. The Jacobian has the
+            motion in it, so footprints are sheared as in the photograph (csrc/math/rolling_shutter.h). Not for
+            equirectangular images.
+        world_to_camera_end: [..., C, 4, 4], of rolling shutters: the pose when the last row is read, world_to_camera
+            that of the first. Between them the camera turns about one axis at constant speed, less than 90 degrees, and
+            its centre moves along a line.
 
     Raises:
         InputError: shapes or values make no camera. Values on a device are not checked, for a check would wait for the
@@ -68,13 +77,15 @@ class Cameras(Rows):
     model: CameraModel = "pinhole"
     distortion: torch.Tensor | None = None
     widest_deg: float | None = None
+    rolling_shutter: RollingShutter = "none"
+    world_to_camera_end: torch.Tensor | None = None
 
     _first, _row_numbers = "world_to_camera", 2
 
     def __post_init__(self) -> None:
         if self.principal_point_px is None:
             self.focal_px, self.principal_point_px = _split_intrinsics(self.focal_px)
-        optional = ("jacobian_limits", "distortion")
+        optional = ("jacobian_limits", "distortion", "world_to_camera_end")
         for name in ("world_to_camera", "focal_px", "principal_point_px", *optional):
             value = getattr(self, name)
             if name not in optional or value is not None:
@@ -87,9 +98,9 @@ class Cameras(Rows):
                     )
         lead = self.world_to_camera.shape[:-2]
         expected = {"world_to_camera": (*lead, 4, 4), "focal_px": (*lead, 2), "principal_point_px": (*lead, 2)}
-        for name, numbers in zip(optional, (5, 4)):
+        for name, numbers in zip(optional, ((5,), (4,), (4, 4))):
             if getattr(self, name) is not None:
-                expected[name] = (*lead, numbers)
+                expected[name] = (*lead, *numbers)
         for name, shape in expected.items():
             found = tuple(getattr(self, name).shape)
             if found != shape or len(lead) not in (1, 2):
@@ -97,7 +108,7 @@ class Cameras(Rows):
             if getattr(self, name).device.type == "cpu":
                 check_finite(f"cameras: {name}", getattr(self, name))
         if self.world_to_camera.device.type == "cpu":
-            _check_poses(self.world_to_camera.detach())
+            _check_poses("world_to_camera", self.world_to_camera.detach())
         if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
@@ -107,6 +118,7 @@ class Cameras(Rows):
                 )
             setattr(self, name, whole_number(f"cameras: {name}", getattr(self, name), 1, 65536))
         self._check_model()
+        self._check_shutter()
 
     def _check_model(self) -> None:
         """Check what belongs to the model. Raises InputError."""
@@ -123,6 +135,36 @@ class Cameras(Rows):
             self.widest_deg = real_number("cameras: widest_deg", self.widest_deg, 0.1, 180)
         elif self.model == "fisheye":
             self.widest_deg = _widest_deg(self.distortion)
+
+    def _check_shutter(self) -> None:
+        """Check what belongs to a rolling shutter. Raises InputError."""
+        shutter, end = self.rolling_shutter, self.world_to_camera_end
+        if shutter not in ROLLING_SHUTTERS:
+            raise InputError(
+                f"cameras: rolling_shutter: expected one of {', '.join(ROLLING_SHUTTERS)}, got {shown(shutter)}"
+            )
+        if (shutter == "none") != (end is None):
+            raise InputError(
+                "cameras: rolling_shutter and world_to_camera_end go together, got "
+                f"{'no world_to_camera_end' if end is None else 'no rolling_shutter'}"
+            )
+        if end is None:
+            return
+        if self.model == "equirectangular":
+            raise InputError(
+                "cameras: rolling_shutter: equirectangular images are put together from several lenses, and have no "
+                "rows that are read in turn: leave it out"
+            )
+        if end.device.type != "cpu" or self.world_to_camera.device.type != "cpu":
+            return
+        _check_poses("world_to_camera_end", end.detach())
+        turn = rotation_vector((end[..., :3, :3] @ self.world_to_camera[..., :3, :3].to(end).mT).detach())
+        turned = math.degrees(float(turn.norm(dim=-1).max())) if turn.numel() else 0.0
+        if turned >= _MOST_TURN_DEG:
+            raise InputError(
+                f"cameras: world_to_camera_end: expected a turn of less than {_MOST_TURN_DEG:g} degrees from "
+                f"world_to_camera, got {turned:.4g}"
+            )
 
     @property
     def is_all_round(self) -> bool:
@@ -257,8 +299,14 @@ class Cameras(Rows):
 
     @property
     def model_number(self) -> int:
-        """Return the number of the model in the core (csrc/scene/camera.h)."""
-        return CAMERA_MODELS.index(self.model)
+        """Return the number of the model and the shutter in the core (csrc/scene/camera.h)."""
+        return model_number(self.model, self.rolling_shutter)
+
+    def poses(self) -> torch.Tensor:
+        """Return world_to_camera; of rolling shutters with the motion in two more rows, [..., C, 6, 4]."""
+        if self.world_to_camera_end is None:
+            return self.world_to_camera
+        return moving_poses(self.world_to_camera, self.world_to_camera_end, self.rolling_shutter)
 
     def limits(self) -> torch.Tensor:
         """Return jacobian_limits, or their default, [..., C, 5].
@@ -278,11 +326,10 @@ class Cameras(Rows):
         """Select cameras by their indices along C, as cameras[indices]."""
         return self[indices]
 
-    def _optics(self) -> dict[str, torch.Tensor]:
-        """Return the tensors [..., C, numbers] by name."""
-        named = {"focal_px": self.focal_px, "principal_point_px": self._centres()}
-        others = {"jacobian_limits": self.jacobian_limits, "distortion": self.distortion}
-        return named | {name: value for name, value in others.items() if value is not None}
+    def ends(self) -> dict[str, torch.Tensor]:
+        """Return world_to_camera, and world_to_camera_end if there is one, by name."""
+        named = {"world_to_camera": self.world_to_camera, "world_to_camera_end": self.world_to_camera_end}
+        return {name: pose for name, pose in named.items() if pose is not None}
 
     def _centres(self) -> torch.Tensor:
         """Return principal_point_px, which is None only before K is split."""
@@ -294,9 +341,20 @@ class Cameras(Rows):
 
     def relative_to(self, origin: Sequence[float]) -> Cameras:
         """Move the cameras to coordinates with this origin; see Rig.relative_to."""
-        poses = self.world_to_camera.clone()
-        poses[..., :3, 3] += poses[..., :3, :3] @ poses.new_tensor(origin)
-        return replace(self, world_to_camera=poses)
+        ends: dict[str, Any] = {name: pose.clone() for name, pose in self.ends().items()}
+        for pose in ends.values():
+            pose[..., :3, 3] += pose[..., :3, :3] @ pose.new_tensor(origin)
+        return replace(self, **ends)
+
+
+def model_number(model: CameraModel, shutter: RollingShutter = "none") -> int:
+    """Return the number of a model and a shutter in the core (csrc/scene/camera.h)."""
+    return CAMERA_MODELS.index(model) + len(CAMERA_MODELS) * shutter_number(shutter)
+
+
+def pose_rows(number: int) -> int:
+    """Return how many rows Cameras.poses has for each camera of a model and a shutter with this number."""
+    return 4 if number < len(CAMERA_MODELS) else 6
 
 
 _FAR = 64  # units, and times the cameras' extent: cameras farther from the origin are moved to it
@@ -330,10 +388,12 @@ def recentre(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Camer
         if not bool(far.any()):
             return means, cameras
         origin = torch.where(far[..., None, None], middle, 0.0)  # [..., 1, 3]
-    moved = poses.double()
-    translations = moved[..., :3, 3:] + moved[..., :3, :3] @ origin.unsqueeze(-1)
-    moved = torch.cat([torch.cat([moved[..., :3, :3], translations], -1), moved[..., 3:, :]], -2)
-    return (means.double() - origin.to(means.device)).to(means.dtype), replace(cameras, world_to_camera=moved)
+    ends: dict[str, Any] = {}
+    for name, pose in cameras.ends().items():
+        moved = pose.double()
+        translations = moved[..., :3, 3:] + moved[..., :3, :3] @ origin.unsqueeze(-1)
+        ends[name] = torch.cat([torch.cat([moved[..., :3, :3], translations], -1), moved[..., 3:, :]], -2)
+    return (means.double() - origin.to(means.device)).to(means.dtype), replace(cameras, **ends)
 
 
 @lru_cache(maxsize=64)
@@ -358,7 +418,7 @@ def _widest_deg(distortion: torch.Tensor | None) -> float:
     return float(np.degrees(angles[int(turned.argmax()) - 1])) if turned.any() else _WIDEST_DEG
 
 
-def _check_poses(poses: torch.Tensor) -> None:
+def _check_poses(name: str, poses: torch.Tensor) -> None:
     """Raise InputError for the first of poses [..., 4, 4] that is no rotation and translation over 0 0 0 1."""
     matrices = poses.double().numpy().reshape(-1, 4, 4)
     rotations, unit = matrices[:, :3, :3], np.eye(4)
@@ -388,7 +448,7 @@ def _check_poses(poses: torch.Tensor) -> None:
             f"rows that are not orthonormal: {shown(rotations[index].tolist())}; the nearest rotation is U @ Vh of "
             "torch.linalg.svd"
         )
-    raise InputError(f"cameras: world_to_camera[{index}]: expected a rotation and 0 0 0 1 below, got {found}")
+    raise InputError(f"cameras: {name}[{index}]: expected a rotation and 0 0 0 1 below, got {found}")
 
 
 def _as_floats(name: str, values: Any) -> torch.Tensor:

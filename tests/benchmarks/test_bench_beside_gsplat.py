@@ -15,6 +15,7 @@ from benchmarks.fit_photographs import Photographs, hold_out
 from benchmarks.fit_scores import scores
 from benchmarks.gsplat_fit import RATES
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.bench import dense, timing
 from lightfield_gs.commands import bench as command
 from lightfield_gs.fitting.evaluate import evaluate
@@ -61,6 +62,10 @@ def stand_in(means, quats, scales, opacities, colors, viewmats, Ks, width, heigh
     }
     cameras = Cameras(viewmats, Ks, width_px=width, height_px=height)
     flat = 0 * means[None, :, :2]
+    if sh_degree is None:
+        black = torch.full_like(colors[:, None, :1].expand(-1, 1, 3), -0.5 / SH_CONSTANT)
+        drawn = render(Gaussians(means, quats, scales, opacities, black), cameras, features=colors, alpha=True)
+        return drawn.features, drawn.alpha[..., None], {"means2d": flat}
     scene = Gaussians(means, quats, scales, opacities, colors[:, : (sh_degree + 1) ** 2].contiguous())
     image, alpha, *_ = render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
     return image + flat.sum(), alpha[..., None], {"means2d": flat}
@@ -130,6 +135,14 @@ def test_dense_compares_images_and_gradients(gsplat):
     assert "ours is 2.50 times as fast as gsplat 0" in dense.table(rows) and "1.50 times its memory" in dense.table(
         rows
     )
+
+
+def test_dense_compares_features_and_their_gradients(gsplat):
+    programs = {dense.OURS: dense._ours, "gsplat 0": dense._gsplats}
+    rows = dense._scene_rows(dense.frustum(200, 60, 40), dense.camera(60, 40, "cpu"), programs, 1, 5)
+    names = {"image", "image_largest", "means", "quaternions", "scales", "opacities", "features"}
+    assert set(rows[1]["differences"]) == names and max(rows[1]["differences"].values()) < 1e-5
+    assert "200 Gaussians of 5 channels: ours is" in dense.table(rows)
 
 
 def test_a_fit_is_scored_and_its_rows_are_kept(tmp_path, capsys):

@@ -190,7 +190,7 @@ def short_quaternions() -> Gaussians:
 HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("direct", "images")]
 
 
-CURVED = ("orthographic", "fisheye", "equirectangular")  # models of cameras that are no pinholes
+CURVED = ("orthographic", "fisheye", "equirectangular", "rolling")  # cameras that are no pinholes, or roll
 
 
 def gradients(
@@ -198,7 +198,7 @@ def gradients(
 ) -> dict[str, Tensor]:
     """Return the gradients of a loss on a light-field image (direct) or on ordinary images, and the image.
 
-    sensor: direct, images, or a model of CURVED.
+    sensor: direct, images, or one of CURVED.
     """
     panel = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0})
     scene, rig = scene.to(dtype=dtype), rig_of(panel)
@@ -212,7 +212,16 @@ def gradients(
         cameras = rig.cameras(panel, [23, 11, 0]).to(dtype=dtype)
         if sensor != "images":
             focal = cameras.focal_px / (rig.zero_depth if sensor == "orthographic" else 1)
-            cameras = replace(cameras, model=sensor, focal_px=focal, jacobian_limits=None)
+            model = "pinhole" if sensor == "rolling" else sensor
+            cameras = replace(cameras, model=model, focal_px=focal, jacobian_limits=None)
+        if sensor == "rolling":
+            turn = torch.linalg.matrix_exp(torch.tensor([[0, -0.05, 0.03], [0.05, 0, -0.04], [-0.03, 0.04, 0]]))
+            first = cameras.world_to_camera.clone().requires_grad_()
+            last = torch.block_diag(turn, torch.ones(1)).to(first) @ first.detach().roll(1, 0)
+            last.requires_grad_()
+            leaves |= {"first": first, "last": last}
+            motion = {"world_to_camera": first, "world_to_camera_end": last}
+            cameras = replace(cameras, rolling_shutter="top_to_bottom", **motion)
         image = render(given, cameras, background=BACKGROUND, antialiased=antialiased).image
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
     return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}

@@ -8,14 +8,19 @@ from pathlib import Path
 import pytest
 import torch
 from fit_capture import write_capture
+from fit_scene import first_state, known_scene, photograph_scene
 
 import lightfield_gs as lf
 from lightfield_gs import InputError
-from lightfield_gs.fitting import placement
+from lightfield_gs.fitting import checkpoint, placement
+from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.memory import MemoryEstimate, estimate_memory
+from lightfield_gs.fitting.optimizer import RawParameters
 from lightfield_gs.fitting.photo_storage import ReadAhead, RowFile
 from lightfield_gs.fitting.placement import Placement, Room
 from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.io.captures.capture import read_capture
 
 QUICK = dict(steps=60, cap_max=200, device="cpu", test_every=4)
 GB = 1_000_000_000
@@ -109,6 +114,38 @@ def test_more_than_there_is_is_refused():
     with pytest.raises(InputError, match="needs 26.0 GB of the memory of the host .* and 12.0 GB are free"):
         chosen.check(is_certain=True)
     chosen.check(is_certain=False)
+
+
+@pytest.mark.parametrize("density", ["mcmc", "adaptive"])
+def test_moments_stay_in_pinned_memory(density, capture, tmp_path, monkeypatch):
+    """Through changes of density, sorts, more harmonics and a checkpoint. Here memory is pinned in name only."""
+    pinned: list[int] = []
+
+    def pin(tensor: torch.Tensor) -> torch.Tensor:
+        kept.append(tensor.clone())
+        pinned.append(id(kept[-1]))
+        return kept[-1]
+
+    kept: list[torch.Tensor] = []
+    monkeypatch.setattr(torch.Tensor, "pin_memory", pin)
+    monkeypatch.setattr(torch.Tensor, "is_pinned", lambda tensor: id(tensor) in pinned)
+    settings = FitSettings(steps=600, cap_max=220, density=density, grow_grad2d=1e-5)
+    images, identity = photograph_scene(known_scene()), Identity.make(settings, read_capture(capture), [0])
+    fits = [Trainer(first_state(known_scene(), settings), images, settings) for _ in range(3)]
+    for fit in fits[1:]:
+        fit.state.first, fit.state.second = (
+            RawParameters(*(t.pin_memory() for t in moments)) for moments in (fit.state.first, fit.state.second)
+        )
+    plain, hosted, resumed = fits
+    plain.advance(110)
+    hosted.advance(110)
+    checkpoint.save(tmp_path / checkpoint.FILE, hosted, identity, [])
+    checkpoint.restore(tmp_path / checkpoint.FILE, resumed, identity)
+    assert hosted.state.count != 150 and hosted.state.degree == 3
+    for fit in (hosted, resumed):
+        for name, tensor in fit.state.tensors().items():
+            assert tensor.is_pinned() == name.startswith(("first", "second")), name
+            assert torch.equal(tensor, plain.state.tensors()[name]), name
 
 
 def test_rows_of_a_file_are_read_in_any_order(tmp_path):

@@ -4,28 +4,16 @@ import math
 
 import pytest
 import torch
+from camera_oracle import oracle_image
 from torch import Tensor
 
 from lightfield_gs import Cameras, Gaussians, InputError, Panel, Rig, encode, render
-from lightfield_gs.reference.blend import Eye, Projection, Samples, Scene
 
 WIDTH, HEIGHT = 44, 36
 BEND = (0.05, -0.01, 0.002, -0.0003)
 
 
-def _fisheye(t: Tensor, bend: tuple[float, ...] = BEND) -> Tensor:
-    """Return the plane's point [..., 2] by OpenCV's formulas, of points [..., 3]."""
-    radius = torch.linalg.norm(t[..., :2], dim=-1)
-    angle = torch.atan2(radius, t[..., 2])
-    distance = angle * (1 + sum(k * angle ** (2 * n + 2) for n, k in enumerate(bend)))
-    return t[..., :2] * (distance / radius)[..., None]
-
-
-def _equirectangular(t: Tensor) -> Tensor:
-    return torch.stack([torch.atan2(t[..., 0], t[..., 2]), torch.asin(t[..., 1] / torch.linalg.norm(t, dim=-1))], -1)
-
-
-FORMULAS = {"orthographic": lambda t: t[..., :2], "fisheye": _fisheye, "equirectangular": _equirectangular}
+MODELS = ("orthographic", "fisheye", "equirectangular")
 
 
 def _cameras(model: str, dtype: torch.dtype = torch.float64) -> Cameras:
@@ -62,57 +50,15 @@ def _scene(count: int = 40, around: bool = True, dtype: torch.dtype = torch.floa
     )
 
 
-class _Oracle(Projection):
-    """The oracle before a camera of another model: its rows of spread are Jacobians by autograd times the spread."""
-
-    def __init__(self, scene: Scene, cameras: Cameras, antialiased: bool):
-        self.cameras = cameras
-        eye = Eye(cameras.world_to_camera[0], cameras.intrinsics()[0], torch.zeros(4, dtype=torch.float64))
-        self.formula = FORMULAS[cameras.model]
-        super().__init__(scene, eye, antialiased)
-        t = self.position.detach()
-        ahead = cameras.model == "orthographic" or (cameras.widest_deg or 180) <= 90
-        depth = t[:, 2] if ahead else t.norm(dim=1)
-        seen = (depth >= 0.01) & (scene.opacities.detach() * 255 >= 1)
-        if cameras.model == "fisheye":
-            seen &= torch.atan2(t[:, :2].norm(dim=1), t[:, 2]) < math.radians(cameras.widest_deg)
-        drawn = torch.nonzero(seen).flatten()
-        self.order = drawn[torch.sort(depth[drawn], stable=True).indices]
-        self.row, self.rows_reached = self._rows()
-
-    def footprint(self, gaussian: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
-        t, spread = self.position[gaussian], self.spread[:, :, gaussian]
-        shape = t.shape[:-1]
-        flat = t.reshape(-1, 3)
-        focal, centre = self.eye.intrinsics[:2], self.eye.intrinsics[2:]
-        with torch.enable_grad():
-            each = (
-                torch.func.vmap(torch.func.jacrev(self.formula)) if len(flat) else (lambda _: flat.new_zeros(0, 2, 3))
-            )
-            jacobian = each(flat).reshape(*shape, 2, 3)
-        u, v = (self.formula(flat).reshape(*shape, 2) * focal + centre).unbind(-1)
-        rows = torch.einsum("...ij,jk...->ik...", jacobian * focal[:, None], spread)
-        return u, v, rows[0], rows[1]
-
-
-def _oracle_image(scene: Gaussians, cameras: Cameras, background: float, antialiased: bool) -> Tensor:
-    projection = _Oracle(Scene(*scene.fields().values()), cameras, antialiased)
-    y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
-    rows, columns = y.flatten().double() + 0.5, x.flatten().double() + 0.5
-    blend = projection.blend(Samples(columns, rows, torch.zeros_like(rows)))
-    colours = projection.colour(blend.gaussian, torch.zeros(len(blend.gaussian), dtype=torch.float64))
-    return (blend.sum(colours) + blend.transmittance[:, None] * background).view(HEIGHT, WIDTH, 3)
-
-
 @pytest.mark.parametrize("antialiased", [False, True])
-@pytest.mark.parametrize("model", FORMULAS)
+@pytest.mark.parametrize("model", MODELS)
 def test_images_and_gradients_are_the_oracles(model, antialiased):
     cameras, scene = _cameras(model), _scene()
     weights = torch.rand(HEIGHT, WIDTH, 3, dtype=torch.float64)
     found = []
     for draw in (
         lambda s, c: render(s, c, background=(0.3, 0.3, 0.3), antialiased=antialiased).image[0],
-        lambda s, c: _oracle_image(s, c, 0.3, antialiased),
+        lambda s, c: oracle_image(s, c, 0.3, antialiased),
     ):
         fields = {name: t.clone().requires_grad_() for name, t in scene.fields().items()}
         pose = cameras.world_to_camera.clone().requires_grad_()
@@ -153,7 +99,7 @@ def test_a_fisheye_without_distortion_is_a_pinhole_near_its_axis():
 
 
 def test_float32_agrees_with_float64():
-    for model in FORMULAS:
+    for model in MODELS:
         exact = render(_scene(), _cameras(model)).image
         single = render(_scene(dtype=torch.float64).to(torch.float32), _cameras(model)).image
         assert (exact - single).abs().max() < 1e-4

@@ -19,7 +19,8 @@ void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& camer
     const int64_t image = item / chunks, begin = item % chunks * kGrain, end = std::min(n, begin + kGrain);
     const Gaussians<const T> scene = gaussians.slice(image / cameras.per_scene * n);
     const Camera<double> camera = cameras.camera(image);
-    const dvec3 eye = camera.centre();
+    const bool rolling = cameras.rolls();
+    const dvec3 centre = camera.centre();
     for (int64_t i = begin; i < end; ++i) {
       const Shape<double> shape = load_shape<double>(scene, i);
       Compensation<double> unused;
@@ -29,6 +30,7 @@ void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& camer
       T* stored = out.colours + (image * n + i) * kColourStride;
       std::fill_n(stored, kColourStride, T(0));
       if (splat.reach_y < 0) continue;
+      const dvec3 eye = rolling ? eye_of(camera, shape.mean) : centre;
       const dvec3 colour = sh_colour<double>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, eye);
       for (int c = 0; c < 3; ++c) stored[c] = T(std::max(0.0, colour[c]));
     }
@@ -41,7 +43,11 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
                              const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, int threads) {
   const int64_t n = gaussians.count, chunks = (n + kGrain - 1) / kGrain;
   const int size = image_intersection_gradient_size(absolute), screen_numbers = absolute ? 4 : 2;
-  std::vector<CameraGradient<double>> partial(cameras.images() * chunks);
+  struct ViewGradient {
+    CameraGradient<double> camera;
+    MotionGradient<double> motion;
+  };
+  std::vector<ViewGradient> partial(cameras.images() * chunks);
 
   // A work item is a chunk of one scene's Gaussians, and takes the cameras of the scene in order. What it adds to a
   // camera's gradient is kept by chunk, so that the sum does not depend on the threads.
@@ -55,9 +61,10 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
     for (int64_t v = 0; v < cameras.per_scene; ++v) {
       const int64_t image = b * cameras.per_scene + v;
       const Camera<double> camera = cameras.camera(image);
-      const dvec3 eye = camera.centre();
-      CameraGradient<double>& g_camera = partial[image * chunks + item % chunks];
-      dvec3 g_eye(0);
+      const bool rolling = cameras.rolls();
+      const dvec3 centre = camera.centre();
+      auto& [g_camera, g_motion] = partial[image * chunks + item % chunks];
+      dvec3 g_centre(0);
       for (int64_t i = begin; i < end; ++i) {
         const Splat<T>& splat = splats.splats[image * n + i];
         T* place = screen ? screen + (image * n + i) * screen_numbers : nullptr;
@@ -69,16 +76,10 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
         else
           read_sums(intersection_gradients + (image * n + i) * kSplatSums, absolute, g_intersection);
 
-        // From the splat to the Gaussian and the camera
-        const Shape<double> shape = load_shape<double>(scene, i);
-        Shape<double>& g = over_views[i - begin];
-        const Splat<double>& g_splat = g_intersection.splat();
-        projected_backward(camera, shape, g_splat, g, g_camera);
-
-        if (place) place[0] = saturated<T>(g_splat.u0), place[1] = saturated<T>(g_splat.v0);
-        for (int k = 2; place && k < screen_numbers; ++k) place[k] = saturated<T>(g_intersection.absolute()[k - 2]);
-
         // Colours, through their clamp at zero
+        const Shape<double> shape = load_shape<double>(scene, i);
+        const dvec3 eye = rolling ? eye_of(camera, shape.mean) : centre;
+        Shape<double>& g = over_views[i - begin];
         const T* colour = splats.colours + (image * n + i) * kColourStride;
         dvec3 g_colour(0);
         for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_intersection.colours()[c] : 0.0;
@@ -86,27 +87,38 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
         const dvec3 g_mean =
             sh_colour_backward(scene.sh_degree, scene.sh + k, shape.mean, eye, g_colour, g_scene.sh + k);
         g.mean += g_mean;
-        g_eye -= g_mean;
+        g_centre -= g_mean;
+
+        // From the splat to the Gaussian and the camera
+        const Splat<double>& g_splat = g_intersection.splat();
+        projected_backward(camera, shape, g_splat, -g_mean, g, g_camera, g_motion);
+
+        if (place) place[0] = saturated<T>(g_splat.u0), place[1] = saturated<T>(g_splat.v0);
+        for (int k = 2; place && k < screen_numbers; ++k) place[k] = saturated<T>(g_intersection.absolute()[k - 2]);
       }
-      // The eye is -R^T t
-      g_camera.rotation += glm::outerProduct(-camera.translation, g_eye);
-      g_camera.translation -= camera.rotation * g_eye;
+      if (rolling) continue;
+      // The eye is the centre, -R^T t
+      g_camera.rotation += glm::outerProduct(-camera.translation, g_centre);
+      g_camera.translation -= camera.rotation * g_centre;
     }
     for (int64_t i = begin; i < end; ++i) add_gradient(load_shape<double>(scene, i), over_views[i - begin], g_scene, i);
   });
 
   // Gradients of the cameras, summed over chunks
   for (int64_t image = 0; image < cameras.images(); ++image) {
-    CameraGradient<double> g;
+    ViewGradient g;
     for (int64_t c = 0; c < chunks; ++c) {
-      g.rotation += partial[image * chunks + c].rotation;
-      g.translation += partial[image * chunks + c].translation;
+      const auto& [camera, motion] = partial[image * chunks + c];
+      g.camera.rotation += camera.rotation, g.camera.translation += camera.translation;
+      g.motion.turn += motion.turn, g.motion.way += motion.way;
     }
-    T* m = g_world_to_camera + 16 * image;
+    T* m = g_world_to_camera + cameras.pose_numbers() * image;
     for (int row = 0; row < 3; ++row) {
-      for (int col = 0; col < 3; ++col) m[4 * row + col] = T(g.rotation[col][row]);
-      m[4 * row + 3] = T(g.translation[row]);
+      for (int col = 0; col < 3; ++col) m[4 * row + col] = T(g.camera.rotation[col][row]);
+      m[4 * row + 3] = T(g.camera.translation[row]);
     }
+    if (!cameras.rolls()) continue;
+    for (int k = 0; k < 3; ++k) m[16 + k] = T(g.motion.turn[k]), m[20 + k] = T(g.motion.way[k]);
   }
 }
 

@@ -1,6 +1,6 @@
 // Stage project for ordinary images on the device: reads Gaussians and cameras, writes splats with their colours and
 // the keys by which they are sorted. A thread has a Gaussian in one image. Arithmetic is in float, but in double for
-// compensated splats and for cameras that are no pinholes.
+// compensated splats, for cameras that are no pinholes, and for rolling shutters.
 #include "cuda/common/launch.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages/projection.cuh"
@@ -25,7 +25,7 @@ __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, i
 }
 
 // Project all Gaussians into all images: blocks along x have the Gaussians of a scene, along y the images.
-template <bool kExact>
+template <Way kWay>
 __global__ void project_images_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
                                       uint64_t* keys) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y, n = gaussians.count;
@@ -35,8 +35,9 @@ __global__ void project_images_kernel(Gaussians<const float> gaussians, Cameras<
   const Shape<float> shape = load_shape<float>(scene, i);
   const int64_t index = image * n + i;
   vec3 colour(0);
-  if (store_splat(projected<kExact>(cameras, image, camera, shape), cameras, image, index, out, keys))
-    colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, camera.centre());
+  if (store_splat(projected<kWay>(cameras, image, camera, shape), cameras, image, index, out, keys))
+    colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean,
+                              eye_of<kWay>(cameras, image, camera, shape.mean));
   store_colour(colour, out.colours, index);
 }
 
@@ -49,7 +50,10 @@ void project_images(const Gaussians<const float>& gaussians, const Cameras<float
                                                " images, and at most 65,535 are drawn "
                                                "at a time on CUDA: render fewer scenes or cameras in a call");
   const dim3 blocks(unsigned(blocks_for(gaussians.count, kThreads)), unsigned(cameras.images()));
-  const auto kernel = cameras.exact() ? project_images_kernel<true> : project_images_kernel<false>;
+  const Way way = way_of(cameras);
+  const auto kernel = way == Way::kRolling ? project_images_kernel<Way::kRolling>
+                      : way == Way::kExact ? project_images_kernel<Way::kExact>
+                                           : project_images_kernel<Way::kFast>;
   kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);
   check_launch("project_images");
 }

@@ -21,7 +21,7 @@ namespace lfgs::cuda {
 namespace {
 
 using glm::vec3;
-constexpr int kThreads = 128, kWarps = kThreads / 32, kCameraNumbers = 12;
+constexpr int kThreads = 128, kWarps = kThreads / 32;
 
 // The output of sum_intersections(), for all splats.
 struct AllSums {
@@ -79,41 +79,64 @@ struct Gradients {
   CameraGradient<float> camera;
   vec3 colour;
   float2 place;
+
+  static constexpr int kCameraNumbers = 12;
+  __device__ float camera_number(int k) const {
+    return k % 4 == 3 ? camera.translation[k / 4] : camera.rotation[k % 4][k / 4];
+  }
 };
+
+// Before a rolling shutter also those of its motion, and of where the camera stands when it reads the Gaussian.
+struct RollingGradients : Gradients {
+  MotionGradient<float> motion;
+  vec3 eye;
+
+  static constexpr int kCameraNumbers = 12 + 6;
+  __device__ float camera_number(int k) const {
+    return k < 12 ? Gradients::camera_number(k) : k < 15 ? motion.turn[k - 12] : motion.way[k - 15];
+  }
+};
+
+template <class G>
+constexpr bool kRolling = std::is_same_v<G, RollingGradients>;
 
 // Return `so_far` plus the gradients of the projection of Gaussian `i` of a scene into an image. They are computed in
 // double and then rounded. It is not inlined, since it is rarely called and takes many registers; kCurved is for
 // cameras that are no pinholes, so that these take none from the others. It reads everything once more, and gradients
 // go in and out by value: addresses would force them into memory for ordinary splats too.
-template <bool kCompensated, bool kCurved>
-__device__ __noinline__ Gradients with_exact_backward(const Gaussians<const float>& gaussians,
-                                                      const Cameras<float>& cameras, const AllSums& sums, int64_t image,
-                                                      int64_t i, Gradients so_far) {
+template <bool kCompensated, bool kCurved, class G>
+__device__ __noinline__ G with_exact_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
+                                              const AllSums& sums, int64_t image, int64_t i, G so_far) {
   const int64_t n = gaussians.count;
   const Shape<float> shape = load_shape<float>(gaussians.slice(image / cameras.per_scene * n), i);
   const Camera<double> exact = cameras.camera<double>(image);
   const Shape<double> wide = widened(shape);
-  using Projected = std::conditional_t<kCurved, CurvedProjection<double>, Projection<double>>;
+  using Projected = std::conditional_t<kCurved, CurvedProjection<double, kRolling<G>>, Projection<double>>;
   const Projected projection(exact, wide);
 
   // The gradient of the splat, which is computed once more as it was drawn
   Splat<float> splat;
   if constexpr (kCurved) {
-    splat = splat_cast<float>(projection.splat(exact, wide.opacity));
+    splat = splat_cast<float>(projection.splat(wide.opacity));
   } else if constexpr (kCompensated) {
     Compensation<float> of_one_camera;
     splat = compensated_splat(exact, shape, of_one_camera);
   } else {
-    splat = projected<false>(cameras, image, cameras.camera<float>(image), shape);
+    splat = projected<Way::kFast>(cameras, image, cameras.camera<float>(image), shape);
   }
-  Splat<double> gradient = splat_gradient<double>(splat, SplatSums::of(sums, image * n + i), so_far.colour);
+  vec3 colour;  // already in so_far before a rolling shutter
+  Splat<double> gradient = splat_gradient<double>(splat, SplatSums::of(sums, image * n + i), colour);
+  if constexpr (!kRolling<G>) so_far.colour = colour;
   so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   CameraGradient<double> of_camera;
 
   // The backward pass, in double
+  [[maybe_unused]] MotionGradient<double> of_motion;
   if constexpr (kCurved) {
-    projection.backward(exact, wide, gradient, sum, of_camera);
+    glm::dvec3 g_eye(0);
+    if constexpr (kRolling<G>) g_eye = so_far.eye;
+    projection.backward(exact, wide, gradient, g_eye, sum, of_camera, of_motion);
   } else {
     Compensation<double> g_D{};
     if (kCompensated) g_D = projection.compensate_backward(exact, gradient);
@@ -129,6 +152,10 @@ __device__ __noinline__ Gradients with_exact_backward(const Gaussians<const floa
   for (int c = 0; c < 3; ++c) {
     add(so_far.camera.translation[c], of_camera.translation[c]);
     for (int r = 0; r < 3; ++r) add(so_far.camera.rotation[c][r], of_camera.rotation[c][r]);
+    if constexpr (kRolling<G>) {
+      add(so_far.motion.turn[c], of_motion.turn[c]);
+      add(so_far.motion.way[c], of_motion.way[c]);
+    }
   }
   return so_far;
 }
@@ -231,14 +258,14 @@ struct HarmonicRows {
 };
 
 // Write the sums of a block over its threads' gradients of a camera to `out`: over each warp, then over the warps.
-__device__ void store_camera(const CameraGradient<float>& g_camera, float (&partial)[kWarps][kCameraNumbers],
-                             float* out) {
-  for (int f = 0; f < kCameraNumbers; ++f) {
-    const float sum = warp_sum(f % 4 == 3 ? g_camera.translation[f / 4] : g_camera.rotation[f % 4][f / 4]);
+template <class G>
+__device__ void store_camera(const G& g, float (&partial)[kWarps][G::kCameraNumbers], float* out) {
+  for (int f = 0; f < G::kCameraNumbers; ++f) {
+    const float sum = warp_sum(g.camera_number(f));
     if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;
   }
   __syncthreads();
-  if (threadIdx.x < kCameraNumbers) {
+  if (threadIdx.x < G::kCameraNumbers) {
     float sum = 0;
     for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
     out[threadIdx.x] = sum;
@@ -267,20 +294,20 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
 // Write all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
 // leave, or four without the gradients of cameras (kCameras). Needles go through with_exact_backward() instead, and
 // with kExact (see Cameras::exact) all do. kOneCamera: there is one camera a scene, so that the gradients of harmonics
-// can overwrite the harmonics.
-template <bool kExact, bool kOneCamera, bool kCameras>
+// can overwrite the harmonics. G is RollingGradients before rolling shutters.
+template <bool kExact, bool kOneCamera, bool kCameras, class G = Gradients>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     project_images_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
                                    const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
                                    Gaussians<float> out, float* screen, float* camera_partials) {
-  __shared__ float partial[kWarps][kCameraNumbers];
+  __shared__ float partial[kWarps][G::kCameraNumbers];
   extern __shared__ float harmonics[];
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, scene = blockIdx.y, n = gaussians.count;
   const bool real = i < n;
   const Gaussians<const float> own = gaussians.slice(scene * n);
   const Gaussians<float> g_own = out.slice(scene * n);
   const Shape<float> shape = load_shape<float>(own, real ? i : 0);
-  Gradients g;
+  G g;
 
   // Load the harmonics of Gaussians that have a gradient, and clear memory for their gradients
   const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::padded(numbers);
@@ -302,7 +329,25 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     const int64_t index = image * n + i;
     const SplatSums of_splat = real ? SplatSums::of(sums, index) : SplatSums{};
     g.camera = {}, g.place = make_float2(0, 0);
-    if (of_splat.any()) {
+
+    // The colour, through its clamp at zero; returns its gradient by the mean, which is less that by the eye
+    const auto colour_backward = [&](const vec3& eye) {
+      const vec3 colour = sh_colour<float>(own.sh_degree, rows.own(), shape.mean, eye);
+      for (int c = 0; c < 3; ++c) g.colour[c] = colour[c] > 0 ? g.colour[c] : 0.f;
+      const vec3 g_mean =
+          sh_colour_backward<!kOneCamera>(own.sh_degree, rows.own(), shape.mean, eye, g.colour, g_rows.own());
+      g.shape.mean += g_mean;
+      return g_mean;
+    };
+
+    if constexpr (kRolling<G>) {
+      g.motion = {};
+      if (of_splat.any()) {
+        for (int c = 0; c < 3; ++c) g.colour[c] = of_splat.numbers[kColourSum + c];
+        g.eye = -colour_backward(eye_of<Way::kRolling>(cameras, image, camera, shape.mean));
+        g = with_exact_backward<false, true>(gaussians, cameras, sums, image, i, g);
+      }
+    } else if (of_splat.any()) {
       const Projection<float> projection(camera, shape);
       const Splat<float> splat = projection.splat(camera, shape.opacity);
       if (kExact || is_needle(splat)) {
@@ -314,21 +359,15 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
         projection.backward(camera, shape, g_splat, g.shape, g.camera);
         g.place = make_float2(g_splat.u0, g_splat.v0);
       }
-
-      // The colour, through its clamp at zero; it also depends on the eye, which is -R^T t
-      const vec3 colour = sh_colour<float>(own.sh_degree, rows.own(), shape.mean, camera.centre());
-      for (int c = 0; c < 3; ++c) g.colour[c] = colour[c] > 0 ? g.colour[c] : 0.f;
-      const vec3 g_mean = sh_colour_backward<!kOneCamera>(own.sh_degree, rows.own(), shape.mean, camera.centre(),
-                                                          g.colour, g_rows.own());
-      g.shape.mean += g_mean;
-      if constexpr (kCameras) {
+      const vec3 g_mean = colour_backward(camera.centre());
+      if constexpr (kCameras) {  // the eye is -R^T t
         g.camera.rotation += glm::outerProduct(-camera.translation, -g_mean);
         g.camera.translation += camera.rotation * g_mean;
       }
     }
     if (screen && real) store_place(g.place, of_splat, sums.absolute, screen, index);
     if constexpr (kCameras)
-      store_camera(g.camera, partial, camera_partials + (image * gridDim.x + blockIdx.x) * kCameraNumbers);
+      store_camera(g, partial, camera_partials + (image * gridDim.x + blockIdx.x) * G::kCameraNumbers);
   }
   if (real) store_gradient(shape, g.shape, g_own, i);
   in_fours ? g_rows.store(g_sh, lit) : g_rows.store_one_by_one(g_sh, lit, int(min(int64_t(32), n - first)));
@@ -336,13 +375,13 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
 
 using Kernel = decltype(&project_images_backward_kernel<false, true, false>);
 
-template <bool kExact>
+template <bool kExact, class G>
 Kernel select_kernel(bool one_camera, bool cameras) {
   if (one_camera)
-    return cameras ? project_images_backward_kernel<kExact, true, true>
-                   : project_images_backward_kernel<kExact, true, false>;
-  return cameras ? project_images_backward_kernel<kExact, false, true>
-                 : project_images_backward_kernel<kExact, false, false>;
+    return cameras ? project_images_backward_kernel<kExact, true, true, G>
+                   : project_images_backward_kernel<kExact, true, false, G>;
+  return cameras ? project_images_backward_kernel<kExact, false, true, G>
+                 : project_images_backward_kernel<kExact, false, false, G>;
 }
 
 }  // namespace
@@ -354,9 +393,11 @@ void project_images_backward(const Gaussians<const float>& gaussians, const Came
                              Stream stream) {
   if (gaussians.count == 0 || cameras.scenes == 0) return;
   const dim3 blocks(unsigned(camera_blocks(gaussians.count)), unsigned(cameras.scenes));
-  const bool one = cameras.per_scene == 1;
-  const auto kernel =
-      cameras.exact() ? select_kernel<true>(one, camera_partials) : select_kernel<false>(one, camera_partials);
+  const bool one = cameras.per_scene == 1, of_cameras = camera_partials;
+  const Way way = way_of(cameras);
+  const auto kernel = way == Way::kRolling ? select_kernel<true, RollingGradients>(one, of_cameras)
+                      : way == Way::kExact ? select_kernel<true, Gradients>(one, of_cameras)
+                                           : select_kernel<false, Gradients>(one, of_cameras);
   const size_t bytes = size_t(one ? 1 : 2) * kThreads * HarmonicRows::padded(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
         "project_images_backward: shared memory");

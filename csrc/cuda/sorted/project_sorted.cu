@@ -25,7 +25,7 @@ __global__ void __launch_bounds__(kThreads)
   const Camera<float> camera = cameras.camera<float>(image);
   const Shape<float> shape = load_shape<float>(gaussians, i);
   const int64_t index = image * gaussians.count + i;
-  Splat<float> splat = projected<kCompensated>(cameras, image, camera, shape);
+  Splat<float> splat = projected<kCompensated ? Way::kExact : Way::kFast>(cameras, image, camera, shape);
   cull_outside(splat, cameras.width_px, cameras.height_px);
   write_footprint(splat, chunk.footprints, index);
   if (!(splat.reach_y >= 0)) return;  // nothing reads more of it

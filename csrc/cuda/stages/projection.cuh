@@ -32,16 +32,31 @@ __device__ inline float log2_compensation(const Compensation<float>& c, float s,
   return 0.5f * log2f(unfiltered(c, s) / S);
 }
 
-// The splat of a Gaussian in an image, `camera` its camera. kExact: it is in double, see Cameras::exact; else in float.
-template <bool kExact>
+// How cameras project: in float, in double (see Cameras::exact), or by a rolling shutter in double.
+enum class Way { kFast, kExact, kRolling };
+
+inline Way way_of(const Cameras<float>& cameras) {
+  return cameras.rolls() ? Way::kRolling : cameras.exact() ? Way::kExact : Way::kFast;
+}
+
+// The splat of a Gaussian in an image, `camera` its camera.
+template <Way kWay>
 __device__ Splat<float> projected(const Cameras<float>& cameras, int64_t image, const Camera<float>& camera,
                                   const Shape<float>& shape) {
-  if constexpr (kExact) {
-    Compensation<double> of_one_camera;  // not needed: with one camera it is in the opacity
-    return splat_cast<float>(lfgs::projected(cameras.camera<double>(image), widened(shape), of_one_camera));
-  } else {
-    return Projection<float>(camera, shape).splat(camera, shape.opacity);
-  }
+  if constexpr (kWay == Way::kFast) return Projection<float>(camera, shape).splat(camera, shape.opacity);
+  const Camera<double> exact = cameras.camera<double>(image);
+  if constexpr (kWay == Way::kRolling)
+    return splat_cast<float>(CurvedProjection<double, true>(exact, widened(shape)).splat(shape.opacity));
+  Compensation<double> of_one_camera;  // not needed: with one camera it is in the opacity
+  return splat_cast<float>(lfgs::projected<false>(exact, widened(shape), of_one_camera));
+}
+
+// Where the camera of an image stands when it reads a mean, or always.
+template <Way kWay>
+__device__ glm::vec3 eye_of(const Cameras<float>& cameras, int64_t image, const Camera<float>& camera,
+                            const glm::vec3& mean) {
+  if constexpr (kWay == Way::kRolling) return glm::vec3(lfgs::eye_of(cameras.camera<double>(image), glm::dvec3(mean)));
+  return camera.centre();
 }
 
 // Write a colour for one camera, not below zero.

@@ -52,6 +52,9 @@ class Capture:
         held_by: the file or field that holds them out.
         is_whole: whether the photographs have the size of their files, because nobody chose another.
         model: of all cameras, as in scene.Cameras; fisheyes are equidistant, equirectangular images are half rounds.
+        readouts: [C,2,3] float64, of cameras that moved while their rolling shutters read from top to bottom: the turn
+            of world to camera (a rotation vector, radians), and the way of the centre (scene units), both in the camera
+            axes at the pose. The pose is that of the middle of the readout. None: all stood still.
     """
 
     folder: Path
@@ -66,6 +69,7 @@ class Capture:
     held_by: str = ""
     is_whole: bool = False
     model: CameraModel = "pinhole"
+    readouts: np.ndarray | None = None
 
     def image(self, index: int) -> np.ndarray:
         """Decode a photograph: uint8 [H,W,3], sRGB, undistorted and reduced. Raises InputError."""
@@ -222,7 +226,15 @@ def read_capture(
         layout.held_by,
         is_whole,
         photographs[0].model,
+        _readouts(posed),
     )
+
+
+def _readouts(posed: Sequence[PosedPhotograph]) -> np.ndarray | None:
+    """Return turn and way of all cameras [C,2,3], zeros of those that stood still; None where all did."""
+    if all(photograph.readout is None for photograph in posed):
+        return None
+    return np.stack([np.zeros((2, 3)) if one.readout is None else one.readout for one in posed])
 
 
 def _note_single_position(world_to_camera: Sequence[np.ndarray]) -> None:

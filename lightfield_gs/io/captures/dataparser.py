@@ -47,6 +47,10 @@ class Similarity:
         moved[:3, 3] = -moved[:3, :3] @ self.points(centre)
         return moved
 
+    def readout(self, readout: np.ndarray | None) -> np.ndarray | None:
+        """Return the turn and the way of a camera [2,3], in its own axes, in the moved world."""
+        return None if readout is None else readout * [[1.0], [self.scale]]
+
 
 def find_dataparser_transform(path: Path) -> Similarity | None:
     """Read the dataparser_transforms.json beside a transforms.json, with a note; None where there is none.

@@ -41,6 +41,7 @@ class PosedPhotograph:
         mask: the file that the layout names, if it names one.
         border_px: rows and columns at each edge of the file that show nothing.
         half: of an equirectangular file, which has twice as many columns; see Photograph.
+        readout: [2,3], turn and way of the camera while its rolling shutter reads; see Capture.
     """
 
     name: str
@@ -52,6 +53,7 @@ class PosedPhotograph:
     mask: Path | None = None
     border_px: int = 0
     half: Half | None = None
+    readout: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

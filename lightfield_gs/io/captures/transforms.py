@@ -10,7 +10,7 @@ The fields are as in objects.py, with these differences:
     file_path: relative to the images folder or to one of its reduced copies. ply_file_path: points in the world of the
     poses. Without it, points are looked for beside the file. applied_transform: from COLMAP's world to the world of the
     poses; it changes neither poses nor points. depth_file_path (nerfstudio), depth_path (NeRFCapture): points where
-    there are no others.
+    there are no others. The fields of a rolling shutter are in readout.py.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ from lightfield_gs.io.captures.pinhole import (
     remove_scale,
 )
 from lightfield_gs.io.captures.point_files import find_points, read_points
+from lightfield_gs.io.captures.readout import note_readouts, read_readout
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.text_files import read_object
 
@@ -267,12 +268,16 @@ def read_transforms_capture(path: Path, images: Path | None, given: bool) -> Pos
         scales.append(scale)
     note_scales(path, scales)
     _note_angles(path, list(zip(frames, posed)))
+    note_readouts(path, [frame.fields for frame in frames], posed)
     held_out = tuple(files[frame.name][0] for frame in frames if frame.is_held_out)
     points, colours = _points(path, read.data.get("ply_file_path"), read.data.get("applied_transform"), posed)
     if not len(points):
         points, colours = depth_points(posed, _depth_files(path, dict(zip((one.name for one in posed), frames))))
     if (moved := find_dataparser_transform(path)) is not None:
-        posed = [replace(one, world_to_camera=moved.pose(one.world_to_camera)) for one in posed]
+        posed = [
+            replace(one, world_to_camera=moved.pose(one.world_to_camera), readout=moved.readout(one.readout))
+            for one in posed
+        ]
         points = moved.points(points)
     behind = [_behind(one) for one in posed if one.half is not None]
     held_out += tuple(map(_behind_name, held_out)) if behind else ()
@@ -354,7 +359,8 @@ def _posed_photograph(
     intrinsics = np.array([*focal, width / 2 if cx is None else cx, height / 2 if cy is None else cy])
     check_intrinsics(where, intrinsics, width, height)
     size = int(width), int(height)
-    return PosedPhotograph(name, photo, pose, intrinsics, size, _lens(where, fields, number), mask)
+    readout = read_readout(where, fields)
+    return PosedPhotograph(name, photo, pose, intrinsics, size, _lens(where, fields, number), mask, readout=readout)
 
 
 def _behind(ahead: PosedPhotograph) -> PosedPhotograph:
