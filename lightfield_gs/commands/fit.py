@@ -37,10 +37,11 @@ def run(args: argparse.Namespace) -> int:
 
 def fit_scene(options: FitOptions) -> int:
     """Fit a capture and write its scene; return 128 and the signal where one stopped it. Raises InputError."""
-    output, report, source = options.output, options.report, options.capture
+    output, report = options.output, options.report
     check_scene_path(output)
     folder = check_folder(output.with_suffix(".fit") if report.run is None else report.run)
-    choose_device(options.device)
+    options = options.complete(choose_device(options.device))
+    source = options.capture
     held_out = None if source.test_list is None else read_names(source.test_list)
     options.cone.check()
     _check_choice(source, options.optimisation.masks)
@@ -48,6 +49,8 @@ def fit_scene(options: FitOptions) -> int:
     from lightfield_gs.base.torchrun import is_first
     from lightfield_gs.fitting.fit import fit
 
+    if options.quick and is_first():
+        print(options.describe_quick(), flush=True)
     with Interrupts() as interrupts:
         capture = _read_capture(source, folder, options.device)
         if held_out is not None:

@@ -23,6 +23,7 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
 from lightfield_gs.io.atomic import check_output_path, check_outputs
+from lightfield_gs.io.scenes.streamed_sog import is_streamed
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.stored_rigs import write_rig_beside
@@ -133,4 +134,5 @@ def make_smaller(
     else:
         messages.append(f"{output}: in the axes of {source}, with the framing it was made for: encode takes it")
     say(*messages)
-    say_next("encode", output, "-o", output.with_suffix(".png"), *panel_words(options.panel.panel))
+    shown = output.parent if is_streamed(output) else output
+    say_next("encode", shown, "-o", shown.with_suffix(".png"), *panel_words(options.panel.panel))

@@ -40,6 +40,21 @@ def test_a_capture_becomes_a_scene(desk, capsys):
     assert np.asarray(Image.open("scene.fit/last.png")).shape == (32, 3 * 48, 3)
 
 
+def test_a_first_look_takes_small_numbers_unless_they_are_given(desk, capsys, monkeypatch):
+    asked = {}
+    monkeypatch.setattr("lightfield_gs.fitting.fit.fit", lambda capture, **given: asked.update(given) or 1 / 0)
+    for words, steps, count in (
+        (["--quick"], 1500, 15_000),
+        (["--steps", "30000", "--quick"], 30_000, 15_000),
+        ([], 30_000, 300_000),
+    ):
+        with pytest.raises(ZeroDivisionError):
+            cli.main(["fit", "photos", "-o", "scene.ply", "--device", "cpu", *words])
+        assert (asked["steps"], asked["cap_max"]) == (steps, count)
+        said = capsys.readouterr().out
+        assert f"{steps} steps, {count} Gaussians" in said if words else "first look" not in said
+
+
 def test_which_photographs_are_held_out_is_a_choice(desk, capsys):
     Path("test.txt").write_text("# held out\n01.png\n\n06.png\n")
     assert "6 photographs" in run(capsys, f"fit photos -o a.ply {QUICK} --steps 2 --test-list test.txt")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,13 @@ from lightfield_gs.commands.options.parser import background, whole, within
 _MOST = 10_000_000
 # Names of options, and of their settings
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
+# Options that depend on --quick: usual values, and those of a first look by device. Those of a CPU were chosen on the
+# banana of the package (14 photographs), for a minute on two cores, and are reported on plush (docs/scenes.md)
+_USUAL = {"longest_px": None, "steps": 30_000, "gaussians": 300_000, "sh_degree": 3}
+_QUICK = {
+    "cpu": _USUAL | {"longest_px": 320, "steps": 1500, "gaussians": 15_000, "sh_degree": 2},
+    "cuda": _USUAL | {"steps": 7000},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +75,11 @@ class CaptureOptions:
 class OptimisationOptions:
     """The settings of a fit, see FitSettings for their meaning."""
 
-    steps: int
-    gaussians: int
+    steps: int | None
+    gaussians: int | None
     density: Density
     absolute_gradients: bool
-    sh_degree: int
+    sh_degree: int | None
     views_per_step: int
     exposure: bool
     dropout: float
@@ -157,6 +164,27 @@ class FitOptions:
     device: Device = "auto"
     photos_on: PhotosOn = "auto"
     moments_on: MomentsOn = "auto"
+    quick: bool = False
+
+    def complete(self, device: str) -> FitOptions:
+        """Return the options with values for those that were not given; device: "cpu" or "cuda"."""
+        values = _QUICK[device] if self.quick else _USUAL
+        capture, optimisation = self.capture, self.optimisation
+        if capture.longest_px is None and capture.scale is None:
+            capture = replace(capture, longest_px=values["longest_px"])
+        own: dict[str, Any] = {
+            name: values[name] for name in ("steps", "gaussians", "sh_degree") if getattr(optimisation, name) is None
+        }
+        return replace(self, capture=capture, optimisation=replace(optimisation, **own))
+
+    def describe_quick(self) -> str:
+        """Return in words what a first look is made of; the options are complete."""
+        made, longest = self.optimisation, self.capture.longest_px
+        size = "" if longest is None else f", photographs of {longest} pixels at most"
+        return (
+            f"a first look: {made.steps} steps, {made.gaussians} Gaussians, harmonics of degree {made.sh_degree}{size} "
+            "(each has its own option)"
+        )
 
 
 def _every_or_none(text: str) -> TestEvery:
@@ -271,9 +299,16 @@ def add_optimisation(add: Add) -> None:
     """Add the options that become FitSettings."""
     add = in_group(add, "fit")
     add(
+        "--quick",
+        action="store_true",
+        short="a first look: a minute on two cores",
+        help=f"a first look, in a minute on two cores: {_QUICK['cpu']['steps']} steps, {_QUICK['cpu']['gaussians']} "
+        f"Gaussians, photographs of {_QUICK['cpu']['longest_px']} pixels, harmonics of degree "
+        f"{_QUICK['cpu']['sh_degree']}; on a GPU {_QUICK['cuda']['steps']} steps. Their own options set others",
+    )
+    add(
         "--steps",
         type=whole(1, _MOST),
-        default=30_000,
         metavar="N",
         short="number of steps; 7000 is quick (default 30000)",
         help="number of steps; schedules scale with it (default 30000)",
@@ -281,7 +316,6 @@ def add_optimisation(add: Add) -> None:
     add(
         "--gaussians",
         type=whole(1, 2**31 - 1),
-        default=300_000,
         metavar="N",
         short="number of Gaussians (default 300000)",
         help="number of Gaussians at the end, or at most with --density adaptive (default 300000)",
@@ -302,7 +336,6 @@ def add_optimisation(add: Add) -> None:
         "--sh-degree",
         type=int,
         choices=range(4),
-        default=3,
         help="degree of the spherical harmonics, 0..3: how much colours may change with the viewing direction; "
         "0: not at all (default 3)",
     )

@@ -1,6 +1,6 @@
 """Writing of SOG, version 2, as a folder of images; sog.py describes the format.
 
-Codebooks and the palette of harmonics are clusters (Lloyd, "Least Squares Quantization in PCM", 1982).
+Codebooks and the palette of harmonics are centres of clusters (Lloyd, "Least Squares Quantization in PCM", 1982).
 """
 
 from __future__ import annotations
