@@ -138,7 +138,7 @@ def rasterization(
     if covars is not None:  # quaternions and scales do not matter then
         quats, scales = torch.ones_like(means[..., :1]).expand(*means.shape[:-1], 4), torch.ones_like(means)
         covars = flat(covars)
-    harmonics, drawn, channels = _colours(colors, lead, views, count, sh_degree)
+    harmonics, drawn = _colours(colors, lead, views, count, sh_degree)
     by_gaussian = (means, quats, scales, opacities, harmonics)
     scene = from_tensors(flat(field).contiguous() for field in by_gaussian)
     cameras = Cameras(
@@ -151,7 +151,7 @@ def rasterization(
     )
     screen = _Screen(scene, cameras, absgrad, (covars, backgrounds, *drawn.values()))
     behind: Any = (0.0, 0.0, 0.0)
-    if backgrounds is not None and "features" not in drawn and channels:
+    if backgrounds is not None and "features" not in drawn:
         behind = flat(backgrounds)
     options: dict[str, Any] = {name: flat(tensor) for name, tensor in drawn.items()}
     images = render(
@@ -216,8 +216,8 @@ def _refuse(given: dict[str, Any]) -> None:
 
 def _colours(
     colors: Tensor, lead: torch.Size, views: int, count: int, sh_degree: int | None
-) -> tuple[Tensor, dict[str, Tensor], int]:
-    """Return the harmonics, the colors or features of `render` that take their place, and the number of channels.
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Return the harmonics, and the colors or features of `render` that take their place.
 
     Raises:
         InputError: another shape.
@@ -229,13 +229,13 @@ def _colours(
                 f"colors: expected harmonics {[*own[0], 'K', 3]} with sh_degree, got {list(colors.shape)}: give each "
                 "camera its own by a call for each"
             )
-        return colors, {}, 3
+        return colors, {}
     if tuple(colors.shape[:-1]) not in own or not colors.shape[-1]:
         raise InputError(
             f"colors: expected {[*own[0], 'D']} or {[*own[1], 'D']} without sh_degree, got {list(colors.shape)}"
         )
     none = colors.new_zeros(*lead, count, 1, 3)
-    return none, {"colors" if colors.shape[-1] == 3 else "features": colors}, colors.shape[-1]
+    return none, {"colors" if colors.shape[-1] == 3 else "features": colors}
 
 
 class _Screen:

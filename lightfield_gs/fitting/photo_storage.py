@@ -79,10 +79,10 @@ class RowFile:
         return some
 
 
-Rows = Tensor | RowFile  # [C, ...] uint8
+StoredRows = Tensor | RowFile  # [C, ...] uint8
 
 
-def white_rows(shape: Sequence[int], where: torch.device | str | Path, name: str) -> Rows:
+def white_rows(shape: Sequence[int], where: torch.device | str | Path, name: str) -> StoredRows:
     """Return C white rows to be set.
 
     Args:
@@ -95,7 +95,7 @@ def white_rows(shape: Sequence[int], where: torch.device | str | Path, name: str
     return torch.full(tuple(shape), _WHITE, dtype=torch.uint8, device=where)
 
 
-def select_rows(stored: Rows, rows: Sequence[int]) -> Rows:
+def select_rows(stored: StoredRows, rows: Sequence[int]) -> StoredRows:
     """Return some of the rows, where all of them are."""
     return stored.select(rows) if isinstance(stored, RowFile) else stored[list(rows)]
 
@@ -108,7 +108,7 @@ class ReadAhead:
         pinned: whether the rows are read to memory that a GPU can copy from at any time.
     """
 
-    def __init__(self, stored: Mapping[str, Rows], pinned: bool):
+    def __init__(self, stored: Mapping[str, StoredRows], pinned: bool):
         self._stored, self._pinned = stored, pinned
         self._pool = ThreadPoolExecutor(_READERS, "photographs")
         self._reading: dict[tuple[int, ...], Future[dict[str, Tensor]]] = {}

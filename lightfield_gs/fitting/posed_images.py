@@ -18,7 +18,7 @@ from torch import Tensor
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.options import CameraModel, RollingShutter
-from lightfield_gs.fitting.photo_storage import DeviceRows, ReadAhead, RowFile, Rows, select_rows, white_rows
+from lightfield_gs.fitting.photo_storage import DeviceRows, ReadAhead, RowFile, StoredRows, select_rows, white_rows
 from lightfield_gs.fitting.readouts import last_poses, of_fewer_rows, readout_poses
 from lightfield_gs.fitting.settings import Masks
 from lightfield_gs.io.captures.capture import Capture
@@ -89,13 +89,13 @@ class PosedImages:
     """
 
     names: list[str]
-    photos: Rows
-    weights: Rows | None
+    photos: StoredRows
+    weights: StoredRows | None
     world_to_camera: Tensor
     intrinsics: Tensor
     limits: Tensor
     sizes: list[tuple[int, int]]
-    opacity: Rows | None = None
+    opacity: StoredRows | None = None
     model: CameraModel = "pinhole"
     widest_deg: float | None = None
     _reader: ReadAhead | None = field(default=None, init=False, repr=False)
@@ -219,7 +219,7 @@ class PosedImages:
             self._copies[count].copy(self._staged)
             self._staged = self._copies[count].rows
 
-    def _stored(self) -> dict[str, Rows]:
+    def _stored(self) -> dict[str, StoredRows]:
         named = {"photos": self.photos, "weights": self.weights, "opacity": self.opacity}
         return {name: stored for name, stored in named.items() if stored is not None}
 
@@ -277,7 +277,7 @@ class PosedImages:
         """Return some of the photographs."""
         chosen = list(indices)
         parts: dict[str, Any] = {
-            name: select_rows(value, chosen) for name, value in vars(self).items() if isinstance(value, Rows)
+            name: select_rows(value, chosen) for name, value in vars(self).items() if isinstance(value, StoredRows)
         }
         parts |= {name: [getattr(self, name)[index] for index in chosen] for name in ("names", "sizes")}
         return replace(self, **parts)
@@ -327,7 +327,7 @@ class _Masks:
 
     def __init__(self, shape: tuple[int, int, int], where: str | Path, name: str):
         self._shape, self._where, self._name = shape, where, name
-        self.rows: Rows | None = None
+        self.rows: StoredRows | None = None
 
     def set(self, row: int, mask: np.ndarray | None) -> None:
         """Set the mask [H,W] of a photograph; None: white."""

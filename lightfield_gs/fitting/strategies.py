@@ -28,8 +28,16 @@ _STEEP, _FAINT = 100.0, 0.995  # noise: a Gaussian moves if its opacity is below
 _MOST_OPACITY = 1 - 1e-7
 
 
+class _Strategy:
+    """The part of gsplat's interface that all strategies share."""
+
+    def check_sanity(self, params: Parameters, optimizers: Optimizers) -> None:
+        """Raise InputError for missing parameters, or parameters without an optimizer of their own."""
+        check_parameters(params, optimizers, _NEEDED)
+
+
 @dataclass
-class DefaultStrategy:
+class DefaultStrategy(_Strategy):
     """Clone, split and prune (Kerbl et al. 2023). Fields have gsplat's names, meanings and defaults.
 
     Opacities are lowered every `reset_every` steps, as the paper has it. In gsplat 1.5.3 this condition is never true:
@@ -73,10 +81,6 @@ class DefaultStrategy:
     def initialize_state(self, scene_scale: float = 1.0) -> dict[str, Any]:
         """Return the state of a fit; scene_scale: the unit of sizes, such as the extent of the cameras."""
         return {"grad2d": None, "count": None, "radii": None, "scene_scale": scene_scale}
-
-    def check_sanity(self, params: Parameters, optimizers: Optimizers) -> None:
-        """Raise InputError for missing parameters, or parameters without an optimizer of their own."""
-        check_parameters(params, optimizers, _NEEDED)
 
     def step_pre_backward(
         self, params: Parameters, optimizers: Optimizers, state: dict[str, Any], step: int, info: dict[str, Any]
@@ -176,7 +180,7 @@ class DefaultStrategy:
 
 
 @dataclass
-class MCMCStrategy:
+class MCMCStrategy(_Strategy):
     """Move dead Gaussians to live ones and add new ones (Kheradmand et al. 2024). Fields as in gsplat.
 
     Attributes:
@@ -198,10 +202,6 @@ class MCMCStrategy:
     def initialize_state(self) -> dict[str, Any]:
         """Return the state of a fit: none is needed."""
         return {}
-
-    def check_sanity(self, params: Parameters, optimizers: Optimizers) -> None:
-        """Raise InputError for missing parameters, or parameters without an optimizer of their own."""
-        check_parameters(params, optimizers, _NEEDED)
 
     def step_pre_backward(
         self, params: Parameters, optimizers: Optimizers, state: dict[str, Any], step: int, info: dict[str, Any]
