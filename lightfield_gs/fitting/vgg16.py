@@ -78,7 +78,8 @@ def read_weights(path: Path, device: torch.device | str = "cpu") -> Vgg16:
     except Exception as error:  # of the file, its ZIP archive or its pickle: it may be anything
         words = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: expected the weights of VGG-16, but {words}; {way_out}") from None
-    wanted, channels = {}, 3
+    wanted: dict[str, tuple[int, ...]] = {}
+    channels = 3
     for numbers, width in _BLOCKS:
         for number in numbers:
             wanted[f"features.{number}.weight"], wanted[f"features.{number}.bias"] = (width, channels, 3, 3), (width,)
