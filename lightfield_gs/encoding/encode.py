@@ -19,7 +19,7 @@ from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
-from lightfield_gs.rasterizer.direct import DirectRender
+from lightfield_gs.rasterizer.direct import DirectRender, render_direct
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE
 from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.quality import Quality
@@ -143,7 +143,7 @@ def encode(
             refuse_with_gradients(view_filter=view_filter > 0)
             return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
         numbers = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter).numbers()
-        return torch.ops.lightfield_gs.render_direct(*fields, colour, *numbers, antialiased)
+        return render_direct(*fields, colour, *numbers, antialiased)
     counters = Stats(device=gaussians.means.device if stats is not None else None)
     if method == "direct":
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)

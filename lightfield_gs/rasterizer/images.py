@@ -19,6 +19,7 @@ from lightfield_gs.base.options import RenderMode
 from lightfield_gs.rasterizer.image_operators import (
     draw_images,
     draw_images_and_splats,
+    render_images,
     render_images_and_splats,
     render_scene,
 )
@@ -305,7 +306,7 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
         return Drawn(*render_scene(fields, view.background, cameras, (*size, screen, view.model)))
     draw: Callable[..., tuple[Tensor, ...]]
     if with_gradients:
-        draw = render_images_and_splats if options.reads_splats else torch.ops.lightfield_gs.render_images
+        draw = render_images_and_splats if options.reads_splats else render_images
     else:  # at the first call of an operator with a backward torch spends a second on imports
         draw = draw_images_and_splats if options.reads_splats else draw_images
     return Drawn(*draw(*batch, view.background, *cameras, *size, screen, view.model))
