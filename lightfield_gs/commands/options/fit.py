@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -83,7 +84,7 @@ class OptimisationOptions:
     absolute_gradients: bool
     sh_degree: int | None
     views_per_step: int
-    exposure: bool
+    exposure: bool | None
     dropout: float
     poses: bool
     masks: Masks
@@ -351,9 +352,10 @@ def add_optimisation(add: Add) -> None:
     )
     add(
         "--exposure",
-        action="store_true",
-        short="for photographs of different exposure",
-        help="also fit an affine change of colours for each photograph, for different exposure or white balance",
+        action=argparse.BooleanOptionalAction,
+        short="also fit a change of colours for each photograph",
+        help="also fit an affine change of colours for each photograph, for different exposure or white balance "
+        "(default: if their exposures differ by 1 %% or more)",
     )
     add(
         "--loss",
