@@ -12,12 +12,12 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.arrays import is_eager
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import (
     LIBRARY,
     differentiable_once,
-    is_eager,
     operator_schema,
     register_batches,
     register_operator,
@@ -109,7 +109,9 @@ def fake_state(like: Tensor, images: int, count: int) -> RenderState:
         images: how many.
         count: of Gaussians.
     """
-    size = 0 if type(like) is Tensor else torch.library.get_ctx().new_dynamic_size()  # plain tensors here are meta
+    mode = getattr(like, "fake_mode", None)  # meta tensors have none
+    tracked = mode is not None and mode.shape_env is not None
+    size = torch.library.get_ctx().new_dynamic_size() if tracked else 0
     splats, colours = (like.new_empty(shape) for shape in RenderState.shapes(images, count, 0))
     return RenderState(splats, colours, like.new_empty(size, dtype=torch.uint8))
 
